@@ -6,7 +6,7 @@
 
 /// Adds `value` to `sum` with Kahan summation. The rounding error is stored in
 /// `rounding_error`, and the next call subtracts it again.
-void add_with_compensation(inout float sum, inout float rounding_error, float value) {
+void kahan_add(inout float sum, inout float rounding_error, float value) {
     precise float y = value - rounding_error;
     precise float t = sum + y;
     precise float rest = (t - sum) - y;

@@ -13,7 +13,7 @@ uvec2 negate_64_bit(uvec2 words) { return uvec2(~words.x + 1u, ~words.y + uint(w
 
 /// Adds `value` to a sum. The sum is a fixed-point number of two words in `sums`, the low
 /// word first. `value` must be finite, with an absolute value below 1e12.
-void atomic_add_fixed_point(Uints sums, uint sum_index, float value) {
+void add_fixed(Uints sums, uint sum_index, float value) {
     // Converts |value| to a fixed-point number with a low and a high word. This is exact,
     // because a float has only 24 significant bits.
     float steps = trunc(abs(value) * kFixedSteps), high = floor(steps / kFixedWord);
@@ -24,7 +24,7 @@ void atomic_add_fixed_point(Uints sums, uint sum_index, float value) {
     atomicAdd(words.at[2u * sum_index + 1u], amount.y + uint(before + amount.x < before));
 }
 
-float read_fixed_point_sum(Uints sums, uint sum_index) {
+float read_fixed(Uints sums, uint sum_index) {
     uvec2 sum = uvec2(sums.at[2u * sum_index], sums.at[2u * sum_index + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
     // In two's complement, the words of a small negative number are large. Their

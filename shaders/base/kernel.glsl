@@ -13,13 +13,13 @@ layout(local_size_x_id = RELIDAR_ID_WORKGROUP_SIZE) in;
 
 /// Returns the global index of this thread. The launch has two dimensions, because Vulkan
 /// limits the number of workgroups per dimension.
-uint get_thread_index() {
+uint thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-uint get_thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
+uint thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
-uint get_workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
+uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 
 layout(buffer_reference) buffer ParamsBlock;
 // clang-format off

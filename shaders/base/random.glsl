@@ -24,7 +24,7 @@ uvec4 pcg4d(uvec4 key) {
 /// @param seed seed of the kernel launch
 /// @param element index of the element that needs the numbers
 /// @param pair_index index of the pair for this element
-vec2 draw_standard_normal_pair(uint seed, uint element, uint pair_index) {
+vec2 normal_pair(uint seed, uint element, uint pair_index) {
     uvec4 bits = pcg4d(uvec4(seed, element, pair_index, 0u));
     float radius = sqrt(-2.0 * log((float(bits.x >> 8u) + 1.0) * (1.0 / 16777216.0)));
     float angle = 6.283185307179586 * float(bits.y >> 8u) * (1.0 / 16777216.0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Prefix sums over a workgroup of at most 64 subgroups. A shader must assign its elements
-// to threads by get_subgroup_ordered_thread_index().
+// to threads by ordered_thread().
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
@@ -9,13 +9,13 @@ shared uvec2 scan_sums[64];
 
 /// Returns the index of this thread in the workgroup, numbered subgroup by subgroup, so
 /// that prefix sums are the same in every run.
-uint get_subgroup_ordered_thread_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+uint ordered_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
 /// Returns the sum over all subgroups before this subgroup. Every thread of the workgroup
 /// must call this function.
 /// @param sum sum of this subgroup
 /// @param total output: sum of all subgroups
-uvec2 sum_earlier_subgroups(uvec2 sum, out uvec2 total) {
+uvec2 earlier_sum(uvec2 sum, out uvec2 total) {
     if (subgroupElect()) scan_sums[gl_SubgroupID] = sum;
     barrier();
     total = uvec2(0u);
@@ -33,8 +33,8 @@ uvec2 sum_earlier_subgroups(uvec2 sum, out uvec2 total) {
 /// Returns the sum of `value` over all threads before this thread. Every thread of the
 /// workgroup must call this function.
 /// @param total output: sum over all threads
-uvec2 compute_exclusive_sum(uvec2 value, out uvec2 total) {
+uvec2 exclusive_sum(uvec2 value, out uvec2 total) {
     uvec2 before = subgroupExclusiveAdd(value);
-    return before + sum_earlier_subgroups(subgroupAdd(value), total);
+    return before + earlier_sum(subgroupAdd(value), total);
 }
 #endif

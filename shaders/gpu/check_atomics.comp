@@ -11,7 +11,7 @@
 RELIDAR_PARAMS(CheckAtomicsParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n) return;
     uint entry = i % params.n_sums;
     float amount = float(1u + i % RELIDAR_CHECK_AMOUNTS);

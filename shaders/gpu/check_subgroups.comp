@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the results of subgroup operations, so that the host can check them. The value
-// of a thread depends only on get_subgroup_ordered_thread_index(), so the host knows all
+// of a thread depends only on ordered_thread(), so the host knows all
 // correct results. Output: results.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -13,13 +13,13 @@
 RELIDAR_PARAMS(CheckSubgroupsParams);
 
 void main() {
-    uint lane = gl_SubgroupInvocationID, thread = get_subgroup_ordered_thread_index();
-    uint global = get_workgroup_index() * gl_WorkGroupSize.x + thread;
-    uint x = compute_thread_test_value(global);
+    uint lane = gl_SubgroupInvocationID, thread = ordered_thread();
+    uint global = workgroup_index() * gl_WorkGroupSize.x + thread;
+    uint x = test_value(global);
     bool odd = (x & 1u) != 0u;
     uint first = global * RELIDAR_CHECK_RESULTS;
     uint sum = subgroupAdd(params.fault != 0u && lane == 0u ? 0u : x);
-    uvec2 total, before = compute_exclusive_sum(uvec2(x, 1u), total);
+    uvec2 total, before = exclusive_sum(uvec2(x, 1u), total);
     uvec4 ballot = subgroupBallot(odd);
     params.results.at[first] = gl_SubgroupSize;
     params.results.at[first + 1u] = sum;

@@ -8,6 +8,6 @@
 RELIDAR_PARAMS(CopyParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i < params.n) params.to.at[i] = params.from.at[i];
 }

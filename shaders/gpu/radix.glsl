@@ -9,7 +9,7 @@ uint n_keys() {
     return !is_null(params.n_keys) ? min(params.n_keys.at[0], params.capacity) : params.capacity;
 }
 uint n_tiles() { return (n_keys() + RELIDAR_TILE_SIZE - 1u) / RELIDAR_TILE_SIZE; }
-uint get_radix_digit_of_key(uint key_index) {
+uint radix_digit(uint key_index) {
     return params.keys.at[key_index * KEY_WORDS + params.shift / 32u] >> (params.shift % 32u) &
            (RELIDAR_SORT_DIGITS - 1u);
 }

@@ -12,13 +12,13 @@ RELIDAR_PARAMS(RadixSortParams);
 shared uint histogram[RELIDAR_SORT_DIGITS];
 
 void main() {
-    uint tile = get_workgroup_index(), thread = get_subgroup_ordered_thread_index(), n = n_keys();
+    uint tile = workgroup_index(), thread = ordered_thread(), n = n_keys();
     if (tile >= n_tiles()) return;
     histogram[thread] = 0u;
     barrier();
     uint first = tile * RELIDAR_TILE_SIZE;
     for (uint i = first + thread; i < min(first + RELIDAR_TILE_SIZE, n); i += RELIDAR_TILE_THREADS)
-        atomicAdd(histogram[get_radix_digit_of_key(i)], 1u);
+        atomicAdd(histogram[radix_digit(i)], 1u);
     barrier();
     params.counts.at[thread * n_tiles() + tile] = histogram[thread];
 }

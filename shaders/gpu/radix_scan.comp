@@ -12,7 +12,7 @@ RELIDAR_PARAMS(RadixSortParams);
 
 void main() {
     uint tiles = n_tiles(), n_subgroups = gl_NumWorkGroups.x * gl_NumWorkGroups.y * gl_NumSubgroups;
-    for (uint digit = get_workgroup_index() * gl_NumSubgroups + gl_SubgroupID; digit < RELIDAR_SORT_DIGITS;
+    for (uint digit = workgroup_index() * gl_NumSubgroups + gl_SubgroupID; digit < RELIDAR_SORT_DIGITS;
          digit += n_subgroups) {
         uint before = 0u;
         for (uint first = 0u; first < tiles; first += gl_SubgroupSize) {

@@ -29,15 +29,13 @@ shared uint counters[ROWS * WORDS];
 shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
-uint count_subgroups_per_counter_row() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
+uint row_subgroups() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
-uint extract_count_of_digit(uint packed_counts, uint digit) {
-    return (packed_counts >> (16u * (digit & 1u))) & 0xffffu;
-}
+uint digit_count(uint packed_counts, uint digit) { return (packed_counts >> (16u * (digit & 1u))) & 0xffffu; }
 
 /// Returns a bit mask of the lanes whose keys have the same digit as the key of this
 /// lane. Lanes without a key form a separate group.
-uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
+uvec2 same_digit_lanes(bool valid, uint digit) {
     uvec2 with_key = subgroupBallot(valid).xy;
     uvec2 peers = valid ? with_key : ~with_key;
     for (uint bit = 1u; bit < RELIDAR_SORT_DIGITS; bit <<= 1) {
@@ -53,14 +51,14 @@ uvec2 find_lanes_with_same_digit(bool valid, uint digit) {
 /// subgroup must call this function, because a subgroup barrier waits for all subgroups
 /// on lavapipe.
 /// @param ranks_now true if this subgroup ranks its keys in this call
-void compute_key_ranks_in_subgroup(uint first_key, uint key_count, uint counter_row, bool ranks_now) {
+void rank_keys(uint first_key, uint key_count, uint counter_row, bool ranks_now) {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = first_key + r * gl_SubgroupSize;
         bool valid = ranks_now && i < key_count;
-        uint digit = valid ? get_radix_digit_of_key(i) : 0u;
-        uvec2 peers = find_lanes_with_same_digit(valid, digit), before = peers & gl_SubgroupLtMask.xy;
+        uint digit = valid ? radix_digit(i) : 0u;
+        uvec2 peers = same_digit_lanes(valid, digit), before = peers & gl_SubgroupLtMask.xy;
         uint smaller = bitCount(before.x) + bitCount(before.y);
-        if (ranks_now) rank[r] = extract_count_of_digit(counters[counter_row + digit / 2u], digit) + smaller;
+        if (ranks_now) rank[r] = digit_count(counters[counter_row + digit / 2u], digit) + smaller;
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         if (valid && smaller == 0u)
@@ -72,9 +70,9 @@ void compute_key_ranks_in_subgroup(uint first_key, uint key_count, uint counter_
 }
 
 void sum_counters(uint n_rows) {
-    if (get_subgroup_ordered_thread_index() >= WORDS) return;
+    if (ordered_thread() >= WORDS) return;
     uint sum = 0u;
-    for (uint at = get_subgroup_ordered_thread_index(); at < n_rows * WORDS; at += WORDS) {
+    for (uint at = ordered_thread(); at < n_rows * WORDS; at += WORDS) {
         uint word = counters[at];
         counters[at] = sum;
         sum += word;
@@ -82,18 +80,17 @@ void sum_counters(uint n_rows) {
 }
 
 void main() {
-    uint tile = get_workgroup_index(), thread = get_subgroup_ordered_thread_index(), n = n_keys();
+    uint tile = workgroup_index(), thread = ordered_thread(), n = n_keys();
     if (tile >= n_tiles()) return;
-    uint sharing = count_subgroups_per_counter_row(), n_rows = gl_NumSubgroups / sharing,
-         row = gl_SubgroupID / sharing * WORDS;
+    uint sharing = row_subgroups(), n_rows = gl_NumSubgroups / sharing, row = gl_SubgroupID / sharing * WORDS;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
-    digit_start[thread] = compute_exclusive_sum(uvec2(params.totals.at[thread], 0u), unused).x +
+    digit_start[thread] = exclusive_sum(uvec2(params.totals.at[thread], 0u), unused).x +
                           params.counts.at[thread * n_tiles() + tile];
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
     for (uint turn = 0u; turn < sharing; ++turn) {
-        compute_key_ranks_in_subgroup(run, n, row, gl_SubgroupID % sharing == turn);
+        rank_keys(run, n, row, gl_SubgroupID % sharing == turn);
         barrier();
     }
     sum_counters(n_rows);
@@ -101,8 +98,8 @@ void main() {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         if (i >= n) continue;
-        uint digit = get_radix_digit_of_key(i);
-        uint to = digit_start[digit] + extract_count_of_digit(counters[row + digit / 2u], digit) + rank[r];
+        uint digit = radix_digit(i);
+        uint to = digit_start[digit] + digit_count(counters[row + digit / 2u], digit) + rank[r];
         for (uint word = 0u; word < KEY_WORDS; ++word)
             params.sorted_keys.at[to * KEY_WORDS + word] = params.keys.at[i * KEY_WORDS + word];
         params.sorted_order.at[to] = !is_null(params.order) ? params.order.at[i] : i;

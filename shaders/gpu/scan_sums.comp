@@ -10,13 +10,13 @@
 RELIDAR_PARAMS(ScanParams);
 
 void main() {
-    uint tile = get_workgroup_index(), first = tile * RELIDAR_TILE_SIZE;
+    uint tile = workgroup_index(), first = tile * RELIDAR_TILE_SIZE;
     if (first >= params.n) return;
     uint sum = 0u;
-    for (uint i = first + get_subgroup_ordered_thread_index(); i < min(first + RELIDAR_TILE_SIZE, params.n);
+    for (uint i = first + ordered_thread(); i < min(first + RELIDAR_TILE_SIZE, params.n);
          i += RELIDAR_TILE_THREADS)
         sum += params.counts.at[params.offset + i * params.stride];
     uvec2 total;
-    compute_exclusive_sum(uvec2(sum, 0u), total);
-    if (get_subgroup_ordered_thread_index() == 0u) params.tile_sums.at[tile] = total.x;
+    exclusive_sum(uvec2(sum, 0u), total);
+    if (ordered_thread() == 0u) params.tile_sums.at[tile] = total.x;
 }

@@ -13,7 +13,7 @@ RELIDAR_PARAMS(ScanParams);
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
 
 void main() {
-    uint tile = get_workgroup_index();
+    uint tile = workgroup_index();
     if (tile * RELIDAR_TILE_SIZE >= params.n) return;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uint before[ROUNDS], sum = 0u;  // Sum of the counts that this subgroup has processed.
@@ -25,12 +25,11 @@ void main() {
     }
     uvec2 in_tile;
     uint start = !is_null(params.tile_sums) ? params.tile_sums.at[tile] : 0u;
-    uint run_start = start + sum_earlier_subgroups(uvec2(sum, 0u), in_tile).x;
+    uint run_start = start + earlier_sum(uvec2(sum, 0u), in_tile).x;
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
         if (i < params.n) params.prefix.at[i] = run_start + before[r];
     }
     bool last = params.n - tile * RELIDAR_TILE_SIZE <= RELIDAR_TILE_SIZE;
-    if (last && get_subgroup_ordered_thread_index() == 0u && !is_null(params.total))
-        params.total.at[0] = start + in_tile.x;
+    if (last && ordered_thread() == 0u && !is_null(params.total)) params.total.at[0] = start + in_tile.x;
 }

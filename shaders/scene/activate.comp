@@ -25,17 +25,17 @@ RELIDAR_PARAMS(ActivateParams);
 /// Every thread of the workgroup must call this function.
 /// @return false if an active coefficient is NaN or infinite. The values may hide a NaN,
 /// because max(NaN, 0) is 0
-bool evaluate_channels_and_check_finite(uint surfel, bool has_surfel, vec3 direction, out vec3 channels) {
+bool evaluate_channels(uint surfel, bool has_surfel, vec3 direction, out vec3 channels) {
     float basis[16];
-    evaluate_sh_basis(direction, params.sh_degree, basis);
-    uint n = count_sh_coefficients(params.sh_degree);
+    sh_basis(direction, params.sh_degree, basis);
+    uint n = count_sh(params.sh_degree);
     float size = 0.0;
-    set_sh_memory_access(has_surfel, false);
+    set_sh_access(has_surfel, false);
     for (uint c = 0u; c < 3u; ++c) {
         load_sh_channel(params.surfels.sh, surfel, c, n);
         float value = 0.5;
         for (uint k = 0u; k < n; ++k) {
-            float x = load_coefficient(params.surfels.sh, surfel, c, k);
+            float x = load_sh_value(params.surfels.sh, surfel, c, k);
             value += basis[k] * x;
             size += abs(x);
         }
@@ -44,10 +44,10 @@ bool evaluate_channels_and_check_finite(uint surfel, bool has_surfel, vec3 direc
     return !isnan(size) && !isinf(size);
 }
 
-bool is_finite_vector(vec3 vector) { return !any(isnan(vector)) && !any(isinf(vector)); }
+bool is_finite(vec3 vector) { return !any(isnan(vector)) && !any(isinf(vector)); }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     bool has_surfel = i < params.n_surfels;
     // If STAGED is set, threads without a surfel continue, because they help to load
     // coefficients into shared memory.
@@ -56,8 +56,8 @@ void main() {
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
            log_scale = params.surfels.log_scale;
     uint model = find_model(params.models, params.n_models, surfel);
-    PeriodicMotion motion = evaluate_periodic_motion(
-        params.surfels.gait, surfel, is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
+    PeriodicMotion motion = evaluate_gait(params.surfels.gait, surfel,
+                                          is_null(params.surfels.gait) ? -1.0 : params.phases.at[model]);
     SurfelRecord s;
     s.mean = vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) +
              motion.sine * motion.swing;
@@ -66,7 +66,7 @@ void main() {
     // Rejects quaternions whose squared length is outside 1e-30 ... 1e30. Their rotation
     // matrix would be wrong because of underflow or overflow.
     float q_length2 = dot(q, q);
-    mat3 r = make_rotation_matrix(q);
+    mat3 r = rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
@@ -74,8 +74,8 @@ void main() {
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = motion.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 channels;
-    bool finite_sh = evaluate_channels_and_check_finite(
-        i, has_surfel, normalize(s.mean - params.view_origins.at[model]), channels);
+    bool finite_sh =
+        evaluate_channels(i, has_surfel, normalize(s.mean - params.view_origins.at[model]), channels);
     bool evaluate = params.sh_per_surfel != 0u;
     s.intensity = evaluate ? max(channels.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? channels.y : 0.0;
@@ -83,11 +83,10 @@ void main() {
     // A surfel is invisible if a scale is outside 1e-6 m ... 1e6 m.
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
-                  all(lessThan(inverse_scale, vec3(1e6))) && is_finite_vector(s.mean) &&
-                  is_finite_vector(s.axis_u) && is_finite_vector(s.axis_v) && is_finite_vector(s.normal) &&
-                  finite_sh;
+                  all(lessThan(inverse_scale, vec3(1e6))) && is_finite(s.mean) && is_finite(s.axis_u) &&
+                  is_finite(s.axis_v) && is_finite(s.normal) && finite_sh;
     if (!finite || !(s.opacity > params.alpha_min)) {
-        bool placed = is_finite_vector(s.mean);
+        bool placed = is_finite(s.mean);
         s = SurfelRecord(placed ? s.mean : vec3(0.0), 0.0, vec3(1.0, 0.0, 0.0), 0.0, vec3(0.0, 1.0, 0.0), 0.0,
                          vec3(0.0, 0.0, 1.0), 0.0);
     }

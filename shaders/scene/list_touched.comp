@@ -10,7 +10,7 @@
 RELIDAR_PARAMS(ListTouchedParams);
 
 void main() {
-    uint first = get_thread_index() * RELIDAR_LIST_STRETCH,
+    uint first = thread_index() * RELIDAR_LIST_STRETCH,
          end = min(first + RELIDAR_LIST_STRETCH, params.n_rows), n = 0u;
     for (uint row = first; row < end; ++row) n += params.touched.at[row];
     if (n == 0u) return;

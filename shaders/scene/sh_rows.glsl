@@ -19,8 +19,8 @@ shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
 /// Sets whether the coefficients of this thread's surfel are loaded and stored. All
 /// threads of the workgroup must call this function, load_sh_channel() and
-/// store_sh_channel().
-void set_sh_memory_access(bool loads_coefficients, bool stores_coefficients) {
+/// store_channel().
+void set_sh_access(bool loads_coefficients, bool stores_coefficients) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads_coefficients;
     staged_stores[gl_LocalInvocationIndex] = stores_coefficients;
@@ -45,7 +45,7 @@ void load_sh_channel(Floats sh, uint surfel, uint channel, uint n_coefficients) 
 }
 
 /// Stores the coefficients that set_coefficient() has written.
-void store_sh_channel(Floats sh, uint surfel, uint channel, uint n_coefficients) {
+void store_channel(Floats sh, uint surfel, uint channel, uint n_coefficients) {
     if (!STAGED) return;
     barrier();
     uint first = surfel - gl_LocalInvocationIndex;
@@ -59,7 +59,7 @@ void store_sh_channel(Floats sh, uint surfel, uint channel, uint n_coefficients)
 
 /// Returns SH coefficient `index`. The last call of load_sh_channel() must be for
 /// `channel`.
-float load_coefficient(Floats sh, uint surfel, uint channel, uint index) {
+float load_sh_value(Floats sh, uint surfel, uint channel, uint index) {
     return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + index]
                   : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + index];
 }

@@ -7,7 +7,7 @@
 /// consists of groups of RELIDAR_COLUMN_GROUP neighbouring columns. Group k starts at the
 /// frame's column first_column + k * column_stride * RELIDAR_COLUMN_GROUP. Columns wrap
 /// around at the end of the frame.
-uint get_frame_column(uint index, uint first_column, uint column_stride, uint n_columns_of_frame) {
+uint frame_column(uint index, uint first_column, uint column_stride, uint n_columns_of_frame) {
     uint within = index % RELIDAR_COLUMN_GROUP;
     return (first_column + (index - within) * column_stride + within) % n_columns_of_frame;
 }

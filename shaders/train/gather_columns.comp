@@ -10,10 +10,10 @@
 RELIDAR_PARAMS(GatherColumnsParams);
 
 void main() {
-    uint k = get_thread_index();
+    uint k = thread_index();
     if (k >= params.rows * params.n_columns) return;
     uint column =
-        get_frame_column(k % params.n_columns, params.first_column, params.column_stride, params.columns);
+        frame_column(k % params.n_columns, params.first_column, params.column_stride, params.columns);
     uint i = k / params.n_columns * params.columns + column;
     params.batch_rays.at[k] = params.rays.at[i];
     params.batch_targets.at[k] = params.targets.at[i];

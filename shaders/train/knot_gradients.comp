@@ -17,16 +17,16 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-uint get_ray_index_in_frame(uint batch_ray) {
+uint frame_ray(uint batch_ray) {
     if (params.columns == 0u) return params.first_ray + batch_ray * params.ray_stride;
-    return batch_ray / params.n_columns * params.columns +
-           get_frame_column(batch_ray % params.n_columns, params.first_column, params.column_stride,
-                            params.columns);
+    return batch_ray / params.n_columns * params.columns + frame_column(batch_ray % params.n_columns,
+                                                                        params.first_column,
+                                                                        params.column_stride, params.columns);
 }
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
-float get_interpolation_weight_of_knot(PoseInterpolation interpolation, uint knot) {
+float knot_weight(PoseInterpolation interpolation, uint knot) {
     if (knot == interpolation.left) return 1.0 - interpolation.s;
     return knot == interpolation.left + 1u ? interpolation.s : 0.0;
 }
@@ -34,14 +34,13 @@ float get_interpolation_weight_of_knot(PoseInterpolation interpolation, uint kno
 /// Sums the gradients of sensor pose `knot` over every `ray_step`-th ray, starting with
 /// ray `first_ray`. `d_translation` is dL/d(translation) and `d_rotation` is
 /// dL/d(rotation).
-void sum_pose_gradients_of_rays(uint first_ray, uint ray_step, uint knot, out vec3 d_translation,
-                                out vec3 d_rotation) {
+void sum_gradients(uint first_ray, uint ray_step, uint knot, out vec3 d_translation, out vec3 d_rotation) {
     d_translation = d_rotation = vec3(0.0);
     for (uint k = first_ray; k < params.n_rays; k += ray_step) {
-        PoseInterpolation interpolation = params.interpolations.at[get_ray_index_in_frame(k)];
-        float weight = get_interpolation_weight_of_knot(interpolation, knot);
+        PoseInterpolation interpolation = params.interpolations.at[frame_ray(k)];
+        float weight = knot_weight(interpolation, knot);
         if (weight == 0.0) continue;
-        PoseKnot here = interpolate_sensor_pose(params.knots, interpolation);
+        PoseKnot here = sensor_pose(params.knots, interpolation);
         DeviceRay ray = params.moved.at[params.first_ray + k * params.ray_stride];
         vec3 d_origin = load_vec3(params.d_rays, 6u * k);
         d_translation += weight * d_origin;
@@ -51,10 +50,10 @@ void sum_pose_gradients_of_rays(uint first_ray, uint ray_step, uint knot, out ve
 }
 
 void main() {
-    uint group = get_workgroup_index(), local = gl_LocalInvocationID.x;
+    uint group = workgroup_index(), local = gl_LocalInvocationID.x;
     uint row = group / params.n_knots, knot = group % params.n_knots;
-    sum_pose_gradients_of_rays(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP,
-                               knot, forces[local], torques[local]);
+    sum_gradients(row * RELIDAR_KNOT_WORKGROUP + local, params.n_rows * RELIDAR_KNOT_WORKGROUP, knot,
+                  forces[local], torques[local]);
     for (uint n = RELIDAR_KNOT_WORKGROUP / 2u; n > 0u; n /= 2u) {
         barrier();
         if (local < n) {

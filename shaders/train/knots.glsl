@@ -4,7 +4,7 @@
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
-PoseKnot interpolate_sensor_pose(PoseKnots knots, PoseInterpolation interpolation) {
+PoseKnot sensor_pose(PoseKnots knots, PoseInterpolation interpolation) {
     PoseKnot a = knots.at[interpolation.left];
     // If the next pose has the weight 0, it may not exist.
     if (interpolation.s == 0.0) return a;

@@ -13,9 +13,9 @@
 RELIDAR_PARAMS(MoveRaysParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_rays) return;
-    PoseKnot knot = interpolate_sensor_pose(params.knots, params.interpolations.at[i]);
+    PoseKnot knot = sensor_pose(params.knots, params.interpolations.at[i]);
     DeviceRay ray = params.rays.at[i];
     params.moved.at[i] =
         DeviceRay(knot.position + rotate_point(knot.rotation, ray.origin - knot.position) + knot.translation,

@@ -7,7 +7,7 @@
 namespace relidar {
 
 template <class T>
-void append_binary_value(std::string& bytes, T value) {
+void append_raw(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 

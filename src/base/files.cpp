@@ -21,28 +21,28 @@ namespace fs = std::filesystem;
 
 namespace {
 
-DataError make_unreadable_error(const fs::path& path, const std::error_code& system_error) {
+DataError unreadable(const fs::path& path, const std::error_code& system_error) {
     return DataError(fmt::format("cannot read {}: {}", path.string(), system_error.message()));
 }
 
-fs::file_status get_file_status_or_throw(const fs::path& path) {
+fs::file_status status_of(const fs::path& path) {
     std::error_code failed;
     const fs::file_status status = fs::status(path, failed);
     if (fs::status_known(status)) return status;
-    throw make_unreadable_error(path, failed);
+    throw unreadable(path, failed);
 }
 
 }  // namespace
 
 std::string read_file(const fs::path& path) {
-    const fs::file_status status = get_file_status_or_throw(path);
+    const fs::file_status status = status_of(path);
     if (!fs::exists(status)) fail("{}: no such file", path.string());
     if (!fs::is_regular_file(status)) fail("{}: the path is not a regular file", path.string());
     std::ifstream in(path, std::ios::binary);
-    if (!in) throw make_unreadable_error(path, {errno, std::generic_category()});
+    if (!in) throw unreadable(path, {errno, std::generic_category()});
     std::error_code failed;
     const std::uintmax_t n_bytes = fs::file_size(path, failed);
-    if (failed) throw make_unreadable_error(path, failed);
+    if (failed) throw unreadable(path, failed);
     std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
@@ -59,27 +59,27 @@ std::string read_text_file(const fs::path& path) {
     return text;
 }
 
-bool does_path_exist(const fs::path& path) { return fs::exists(get_file_status_or_throw(path)); }
+bool does_path_exist(const fs::path& path) { return fs::exists(status_of(path)); }
 
-void require_existing_folder(const fs::path& path, const std::string& expected_description) {
-    const fs::file_status status = get_file_status_or_throw(path);
+void require_folder(const fs::path& path, const std::string& expected_description) {
+    const fs::file_status status = status_of(path);
     if (!fs::is_directory(status))
         fail("{}: {}, expected {}", path.string(),
              fs::exists(status) ? "the path is not a folder" : "no such folder", expected_description);
 }
 
-std::vector<fs::path> list_folder_entries(const fs::path& folder) {
+std::vector<fs::path> list_folder(const fs::path& folder) {
     std::error_code failed;
     std::vector<fs::path> paths;
-    if (!fs::is_directory(get_file_status_or_throw(folder))) fail("{}: no such folder", folder.string());
+    if (!fs::is_directory(status_of(folder))) fail("{}: no such folder", folder.string());
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end; entry.increment(failed))
         paths.push_back(entry->path());
-    if (failed) throw make_unreadable_error(folder, failed);
+    if (failed) throw unreadable(folder, failed);
     std::sort(paths.begin(), paths.end());
     return paths;
 }
 
-std::optional<int> parse_file_stem_as_number(const std::string& file_stem) {
+std::optional<int> parse_stem(const std::string& file_stem) {
     const std::size_t first = std::min(file_stem.find_first_not_of('0'), file_stem.size());
     if (file_stem.empty() || file_stem.size() - first > 8 ||
         file_stem.find_first_not_of("0123456789") != std::string::npos)
@@ -89,10 +89,10 @@ std::optional<int> parse_file_stem_as_number(const std::string& file_stem) {
     return number;
 }
 
-std::string shorten_for_error_message(std::string_view text) {
-    constexpr std::size_t kMost = 80;
-    const bool cut = text.size() > kMost;
-    std::size_t n = cut ? kMost - 3 : text.size();
+std::string quote(std::string_view text) {
+    constexpr std::size_t kMaxQuotedBytes = 80;
+    const bool cut = text.size() > kMaxQuotedBytes;
+    std::size_t n = cut ? kMaxQuotedBytes - 3 : text.size();
     // Moves the end of the text, so that it does not split a UTF-8 character.
     while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;
     std::string result(text.substr(0, n));
@@ -114,11 +114,11 @@ std::vector<std::string> split_lines(const std::string& text) {
     return lines;
 }
 
-std::string_view trim_blanks_at_both_ends(std::string_view text) {
-    constexpr std::string_view kBlank = " \t\r\n";
-    const std::size_t begin = text.find_first_not_of(kBlank);
+std::string_view trim(std::string_view text) {
+    constexpr std::string_view kBlanks = " \t\r\n";
+    const std::size_t begin = text.find_first_not_of(kBlanks);
     if (begin == std::string_view::npos) return {};
-    return text.substr(begin, text.find_last_not_of(kBlank) - begin + 1);
+    return text.substr(begin, text.find_last_not_of(kBlanks) - begin + 1);
 }
 
 std::optional<double> parse_number(std::string_view text) {
@@ -131,7 +131,7 @@ std::optional<double> parse_number(std::string_view text) {
 
 std::optional<std::vector<double>> parse_numbers(std::string_view text) {
     std::vector<double> numbers;
-    for (text = trim_blanks_at_both_ends(text); !text.empty(); text = trim_blanks_at_both_ends(text)) {
+    for (text = trim(text); !text.empty(); text = trim(text)) {
         const std::size_t end = std::min(text.find_first_of(" \t\r\n"), text.size());
         const std::optional<double> number = parse_number(text.substr(0, end));
         if (!number) return std::nullopt;

@@ -20,22 +20,22 @@ std::string read_text_file(const std::filesystem::path& path);
 bool does_path_exist(const std::filesystem::path& path);
 
 /// @throws DataError if the path is not a folder or cannot be accessed
-void require_existing_folder(const std::filesystem::path& path, const std::string& expected_description);
+void require_folder(const std::filesystem::path& path, const std::string& expected_description);
 
 /// Sorted by name.
 /// @throws DataError if the folder cannot be read
-std::vector<std::filesystem::path> list_folder_entries(const std::filesystem::path& folder);
+std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
 /// The name must consist of digits, and the number must be below 10^8.
-std::optional<int> parse_file_stem_as_number(const std::string& file_stem);
+std::optional<int> parse_stem(const std::string& file_stem);
 
 /// At most 80 characters, without control characters.
-std::string shorten_for_error_message(std::string_view text);
+std::string quote(std::string_view text);
 
 /// Accepts "\n" and "\r\n". A line break at the end does not produce an empty line.
 std::vector<std::string> split_lines(const std::string& text);
 
-std::string_view trim_blanks_at_both_ends(std::string_view text);
+std::string_view trim(std::string_view text);
 
 /// Accepts "nan" and "inf". Returns nullopt if the text is not one number.
 std::optional<double> parse_number(std::string_view text);

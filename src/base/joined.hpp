@@ -9,7 +9,7 @@ namespace relidar {
 
 /// Frees each list after it has been copied, to save memory.
 template <class T>
-std::vector<T> concatenate_vectors(std::vector<std::vector<T>> vectors) {
+std::vector<T> concatenate(std::vector<std::vector<T>> vectors) {
     std::size_t n = 0;
     for (const std::vector<T>& part : vectors) n += part.size();
     std::vector<T> all;

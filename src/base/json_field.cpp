@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-std::string describe_json_value_for_error(const nlohmann::json& value) {
+std::string describe_json(const nlohmann::json& value) {
     if (value.is_structured())
         return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
     const std::string text = value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
@@ -23,27 +23,24 @@ std::string describe_json_value_for_error(const nlohmann::json& value) {
 }
 
 /// @return the first invalid value: neither a number nor a list, or nested too deeply
-const nlohmann::json* collect_numbers_and_find_invalid(const nlohmann::json& value, int max_depth,
-                                                       std::vector<double>& numbers) {
+const nlohmann::json* collect_numbers(const nlohmann::json& value, int max_depth,
+                                      std::vector<double>& numbers) {
     if (value.is_number()) {
         numbers.push_back(value.get<double>());
         return nullptr;
     }
     if (!value.is_array() || max_depth == 0) return &value;
     for (const nlohmann::json& item : value)
-        if (const nlohmann::json* wrong = collect_numbers_and_find_invalid(item, max_depth - 1, numbers))
-            return wrong;
+        if (const nlohmann::json* wrong = collect_numbers(item, max_depth - 1, numbers)) return wrong;
     return nullptr;
 }
 
 }  // namespace
 
-std::string JsonField::get_location_for_errors() const {
-    return name_.empty() ? *file_ : *file_ + ": " + name_;
-}
+std::string JsonField::location() const { return name_.empty() ? *file_ : *file_ + ": " + name_; }
 
-void JsonField::throw_field_error(const std::string& found_value, const std::string& expected) const {
-    fail("{}: {}, {}", get_location_for_errors(), found_value, expected);
+void JsonField::reject(const std::string& found, const std::string& expected) const {
+    fail("{}: {}, {}", location(), found, expected);
 }
 
 bool JsonField::has_member(const std::string& member_name) const {
@@ -51,7 +48,7 @@ bool JsonField::has_member(const std::string& member_name) const {
 }
 
 JsonField JsonField::at(const std::string& key) const {
-    if (!value_->is_object()) throw_field_error(describe_json_value_for_error(*value_), "expected an object");
+    if (!value_->is_object()) reject(describe_json(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
     if (it == value_->end()) fail("{}: the key {} is missing", *file_, name);
@@ -63,16 +60,16 @@ JsonField JsonField::at(std::size_t index) const {
 }
 
 std::size_t JsonField::size() const {
-    if (!value_->is_array()) throw_field_error(describe_json_value_for_error(*value_), "expected an array");
+    if (!value_->is_array()) reject(describe_json(*value_), "expected an array");
     return value_->size();
 }
 
-std::vector<double> JsonField::get_flattened_numbers(int max_depth) const {
+std::vector<double> JsonField::flat_numbers(int max_depth) const {
     std::vector<double> numbers;
-    if (const nlohmann::json* wrong = collect_numbers_and_find_invalid(*value_, max_depth, numbers))
-        throw_field_error(wrong->is_array() ? "found lists that are nested too deeply"
-                                            : fmt::format("found {}", wrong->type_name()),
-                          "expected numbers");
+    if (const nlohmann::json* wrong = collect_numbers(*value_, max_depth, numbers))
+        reject(wrong->is_array() ? "found lists that are nested too deeply"
+                                 : fmt::format("found {}", wrong->type_name()),
+               "expected numbers");
     return numbers;
 }
 
@@ -80,62 +77,61 @@ bool JsonField::is_string() const { return value_->is_string(); }
 
 bool JsonField::is_array() const { return value_->is_array(); }
 
-void JsonField::require_only_known_members(const std::vector<std::string>& known_names) const {
-    if (!value_->is_object()) throw_field_error(describe_json_value_for_error(*value_), "expected an object");
+void JsonField::check_members(const std::vector<std::string>& known_names) const {
+    if (!value_->is_object()) reject(describe_json(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known_names.begin(), known_names.end(), key) == known_names.end())
-            throw_field_error(fmt::format("found the unknown member '{}'", shorten_for_error_message(key)),
-                              fmt::format("expected only {}", fmt::join(known_names, ", ")));
+            reject(fmt::format("found the unknown member '{}'", quote(key)),
+                   fmt::format("expected only {}", fmt::join(known_names, ", ")));
 }
 
-double JsonField::get_number() const {
+double JsonField::number() const {
     if (!value_->is_number() || !std::isfinite(value_->get<double>()))
-        throw_field_error(describe_json_value_for_error(*value_), "expected a finite number");
+        reject(describe_json(*value_), "expected a finite number");
     return value_->get<double>();
 }
 
-double JsonField::get_number_in_range(double min_value, double max_value) const {
-    const double value = get_number();
+double JsonField::number_in(double min_value, double max_value) const {
+    const double value = number();
     if (value < min_value || value > max_value)
-        throw_field_error(describe_json_value_for_error(*value_),
-                          fmt::format("expected a number from {:.15g} to {:.15g}", min_value, max_value));
+        reject(describe_json(*value_),
+               fmt::format("expected a number from {:.15g} to {:.15g}", min_value, max_value));
     return value;
 }
 
-std::int64_t JsonField::get_integer_in_range(std::int64_t min_value, std::int64_t max_value) const {
+std::int64_t JsonField::integer_in(std::int64_t min_value, std::int64_t max_value) const {
     const bool fits = value_->is_number_integer() &&
                       !(value_->is_number_unsigned() &&
                         value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
     if (!fits || value_->get<std::int64_t>() < min_value || value_->get<std::int64_t>() > max_value) {
-        throw_field_error(describe_json_value_for_error(*value_),
-                          fmt::format("expected an integer from {} to {}", min_value, max_value));
+        reject(describe_json(*value_),
+               fmt::format("expected an integer from {} to {}", min_value, max_value));
     }
     return value_->get<std::int64_t>();
 }
 
-bool JsonField::get_boolean() const {
-    if (!value_->is_boolean())
-        throw_field_error(describe_json_value_for_error(*value_), "expected true or false");
+bool JsonField::boolean() const {
+    if (!value_->is_boolean()) reject(describe_json(*value_), "expected true or false");
     return value_->get<bool>();
 }
 
-std::string JsonField::get_string() const {
-    if (!value_->is_string()) throw_field_error(describe_json_value_for_error(*value_), "expected text");
+std::string JsonField::text() const {
+    if (!value_->is_string()) reject(describe_json(*value_), "expected text");
     return value_->get<std::string>();
 }
 
-std::string JsonField::get_short_single_line_string(std::size_t max_bytes) const {
-    const std::string value_text = get_string();
+std::string JsonField::short_text(std::size_t max_bytes) const {
+    const std::string value_text = text();
     const auto is_control = [](unsigned char character) { return character < 0x20 || character == 0x7F; };
     if (value_text.size() > max_bytes || std::any_of(value_text.begin(), value_text.end(), is_control))
-        throw_field_error(fmt::format("found {} bytes of text", value_text.size()),
-                          fmt::format("expected one line of at most {} bytes", max_bytes));
+        reject(fmt::format("found {} bytes of text", value_text.size()),
+               fmt::format("expected one line of at most {} bytes", max_bytes));
     return value_text;
 }
 
-std::vector<double> JsonField::get_numbers() const {
+std::vector<double> JsonField::numbers() const {
     std::vector<double> result(size());
-    for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).get_number();
+    for (std::size_t i = 0; i < result.size(); ++i) result[i] = at(i).number();
     return result;
 }
 

@@ -16,9 +16,9 @@ namespace relidar {
 class JsonField {
 public:
     /// @param value must outlive this object
-    /// @param field_name empty for the root value
-    JsonField(const nlohmann::json& value, const std::string& file_name, std::string field_name)
-        : value_(&value), file_(&file_name), name_(std::move(field_name)) {}
+    /// @param name empty for the root value
+    JsonField(const nlohmann::json& value, const std::string& file_name, std::string name)
+        : value_(&value), file_(&file_name), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
     bool has_member(const std::string& member_name) const;
@@ -26,30 +26,29 @@ public:
     std::size_t size() const;               ///< Returns the number of entries of an array.
     bool is_string() const;
     bool is_array() const;
-    void require_only_known_members(const std::vector<std::string>& known_names) const;
-    double get_number() const;  ///< Returns a finite number.
-    double get_number_in_range(double min_value, double max_value) const;
-    std::int64_t get_integer_in_range(std::int64_t min_value, std::int64_t max_value) const;
-    bool get_boolean() const;
-    std::string get_string() const;
+    void check_members(const std::vector<std::string>& known_names) const;
+    double number() const;  ///< Returns a finite number.
+    double number_in(double min_value, double max_value) const;
+    std::int64_t integer_in(std::int64_t min_value, std::int64_t max_value) const;
+    bool boolean() const;
+    std::string text() const;
     /// @throws DataError if the text has more than `max_bytes` bytes or contains line
     /// breaks
-    std::string get_short_single_line_string(std::size_t max_bytes) const;
-    std::vector<double> get_numbers() const;
-    std::vector<double> get_flattened_numbers(int max_depth) const;
+    std::string short_text(std::size_t max_bytes) const;
+    std::vector<double> numbers() const;
+    std::vector<double> flat_numbers(int max_depth) const;
     template <std::size_t n>
-    std::array<double, n> get_numbers() const {
-        const std::vector<double> all = get_numbers();
+    std::array<double, n> numbers() const {
+        const std::vector<double> all = numbers();
         if (all.size() != n)
-            throw_field_error("found " + std::to_string(all.size()) + " numbers",
-                              "expected " + std::to_string(n));
+            reject("found " + std::to_string(all.size()) + " numbers", "expected " + std::to_string(n));
         std::array<double, n> result;
         std::copy(all.begin(), all.end(), result.begin());
         return result;
     }
-    std::string get_location_for_errors() const;  ///< Returns "file: field" for error messages.
+    std::string location() const;  ///< Returns "file: field" for error messages.
     /// Message: "file: field: found null, expected a number".
-    [[noreturn]] void throw_field_error(const std::string& found_value, const std::string& expected) const;
+    [[noreturn]] void reject(const std::string& found, const std::string& expected) const;
 
 private:
     const nlohmann::json* value_;

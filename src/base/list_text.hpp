@@ -12,7 +12,7 @@
 namespace relidar {
 
 /// "3, 4, 7", or shortened "3, 4, 7, ... 91 (78 in all)".
-inline std::string format_number_list(const std::vector<int>& numbers, std::size_t max_count = 6) {
+inline std::string list_text(const std::vector<int>& numbers, std::size_t max_count = 6) {
     if (numbers.size() <= max_count) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in total)",
                        fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(max_count) - 1, ", "),
@@ -20,7 +20,7 @@ inline std::string format_number_list(const std::vector<int>& numbers, std::size
 }
 
 /// Splits "a, b,c" at its commas and removes blanks.
-inline std::vector<std::string> split_comma_separated_list(const std::string& comma_separated_list) {
+inline std::vector<std::string> split_list(const std::string& comma_separated_list) {
     std::vector<std::string> words{""};
     for (const char c : comma_separated_list) {
         if (c == ',') words.emplace_back();

@@ -15,23 +15,21 @@
 namespace relidar {
 namespace {
 
-bool is_same_letter_ignoring_case(char first, char second) {
+bool is_same_letter(char first, char second) {
     return std::tolower(static_cast<unsigned char>(first)) ==
            std::tolower(static_cast<unsigned char>(second));
 }
 
-std::size_t compute_edit_distance(std::string_view first, std::string_view second) {
+std::size_t edit_distance(std::string_view first, std::string_view second) {
     std::vector<std::size_t> before, row(second.size() + 1), next(second.size() + 1);
     std::iota(row.begin(), row.end(), std::size_t{0});
     for (std::size_t i = 1; i <= first.size(); ++i) {
         next[0] = i;
         for (std::size_t j = 1; j <= second.size(); ++j) {
-            const std::size_t replaced =
-                row[j - 1] + (is_same_letter_ignoring_case(first[i - 1], second[j - 1]) ? 0 : 1);
+            const std::size_t replaced = row[j - 1] + (is_same_letter(first[i - 1], second[j - 1]) ? 0 : 1);
             next[j] = std::min({row[j] + 1, next[j - 1] + 1, replaced});
-            const bool swapped = i > 1 && j > 1 &&
-                                 is_same_letter_ignoring_case(first[i - 1], second[j - 2]) &&
-                                 is_same_letter_ignoring_case(first[i - 2], second[j - 1]);
+            const bool swapped = i > 1 && j > 1 && is_same_letter(first[i - 1], second[j - 2]) &&
+                                 is_same_letter(first[i - 2], second[j - 1]);
             if (swapped) next[j] = std::min(next[j], before[j - 2] + 1);
         }
         before = std::exchange(row, next);
@@ -39,42 +37,39 @@ std::size_t compute_edit_distance(std::string_view first, std::string_view secon
     return row[second.size()];
 }
 
-bool contains_ignoring_case(std::string_view text, std::string_view substring) {
+bool contains_text(std::string_view text, std::string_view substring) {
     return substring.size() >= 3 && std::search(text.begin(), text.end(), substring.begin(), substring.end(),
-                                                is_same_letter_ignoring_case) != text.end();
+                                                is_same_letter) != text.end();
 }
 
 }  // namespace
 
-std::string find_most_similar_name(std::string_view query, const std::vector<std::string>& valid_names) {
-    const auto best = std::min_element(
-        valid_names.begin(), valid_names.end(), [&](const std::string& first, const std::string& second) {
-            return compute_edit_distance(query, first) < compute_edit_distance(query, second);
-        });
+std::string nearest_name(std::string_view query, const std::vector<std::string>& valid_names) {
+    const auto best = std::min_element(valid_names.begin(), valid_names.end(),
+                                       [&](const std::string& first, const std::string& second) {
+                                           return edit_distance(query, first) < edit_distance(query, second);
+                                       });
     return best == valid_names.end() ? std::string() : *best;
 }
 
-std::string format_name_suggestion(std::string_view query, const std::vector<std::string>& valid_names,
-                                   std::string_view quote_mark, std::string_view text_if_none) {
+std::string did_you_mean(std::string_view query, const std::vector<std::string>& valid_names,
+                         std::string_view quote_mark, std::string_view text_if_none) {
     std::vector<std::string> similar_names;
     for (const std::string& name : valid_names) {
         // One name contains the other, or at most 2/5 of the letters differ.
         const std::size_t max_distance =
             std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
-        if (compute_edit_distance(query, name) <= max_distance || contains_ignoring_case(query, name) ||
-            contains_ignoring_case(name, query))
+        if (edit_distance(query, name) <= max_distance || contains_text(query, name) ||
+            contains_text(name, query))
             similar_names.push_back(name);
     }
     if (similar_names.empty()) return std::string(text_if_none);
-    return fmt::format(", did you mean {}{}{}?", quote_mark, find_most_similar_name(query, similar_names),
-                       quote_mark);
+    return fmt::format(", did you mean {}{}{}?", quote_mark, nearest_name(query, similar_names), quote_mark);
 }
 
-std::optional<std::string> find_name_ignoring_case(std::string_view query,
-                                                   const std::vector<std::string>& valid_names) {
+std::optional<std::string> find_name(std::string_view query, const std::vector<std::string>& valid_names) {
     for (const std::string& name : valid_names)
-        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), is_same_letter_ignoring_case))
-            return name;
+        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), is_same_letter)) return name;
     return std::nullopt;
 }
 

@@ -9,7 +9,7 @@ namespace relidar {
 namespace {
 
 template <class T>
-std::string format_shortest_number(T value) {
+std::string shortest_text(T value) {
     if (std::isnan(value)) return "nan";  // Ignores the sign of a NaN.
     std::array<char, 32> buffer;          // The longest text has 24 characters: -2.2250738585072014e-308.
     const std::to_chars_result end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
@@ -20,7 +20,7 @@ std::string format_shortest_number(T value) {
 
 }  // namespace
 
-std::string format_number_text(double value) { return format_shortest_number(value); }
-std::string format_number_text(float value) { return format_shortest_number(value); }
+std::string number_text(double value) { return shortest_text(value); }
+std::string number_text(float value) { return shortest_text(value); }
 
 }  // namespace relidar

@@ -11,7 +11,7 @@
 
 namespace relidar {
 
-std::size_t get_max_parallel_threads() {
+std::size_t max_threads() {
     const std::size_t limit = tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism);
     return std::clamp<std::size_t>(std::size_t(tbb::this_task_arena::max_concurrency()), 1, limit);
 }
@@ -37,7 +37,7 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
             }
         }
     };
-    const std::size_t n_threads = std::min(std::size_t(n_tasks), get_max_parallel_threads());
+    const std::size_t n_threads = std::min(std::size_t(n_tasks), max_threads());
     if (n_threads == 1) {
         run_tasks();
     } else {

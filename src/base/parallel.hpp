@@ -13,7 +13,7 @@
 namespace relidar {
 
 /// Number of threads that would run a loop of the calling thread, at least 1.
-std::size_t get_max_parallel_threads();
+std::size_t max_threads();
 
 /// Runs task(i) for every i in [0, n_tasks), on the calling thread and on idle threads of
 /// oneTBB. Tasks start in ascending order of i. A task may start another parallel loop.
@@ -25,14 +25,14 @@ std::size_t get_max_parallel_threads();
 void parallel_for(int n_tasks, const std::function<void(int)>& task);
 
 /// Blocks are large enough that starting them costs little. Each thread gets several.
-inline std::size_t choose_items_per_parallel_block(std::size_t n_items) {
-    constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
-    return std::clamp(n_items / (kBlocksPerThread * get_max_parallel_threads()), kSmallest, kLargest);
+inline std::size_t choose_block_size(std::size_t n_items) {
+    constexpr std::size_t kMinBlockItems = 128, kMaxBlockItems = 4096, kBlocksPerThread = 8;
+    return std::clamp(n_items / (kBlocksPerThread * max_threads()), kMinBlockItems, kMaxBlockItems);
 }
 
 /// Runs task(begin, end) in parallel for ranges of `range_size` items.
 template <class Task>
-void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task& task) {
+void parallel_ranges(std::size_t n_items, std::size_t range_size, const Task& task) {
     parallel_for(static_cast<int>((n_items + range_size - 1) / range_size), [&](int index) {
         task(std::size_t(index) * range_size, std::min(n_items, (std::size_t(index) + 1) * range_size));
     });
@@ -40,21 +40,20 @@ void parallel_for_ranges(std::size_t n_items, std::size_t range_size, const Task
 
 /// Each thread processes blocks of consecutive items.
 template <class Task>
-void parallel_for_in_blocks(std::size_t n_items, const Task& task) {
-    parallel_for_ranges(n_items, choose_items_per_parallel_block(n_items),
-                        [&](std::size_t begin, std::size_t end) {
-                            for (std::size_t i = begin; i < end; ++i) task(i);
-                        });
+void parallel_blocks(std::size_t n_items, const Task& task) {
+    parallel_ranges(n_items, choose_block_size(n_items), [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) task(i);
+    });
 }
 
 /// Partial sums of `range_size` items are added in the order of the ranges, so that the
 /// result does not depend on the number of threads.
 /// @param compute_range_sum function (begin, end) -> Sum
 template <class Part>
-auto parallel_sum_over_ranges(std::size_t n_items, std::size_t range_size, const Part& compute_range_sum) {
+auto parallel_sum(std::size_t n_items, std::size_t range_size, const Part& compute_range_sum) {
     using Sum = decltype(compute_range_sum(std::size_t{}, std::size_t{}));
     std::vector<Sum> sums((n_items + range_size - 1) / range_size);
-    parallel_for_ranges(n_items, range_size, [&](std::size_t begin, std::size_t end) {
+    parallel_ranges(n_items, range_size, [&](std::size_t begin, std::size_t end) {
         sums[begin / range_size] = compute_range_sum(begin, end);
     });
     if (sums.empty()) return Sum{};

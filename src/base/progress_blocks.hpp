@@ -16,16 +16,15 @@ namespace relidar {
 /// Only the calling thread reports progress: the finished fraction before each of its
 /// tasks, and 1 at the end. The loop stops if `progress` throws.
 template <class Task>
-void parallel_for_with_progress(std::size_t n_tasks, const ProgressReporter& progress,
-                                std::string_view description, const Task& task) {
-    if (progress) progress(description, 0.0);
+void progress_for(std::size_t n_tasks, const Progress& progress, std::string_view text, const Task& task) {
+    if (progress) progress(text, 0.0);
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
     std::atomic<bool> is_ended{false};
     parallel_for(static_cast<int>(n_tasks), [&](int index) {
         if (is_ended) return;
         if (progress && std::this_thread::get_id() == caller) try {
-                progress(description, double(done) / double(n_tasks));
+                progress(text, double(done) / double(n_tasks));
             } catch (...) {
                 is_ended = true;
                 throw;
@@ -33,15 +32,14 @@ void parallel_for_with_progress(std::size_t n_tasks, const ProgressReporter& pro
         task(std::size_t(index));
         ++done;
     });
-    if (progress) progress(description, 1.0);
+    if (progress) progress(text, 1.0);
 }
 
 /// Same, with blocks of consecutive items.
 template <class Task>
-void parallel_for_blocks_with_progress(std::size_t n_items, const ProgressReporter& progress,
-                                       std::string_view description, const Task& task) {
-    const std::size_t size = choose_items_per_parallel_block(n_items);
-    parallel_for_with_progress((n_items + size - 1) / size, progress, description, [&](std::size_t block) {
+void progress_blocks(std::size_t n_items, const Progress& progress, std::string_view text, const Task& task) {
+    const std::size_t size = choose_block_size(n_items);
+    progress_for((n_items + size - 1) / size, progress, text, [&](std::size_t block) {
         for (std::size_t i = block * size; i < std::min(n_items, (block + 1) * size); ++i) task(i);
     });
 }

@@ -18,7 +18,7 @@ inline std::uint64_t hash_integer(std::uint64_t value) {
 }
 
 /// Exchanging the numbers changes the hash.
-inline std::uint64_t hash_integer_pair(std::uint64_t first, std::uint64_t second) {
+inline std::uint64_t hash_pair(std::uint64_t first, std::uint64_t second) {
     return hash_integer(hash_integer(first) ^ (second * 0xD6E8FEB86659FD93ull));
 }
 
@@ -26,20 +26,20 @@ class Random {
 public:
     explicit Random(std::uint64_t seed) : state_(hash_integer(seed)) {}
 
-    std::uint64_t sample_random_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
+    std::uint64_t next_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
 
     /// For saving and restoring.
-    std::uint64_t& get_mutable_generator_state() { return state_; }
+    std::uint64_t& state() { return state_; }
 
-    double sample_uniform_number() { return static_cast<double>(sample_random_uint64() >> 11) * 0x1.0p-53; }
+    double sample_uniform() { return static_cast<double>(next_uint64() >> 11) * 0x1.0p-53; }
 
-    double sample_uniform_number(double min_value, double max_value) {
-        return min_value + (max_value - min_value) * sample_uniform_number();
+    double sample_uniform(double min_value, double max_value) {
+        return min_value + (max_value - min_value) * sample_uniform();
     }
 
-    double sample_standard_normal() {
-        const double radius = std::sqrt(-2.0 * std::log(1.0 - sample_uniform_number()));
-        return radius * std::cos(6.283185307179586 * sample_uniform_number());
+    double sample_normal() {
+        const double radius = std::sqrt(-2.0 * std::log(1.0 - sample_uniform()));
+        return radius * std::cos(6.283185307179586 * sample_uniform());
     }
 
 private:

@@ -17,17 +17,17 @@ struct SharedBytes {
     std::string_view bytes;
 
     /// Shares the memory.
-    SharedBytes make_shared_subview(std::string_view subview) const { return {memory, subview}; }
+    SharedBytes share_part(std::string_view subview) const { return {memory, subview}; }
 };
 
-inline SharedBytes make_shared_bytes(std::string bytes) {
+inline SharedBytes share_bytes(std::string bytes) {
     const auto memory = std::make_shared<const std::string>(std::move(bytes));
     return {memory, *memory};
 }
 
 /// Calls write_bytes(std::span<char>) to write the uninitialised bytes.
 template <class Fill>
-SharedBytes allocate_shared_bytes(std::size_t n_bytes, const Fill& write_bytes) {
+SharedBytes allocate_bytes(std::size_t n_bytes, const Fill& write_bytes) {
     const std::shared_ptr<char[]> memory(new char[n_bytes]);
     write_bytes(std::span<char>(memory.get(), n_bytes));
     return {memory, {memory.get(), n_bytes}};

@@ -17,7 +17,7 @@ namespace {
 constexpr int kMostParts = 8, kDeepest = 8;
 
 /// The end of the line if the closing quote is missing.
-std::size_t find_end_of_quoted_text(std::string_view text, std::size_t quote_position) {
+std::size_t skip_quoted(std::string_view text, std::size_t quote_position) {
     const char quote = text[quote_position++];
     for (; quote_position < text.size() && text[quote_position] != quote && text[quote_position] != '\n';
          ++quote_position) {
@@ -31,12 +31,12 @@ std::size_t find_end_of_quoted_text(std::string_view text, std::size_t quote_pos
 
 }  // namespace
 
-void require_toml_nesting_within_limit(std::string_view toml_text, const std::string& file_name) {
+void check_toml_depth(std::string_view toml_text, const std::string& name) {
     int line = 1, parts = 1, depth = 0;
     for (std::size_t at = 0; at < toml_text.size();) {
         const char c = toml_text[at];
         if (c == '"' || c == '\'') {
-            at = find_end_of_quoted_text(toml_text, at);
+            at = skip_quoted(toml_text, at);
             continue;
         }
         if (c == '#') {
@@ -48,11 +48,11 @@ void require_toml_nesting_within_limit(std::string_view toml_text, const std::st
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
         if (parts > kMostParts)
-            fail("{}:{}: found a key with more than {} parts, expected two, such as train.iterations",
-                 file_name, line, kMostParts);
+            fail("{}:{}: found a key with more than {} parts, expected two, such as train.iterations", name,
+                 line, kMostParts);
         if (depth > kDeepest)
-            fail("{}:{}: found more than {} nested brackets; a closing bracket may be missing", file_name,
-                 line, kDeepest);
+            fail("{}:{}: found more than {} nested brackets; a closing bracket may be missing", name, line,
+                 kDeepest);
         line += c == '\n';
         ++at;
     }

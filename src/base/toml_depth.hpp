@@ -9,6 +9,6 @@ namespace relidar {
 
 /// A TOML library destroys nested tables recursively, so a key with forty thousand dots
 /// would overflow the stack. Keys of our settings have two parts.
-void require_toml_nesting_within_limit(std::string_view toml_text, const std::string& file_name);
+void check_toml_depth(std::string_view toml_text, const std::string& name);
 
 }  // namespace relidar

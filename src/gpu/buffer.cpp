@@ -20,55 +20,50 @@ namespace {
 
 double bytes_to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
-[[noreturn]] void throw_allocation_error(const Device::Impl& device, std::size_t size,
-                                         const std::string& description, const std::string& cause,
-                                         const gpu::MemoryBudget& budget) {
+[[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& text,
+                                  const std::string& cause, const gpu::MemoryBudget& budget) {
     fail<OutOfDeviceMemory>(
-        "cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of "
-        "the memory budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
-        bytes_to_mib(size), description, device.info.name, cause, bytes_to_mib(device.allocated),
-        bytes_to_mib(budget.get_free_device_memory_bytes()), bytes_to_mib(budget.n_bytes));
+        "cannot allocate {:.1f} MiB for {} on {}: {}; relidar uses {:.1f} MiB, and {:.1f} MiB of the memory "
+        "budget of {:.1f} MiB are free; use fewer frames or a device with more memory",
+        bytes_to_mib(size), text, device.info.name, cause, bytes_to_mib(device.allocated),
+        bytes_to_mib(budget.free_bytes()), bytes_to_mib(budget.n_bytes));
 }
 
-void throw_if_buffer_too_large(const Device::Impl& device, std::size_t size_bytes,
-                               const std::string& description) {
+void check_buffer_size(const Device::Impl& device, std::size_t size_bytes, const std::string& text) {
     const auto& [limit, name] = device.largest_buffer;
     if (size_bytes <= limit) return;
     fail<OutOfDeviceMemory>(
         "cannot allocate {:.1f} MiB for {} on {}: the driver allows at most {:.1f} MiB ({})",
-        bytes_to_mib(size_bytes), description, device.info.name, bytes_to_mib(limit), name);
+        bytes_to_mib(size_bytes), text, device.info.name, bytes_to_mib(limit), name);
 }
 
 /// Reading the memory budget is slow, so it is read only for large arrays.
-void throw_if_over_memory_budget(const Device::Impl& device, std::size_t size_bytes,
-                                 const std::string& description) {
-    constexpr std::size_t kLarge = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
+void check_budget(const Device::Impl& device, std::size_t size_bytes, const std::string& text) {
+    constexpr std::size_t kLargeArrayBytes = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
         fail<OutOfDeviceMemory>(
-            "cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is "
-            "{:.1f} MiB (environment variable RELIDAR_MEMORY_LIMIT_MIB)",
-            bytes_to_mib(size_bytes), description, bytes_to_mib(device.allocated),
+            "cannot allocate {:.1f} MiB for {}: relidar uses {:.1f} MiB, and its memory limit is {:.1f} MiB "
+            "(environment variable RELIDAR_MEMORY_LIMIT_MIB)",
+            bytes_to_mib(size_bytes), text, bytes_to_mib(device.allocated),
             bytes_to_mib(device.memory_limit_bytes));
-    if (size_bytes < kLarge) return;
-    gpu::MemoryBudget budget = gpu::query_memory_budget(device.physical);
+    if (size_bytes < kLargeArrayBytes) return;
+    gpu::MemoryBudget budget = gpu::query_budget(device.physical);
     // Without VK_EXT_memory_budget, n_used is 0.
     budget.n_used = std::max(budget.n_used, device.allocated.load());
-    if (budget.n_bytes > 0 && size_bytes > budget.get_free_device_memory_bytes())
-        throw_allocation_error(device, size_bytes, description,
-                               "the array is larger than the free device memory", budget);
+    if (budget.n_bytes > 0 && size_bytes > budget.free_bytes())
+        fail_allocation(device, size_bytes, text, "the array is larger than the free device memory", budget);
 }
 
 }  // namespace
 
-Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose used,
-                   const std::string& description)
+Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose used, const std::string& text)
     : device(&owner), use(used), n_bytes(size) {
     // The device may have no hardware.
     if (owner.compile_only) return;
-    owner.free_orphaned_buffers();
-    throw_if_buffer_too_large(owner, size, description);
+    owner.free_orphans();
+    check_buffer_size(owner, size, text);
     // The budget does not apply to buffers in host memory.
-    if (use == gpu::BufferPurpose::device) throw_if_over_memory_budget(owner, size, description);
+    if (use == gpu::BufferPurpose::device) check_budget(owner, size, text);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
@@ -82,22 +77,21 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
         info.flags = VK_BUFFER_CREATE_SPARSE_BINDING_BIT;
     VkResult result = vkCreateBuffer(owner.device, &info, nullptr, &handle);
     if (result == VK_SUCCESS) {
-        gpu::set_vulkan_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, description);
+        gpu::set_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, text);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
         // A multiple of the memory page of a sparse buffer, at least one.
         const std::uint64_t piece_bytes =
             std::max(largest / needs.alignment * needs.alignment, needs.alignment);
-        result = info.flags ? allocate_and_bind_sparse_memory(needs, piece_bytes)
-                            : allocate_and_bind_memory(needs);
+        result = info.flags ? allocate_sparse(needs, piece_bytes) : allocate(needs);
     }
     if (result != VK_SUCCESS) {
-        for (const gpu::MemorySuballocation& piece : memory) owner.memory->release_suballocation(piece);
+        for (const gpu::MemorySuballocation& piece : memory) owner.memory->release(piece);
         vkDestroyBuffer(owner.device, handle, nullptr);
-        const std::string cause = fmt::format("the driver returned {}", gpu::get_vulkan_result_name(result));
+        const std::string cause = fmt::format("the driver returned {}", gpu::vk_result_name(result));
         if (result == VK_ERROR_DEVICE_LOST)
-            gpu::throw_vulkan_error(result, fmt::format("cannot allocate {}: {}", description, cause));
-        throw_allocation_error(owner, size, description, cause, gpu::query_memory_budget(owner.physical));
+            gpu::vk_fail(result, fmt::format("cannot allocate {}: {}", text, cause));
+        fail_allocation(owner, size, text, cause, gpu::query_budget(owner.physical));
     }
     VkBufferDeviceAddressInfo address_info{VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
     address_info.buffer = handle;
@@ -111,8 +105,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     if (owner.allocated > owner.peak) owner.peak = owner.allocated.load();
 }
 
-VkResult Buffer::Impl::allocate_and_bind_memory(const VkMemoryRequirements& requirements) {
-    const VkResult result = device->memory->suballocate_memory(requirements, use, memory.emplace_back());
+VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
+    const VkResult result = device->memory->suballocate(requirements, use, memory.emplace_back());
     if (result != VK_SUCCESS) {
         memory.clear();
         return result;
@@ -120,21 +114,21 @@ VkResult Buffer::Impl::allocate_and_bind_memory(const VkMemoryRequirements& requ
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
-VkResult Buffer::Impl::allocate_and_bind_sparse_memory(const VkMemoryRequirements& requirements,
-                                                       std::uint64_t max_piece_bytes) {
+VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements,
+                                       std::uint64_t max_piece_bytes) {
     for (std::uint64_t offset = 0; offset < requirements.size; offset += max_piece_bytes) {
         VkMemoryRequirements piece_needs = requirements;
         piece_needs.size = std::min(max_piece_bytes, requirements.size - offset);
         gpu::MemorySuballocation piece;
-        const VkResult result = device->memory->suballocate_memory(piece_needs, use, piece);
+        const VkResult result = device->memory->suballocate(piece_needs, use, piece);
         if (result != VK_SUCCESS) return result;
         memory.push_back(piece);
     }
-    return device->bind_memory_to_sparse_buffer(handle, memory);
+    return device->bind_sparse(handle, memory);
 }
 
-VkResult Device::Impl::bind_memory_to_sparse_buffer(
-    VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& memory_pieces) {
+VkResult Device::Impl::bind_sparse(VkBuffer buffer,
+                                   const std::vector<gpu::MemorySuballocation>& memory_pieces) {
     std::vector<VkSparseMemoryBind> binds;
     VkDeviceSize offset = 0;
     for (const gpu::MemorySuballocation& piece : memory_pieces) {
@@ -162,39 +156,38 @@ Buffer::Impl::~Impl() {
             device->orphans.push_back({handle, memory, use});
             return;
         }
-        device->wait_until_device_idle();
+        device->wait_idle();
     }
-    device->destroy_orphaned_buffer({handle, memory, use});
+    device->destroy_buffer({handle, memory, use});
 }
 
-void Device::Impl::destroy_orphaned_buffer(const OrphanedBuffer& buffer) noexcept {
+void Device::Impl::destroy_buffer(const OrphanedBuffer& buffer) noexcept {
     vkDestroyBuffer(device, buffer.handle, nullptr);
     for (const gpu::MemorySuballocation& piece : buffer.memory) {
-        memory->release_suballocation(piece);
+        memory->release(piece);
         if (buffer.use == gpu::BufferPurpose::device) allocated -= piece.n_bytes;
     }
 }
 
-void Device::Impl::free_orphaned_buffers() {
+void Device::Impl::free_orphans() {
     const std::lock_guard lock(orphans_mutex);
     if (orphans.empty() || n_recording > 0) return;
-    wait_until_device_idle();
-    for (const OrphanedBuffer& orphan : orphans) destroy_orphaned_buffer(orphan);
+    wait_idle();
+    for (const OrphanedBuffer& orphan : orphans) destroy_buffer(orphan);
     orphans.clear();
 }
 
-Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& description)
-    : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::BufferPurpose::device, description)) {}
+Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& text)
+    : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::BufferPurpose::device, text)) {}
 Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;
-std::uint64_t Buffer::get_device_address() const { return impl_ ? impl_->address : 0; }
+std::uint64_t Buffer::device_address() const { return impl_ ? impl_->address : 0; }
 std::size_t Buffer::size_bytes() const { return impl_ ? impl_->n_bytes : 0; }
 
 void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes) {
-    if (!impl_->device->compile_only)
-        impl_->device->transfers->upload_to_buffer(*impl_, data, n_bytes, offset_bytes);
+    if (!impl_->device->compile_only) impl_->device->transfers->upload(*impl_, data, n_bytes, offset_bytes);
 }
 
 void Buffer::copy_from(const Buffer& source, std::size_t n_bytes) {
@@ -203,7 +196,7 @@ void Buffer::copy_from(const Buffer& source, std::size_t n_bytes) {
 
 void Buffer::download(void* data, std::size_t n_bytes, std::size_t offset_bytes) const {
     if (impl_->device->compile_only) std::memset(data, 0, n_bytes);
-    else impl_->device->transfers->download_from_buffer(*impl_, data, n_bytes, offset_bytes);
+    else impl_->device->transfers->download(*impl_, data, n_bytes, offset_bytes);
 }
 
 }  // namespace relidar

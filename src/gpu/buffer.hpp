@@ -18,16 +18,15 @@ struct Buffer::Impl {
     std::byte* mapped = nullptr;
 
     /// @throws OutOfDeviceMemory if memory is exhausted or the buffer is too large
-    Impl(Device::Impl& device, std::size_t n_bytes, gpu::BufferPurpose use, const std::string& description);
+    Impl(Device::Impl& device, std::size_t n_bytes, gpu::BufferPurpose use, const std::string& text);
     ~Impl();
     Impl(const Impl&) = delete;
     Impl& operator=(const Impl&) = delete;
 
 private:
     /// As one piece, or (sparse binding) as pieces of at most `max_piece_bytes`.
-    VkResult allocate_and_bind_memory(const VkMemoryRequirements& requirements);
-    VkResult allocate_and_bind_sparse_memory(const VkMemoryRequirements& requirements,
-                                             std::uint64_t max_piece_bytes);
+    VkResult allocate(const VkMemoryRequirements& requirements);
+    VkResult allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_piece_bytes);
 };
 
 }  // namespace relidar

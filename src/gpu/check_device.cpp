@@ -23,9 +23,9 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-double run_atomic_adds_and_get_max_error(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
-                                         std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
-                                         double* elapsed_s = nullptr) {
+double run_atomic_adds(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
+                       std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
+                       double* elapsed_s = nullptr) {
     std::vector<double> expected(n_sums, 0.0);
     for (std::uint32_t i = 0; i < n_threads; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
     const Array<float> sums(stream.device(), std::vector<float>(n_sums, 0.0f), "sums");
@@ -44,7 +44,7 @@ double run_atomic_adds_and_get_max_error(Stream& stream, const Kernel<shared::Ch
     return worst;
 }
 
-constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
+constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperationNames = {
     "gl_SubgroupSize",
     "subgroupAdd",
     "subgroupExclusiveAdd",
@@ -62,9 +62,10 @@ constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
 /// Results of all subgroup operations for the thread `lane_index` of a subgroup.
-std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_results_of_lane(
-    const Words& lane_values, std::size_t lane_index, std::uint32_t sum_of_earlier_subgroups,
-    std::uint32_t workgroup_sum) {
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lane_values,
+                                                                  std::size_t lane_index,
+                                                                  std::uint32_t sum_of_earlier_subgroups,
+                                                                  std::uint32_t workgroup_sum) {
     std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
     for (std::size_t i = 0; i < lane_values.size(); ++i) {
         const std::uint32_t x = lane_values[i];
@@ -90,33 +91,30 @@ std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> compute_expected_subgroup_resul
             workgroup_sum};
 }
 
-std::string run_subgroup_test_and_describe_error(Device& device) {
+std::string run_subgroup_test(Device& device) {
     const Kernel<shared::CheckSubgroupsParams> kernel(
         device, "gpu/check_subgroups", {{SpecialisationConstantId::WORKGROUP_SIZE, kCheckWorkgroup}},
         SubgroupRequirement::full);
-    constexpr std::uint32_t kThreads = 16 * kCheckWorkgroup;
-    const Array<std::uint32_t> results(device, kThreads * RELIDAR_CHECK_RESULTS, "results of subgroups");
+    constexpr std::uint32_t kCheckThreads = 16 * kCheckWorkgroup;
+    const Array<std::uint32_t> results(device, kCheckThreads * RELIDAR_CHECK_RESULTS, "results of subgroups");
     Stream stream(device);
-    const bool fault = gpu::is_fault_injected(fmt::format("subgroups:{}", device.info().subgroup_size));
-    run(stream, kernel, kThreads, {.results = results.address(), .fault = fault});
+    const bool fault = gpu::has_fault(fmt::format("subgroups:{}", device.info().subgroup_size));
+    run(stream, kernel, kCheckThreads, {.results = results.address(), .fault = fault});
     stream.submit_and_wait();
     const Words actual = results.download();
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
-    for (std::uint32_t group = 0; group < kThreads; group += kCheckWorkgroup) {
+    for (std::uint32_t group = 0; group < kCheckThreads; group += kCheckWorkgroup) {
         std::uint32_t total = 0, before = 0;
-        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i)
-            total += shared::compute_thread_test_value(group + i);
+        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::test_value(group + i);
         for (std::uint32_t first = group; first < group + kCheckWorkgroup; first += lanes) {
             Words values;
-            for (std::uint32_t i = 0; i < lanes; ++i)
-                values.push_back(shared::compute_thread_test_value(first + i));
+            for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::test_value(first + i));
             for (std::uint32_t lane = 0; lane < lanes; ++lane) {
-                const auto expected = compute_expected_subgroup_results_of_lane(values, lane, before, total);
+                const auto expected = expected_results(values, lane, before, total);
                 const std::uint32_t* lane_results = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
                 for (std::size_t k = 0; k < expected.size(); ++k)
-                    if (lane_results[k] != expected[k] &&
-                        (k != kInBranch || is_lane_reconvergence_guaranteed(device)))
-                        return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k],
+                    if (lane_results[k] != expected[k] && (k != kInBranch || lanes_reconverge(device)))
+                        return fmt::format("{}: found {} in lane {}, expected {}", kOperationNames[k],
                                            lane_results[k], lane, expected[k]);
             }
             before = std::accumulate(values.begin(), values.end(), before);
@@ -126,52 +124,50 @@ std::string run_subgroup_test_and_describe_error(Device& device) {
 }
 
 /// Returns an empty text if the order is right.
-std::string run_sort_test_and_describe_error(Device& device) {
+std::string run_sort_test(Device& device) {
     if (!device.info().can_require_subgroup_size) return {};
-    constexpr std::uint32_t kKeys = 5000;
-    Words keys(kKeys);
-    for (std::uint32_t i = 0; i < kKeys; ++i) keys[i] = shared::compute_thread_test_value(i);
+    constexpr std::uint32_t kCheckKeys = 5000;
+    Words keys(kCheckKeys);
+    for (std::uint32_t i = 0; i < kCheckKeys; ++i) keys[i] = shared::test_value(i);
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
-        second(device, kKeys, "keys");
-    const Array<std::uint32_t, shared::SortOrder> first_order(device, kKeys, "order"),
-        second_order(device, kKeys, "order");
-    const RadixSort sort(device, kKeys, 1);
+        second(device, kCheckKeys, "keys");
+    const Array<std::uint32_t, shared::SortOrder> first_order(device, kCheckKeys, "order"),
+        second_order(device, kCheckKeys, "order");
+    const RadixSort sort(device, kCheckKeys, 1);
     Stream stream(device);
     sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
              16);
     stream.submit_and_wait();
     std::ranges::sort(keys);
-    static_assert(kKeys > RELIDAR_TILE_SIZE);
+    static_assert(kCheckKeys > RELIDAR_TILE_SIZE);
     const Words actual = first.download();
     const auto [found, expected] = std::ranges::mismatch(actual, keys);
     if (found == actual.end()) return {};
-    return fmt::format("sort of {} keys: found key {} at position {}, expected {}", kKeys, *found,
+    return fmt::format("sort of {} keys: found key {} at position {}, expected {}", kCheckKeys, *found,
                        found - actual.begin(), *expected);
 }
 
 }  // namespace
 
-double test_atomic_adds_and_get_max_error(Device& device, bool use_compare_and_swap) {
+double test_atomic_adds(Device& device, bool use_compare_and_swap) {
     const Kernel<shared::CheckAtomicsParams> kernel(
         device, "gpu/check_atomics", KernelVariant(use_compare_and_swap ? "@_swap" : "@_atomics"));
-    const bool fault = gpu::is_fault_injected(use_compare_and_swap ? "float_swaps" : "float_atomics");
+    const bool fault = gpu::has_fault(use_compare_and_swap ? "float_swaps" : "float_atomics");
     Stream stream(device);
-    return std::max(run_atomic_adds_and_get_max_error(stream, kernel, 1u << 18, 1024, fault),
-                    run_atomic_adds_and_get_max_error(stream, kernel, 1u << 14, 1, fault));
+    return std::max(run_atomic_adds(stream, kernel, 1u << 18, 1024, fault),
+                    run_atomic_adds(stream, kernel, 1u << 14, 1, fault));
 }
 
-double test_compare_and_swap_adds_and_get_max_error(Device& device, std::uint32_t n_threads,
-                                                    double& elapsed_s) {
+double test_swap_adds(Device& device, std::uint32_t n_threads, double& elapsed_s) {
     const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
     Stream stream(device);
     const double piece_s = std::exchange(device.impl().launch_limit.piece_s, 0.0);
-    const double error =
-        run_atomic_adds_and_get_max_error(stream, kernel, n_threads, 1024, false, &elapsed_s);
+    const double error = run_atomic_adds(stream, kernel, n_threads, 1024, false, &elapsed_s);
     device.impl().launch_limit.piece_s = piece_s;
     return error;
 }
 
-std::vector<int> list_requestable_subgroup_sizes(const Device& device) {
+std::vector<int> subgroup_sizes(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
@@ -184,9 +180,9 @@ std::vector<int> list_requestable_subgroup_sizes(const Device& device) {
     return result;
 }
 
-std::string test_subgroups_and_describe_error(Device& device) {
-    const std::string wrong = run_subgroup_test_and_describe_error(device);
-    return wrong.empty() ? run_sort_test_and_describe_error(device) : wrong;
+std::string test_subgroups(Device& device) {
+    const std::string wrong = run_subgroup_test(device);
+    return wrong.empty() ? run_sort_test(device) : wrong;
 }
 
 }  // namespace relidar

@@ -22,20 +22,20 @@
 
 namespace relidar::gpu {
 
-void throw_unless_vulkan_success(VkResult result, const char* call_name) {
+void vk_check(VkResult result, const char* call_name) {
     if (result >= 0) return;
-    throw_vulkan_error(result, fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS",
-                                           call_name, get_vulkan_result_name(result)));
+    vk_fail(result, fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS", call_name,
+                                vk_result_name(result)));
 }
 
-void throw_vulkan_error(VkResult result, const std::string& message) {
+void vk_fail(VkResult result, const std::string& message) {
     if (result == VK_ERROR_DEVICE_LOST) throw DeviceLost(message);
     if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
         throw OutOfDeviceMemory(message);
     throw DeviceError(message);
 }
 
-std::string get_vulkan_result_name(VkResult result) {
+std::string vk_result_name(VkResult result) {
     static const std::map<VkResult, const char*> kNames = {
         {VK_TIMEOUT, "VK_TIMEOUT"},
         {VK_ERROR_OUT_OF_HOST_MEMORY, "VK_ERROR_OUT_OF_HOST_MEMORY"},
@@ -53,27 +53,25 @@ std::string get_vulkan_result_name(VkResult result) {
 
 namespace {
 
-VkBool32 print_and_count_validation_message(VkDebugUtilsMessageSeverityFlagBitsEXT,
-                                            VkDebugUtilsMessageTypeFlagsEXT,
-                                            const VkDebugUtilsMessengerCallbackDataEXT* message_data,
-                                            void* instance_pointer) {
+VkBool32 on_validation(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageTypeFlagsEXT,
+                       const VkDebugUtilsMessengerCallbackDataEXT* message_data, void* instance_pointer) {
     static_cast<VulkanInstance*>(instance_pointer)->n_messages++;
     std::fprintf(stderr, "validation: %s\n", message_data->pMessage);
     return VK_FALSE;
 }
 
-VkDebugUtilsMessengerCreateInfoEXT make_debug_messenger_create_info(VulkanInstance* instance) {
+VkDebugUtilsMessengerCreateInfoEXT messenger_info(VulkanInstance* instance) {
     VkDebugUtilsMessengerCreateInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_MESSENGER_CREATE_INFO_EXT};
     info.messageSeverity =
         VK_DEBUG_UTILS_MESSAGE_SEVERITY_WARNING_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_SEVERITY_ERROR_BIT_EXT;
     info.messageType =
         VK_DEBUG_UTILS_MESSAGE_TYPE_VALIDATION_BIT_EXT | VK_DEBUG_UTILS_MESSAGE_TYPE_PERFORMANCE_BIT_EXT;
-    info.pfnUserCallback = print_and_count_validation_message;
+    info.pfnUserCallback = on_validation;
     info.pUserData = instance;
     return info;
 }
 
-bool is_debug_utils_extension_available() {
+bool has_debug_utils() {
     const auto extensions = enumerate<VkExtensionProperties>(
         "vkEnumerateInstanceExtensionProperties", [](std::uint32_t* n, auto* properties) {
             return vkEnumerateInstanceExtensionProperties(nullptr, n, properties);
@@ -97,9 +95,9 @@ VulkanInstance::VulkanInstance(bool validation) {
     const char* extension = VK_EXT_DEBUG_UTILS_EXTENSION_NAME;
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
-    VkDebugUtilsMessengerCreateInfoEXT debug = make_debug_messenger_create_info(this);
+    VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
     // Also without validation, so that debuggers show the names of objects.
-    if (validation || is_debug_utils_extension_available()) {
+    if (validation || has_debug_utils()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
     }
@@ -117,12 +115,12 @@ VulkanInstance::VulkanInstance(bool validation) {
         throw DeviceError(
             "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install the "
             "package vulkan-validationlayers");
-    throw_unless_vulkan_success(result, "vkCreateInstance");
+    vk_check(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
     destroy_messenger = vkDestroyDebugUtilsMessengerEXT;
-    throw_unless_vulkan_success(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
-                                "vkCreateDebugUtilsMessengerEXT");
+    vk_check(vkCreateDebugUtilsMessengerEXT(handle, &debug, nullptr, &messenger),
+             "vkCreateDebugUtilsMessengerEXT");
 }
 
 VulkanInstance::~VulkanInstance() {
@@ -130,7 +128,7 @@ VulkanInstance::~VulkanInstance() {
     if (handle) vkDestroyInstance(handle, nullptr);
 }
 
-std::vector<VkPhysicalDevice> VulkanInstance::list_physical_devices() const {
+std::vector<VkPhysicalDevice> VulkanInstance::physical_devices() const {
     return enumerate<VkPhysicalDevice>("vkEnumeratePhysicalDevices", [&](std::uint32_t* n, auto* devices) {
         return vkEnumeratePhysicalDevices(handle, n, devices);
     });
@@ -142,7 +140,7 @@ namespace relidar {
 
 namespace {
 
-std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDevice>& physical_devices) {
+std::vector<DeviceInfo> describe_devices(const std::vector<VkPhysicalDevice>& physical_devices) {
     std::vector<DeviceInfo> infos;
     for (std::size_t i = 0; i < physical_devices.size(); ++i)
         infos.push_back(gpu::make_device_info(physical_devices[i], static_cast<int>(i)));
@@ -150,7 +148,7 @@ std::vector<DeviceInfo> describe_physical_devices(const std::vector<VkPhysicalDe
 }
 
 /// Prefers GPUs to CPU devices, and GPUs with ray queries to other GPUs.
-int choose_device_index(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
+int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
     if (device_infos.empty())
         throw DeviceError(
             "cannot open a device: this machine has no Vulkan device, expected at least one; install a GPU "
@@ -163,7 +161,7 @@ int choose_device_index(const std::vector<DeviceInfo>& device_infos, const Devic
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : device_infos) {
-        bool runs = choose_best_ray_tracing_backend(d) != RayTracingBackend::automatic;
+        bool runs = best_backend(d) != RayTracingBackend::automatic;
         if (options.traversal == RayTracingBackend::ray_query) runs = d.ray_query;
         if (options.traversal == RayTracingBackend::software) runs = d.software;
         const int score = (d.why_not_usable.empty() ? 8 : 0) + (runs ? 4 : 0) + (d.type != "CPU" ? 2 : 0) +
@@ -176,7 +174,7 @@ int choose_device_index(const std::vector<DeviceInfo>& device_infos, const Devic
     return best;
 }
 
-void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requested_backend) {
+void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend) {
     if (!info.why_not_usable.empty())
         fail<DeviceError>("cannot open device {} ({}): it lacks these required features: {}", info.index,
                           info.name, info.why_not_usable);
@@ -190,7 +188,7 @@ void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requ
     // SwiftShader cannot run the tracing kernels, but tests run all other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (requested_backend == RayTracingBackend::automatic &&
-        choose_best_ray_tracing_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
+        best_backend(info) == RayTracingBackend::automatic && !runs_the_rest)
         fail<DeviceError>(
             "cannot open device {} ({}): for ray query it lacks {}, and for software traversal {}",
             info.index, info.name, info.why_not_ray_query, info.why_not_software);
@@ -200,12 +198,11 @@ void throw_if_backend_unsupported(const DeviceInfo& info, RayTracingBackend requ
 
 std::vector<DeviceInfo> list_devices() {
     const gpu::VulkanInstance instance(false);
-    return describe_physical_devices(instance.list_physical_devices());
+    return describe_devices(instance.physical_devices());
 }
 
-RayTracingBackend parse_ray_tracing_backend(const std::string& name) {
-    const std::optional<std::string> matching_name =
-        find_name_ignoring_case(name, {"auto", "ray_query", "software"});
+RayTracingBackend parse_backend(const std::string& name) {
+    const std::optional<std::string> matching_name = find_name(name, {"auto", "ray_query", "software"});
     if (!matching_name)
         fail<UsageError>("cannot select the traversal: found \"{}\", expected auto, ray_query or software",
                          name);
@@ -213,48 +210,47 @@ RayTracingBackend parse_ray_tracing_backend(const std::string& name) {
     return matching_name == "software" ? RayTracingBackend::software : RayTracingBackend::ray_query;
 }
 
-RayTracingBackend choose_best_ray_tracing_backend(const DeviceInfo& info) {
+RayTracingBackend best_backend(const DeviceInfo& info) {
     if (info.software && (info.type == "CPU" || !info.ray_query)) return RayTracingBackend::software;
     return info.ray_query ? RayTracingBackend::ray_query : RayTracingBackend::automatic;
 }
 
 Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->instance = std::make_unique<gpu::VulkanInstance>(options.validation);
-    const std::vector<VkPhysicalDevice> physical = impl_->instance->list_physical_devices();
-    const std::vector<DeviceInfo> infos = describe_physical_devices(physical);
-    const int index = choose_device_index(infos, options);
+    const std::vector<VkPhysicalDevice> physical = impl_->instance->physical_devices();
+    const std::vector<DeviceInfo> infos = describe_devices(physical);
+    const int index = choose_device(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
     if (options.report_missing_drivers && options.index < 0 && impl_->info.type == "CPU")
-        for (const std::string& line : list_gpus_without_driver(infos))
-            gpu::report_device_note(line + "; relidar uses " + impl_->info.name);
-    throw_if_backend_unsupported(impl_->info, options.traversal);
-    impl_->traversal = options.traversal == RayTracingBackend::automatic
-                           ? choose_best_ray_tracing_backend(impl_->info)
-                           : options.traversal;
+        for (const std::string& line : find_driverless(infos))
+            gpu::report_note(line + "; relidar uses " + impl_->info.name);
+    check_backend(impl_->info, options.traversal);
+    impl_->traversal =
+        options.traversal == RayTracingBackend::automatic ? best_backend(impl_->info) : options.traversal;
     // The constructor of the software tree then throws an error with the reason.
     if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
-    gpu::disable_methods_that_failed_test(*impl_, gpu::read_or_run_device_test(*impl_, options));
-    impl_->open_device_with_pipeline_cache(options.pipeline_cache);
+    gpu::disable_failed(*impl_, gpu::check_results(*impl_, options));
+    impl_->open_device(options.pipeline_cache);
 }
 
 Device::~Device() = default;
 const DeviceInfo& Device::info() const { return impl_->info; }
-RayTracingBackend Device::get_ray_tracing_backend() const { return impl_->traversal; }
+RayTracingBackend Device::backend() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
-std::uint64_t Device::peak_allocated_bytes() const { return impl_->peak; }
-const std::vector<PipelineStatistics>& Device::get_pipeline_statistics() const { return impl_->compiled; }
+std::uint64_t Device::peak_bytes() const { return impl_->peak; }
+const std::vector<PipelineStatistics>& Device::statistics() const { return impl_->compiled; }
 
-void Device::Impl::open_device_with_pipeline_cache(const std::filesystem::path& pipeline_cache_folder) {
-    select_compute_queue_family();
-    create_logical_device();
+void Device::Impl::open_device(const std::filesystem::path& pipeline_cache_folder) {
+    select_queue();
+    create_device();
     vkGetDeviceQueue(device, queue_family, 0, &queue);
-    gpu::set_vulkan_object_name(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
-    gpu::set_vulkan_object_name(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
-    query_and_store_device_limits();
-    create_pipeline_layout();
+    gpu::set_object_name(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
+    gpu::set_object_name(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
+    query_limits();
+    create_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, pipeline_cache_folder);
     memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device);
@@ -297,7 +293,7 @@ struct ExtensionFeatures {
 
 }  // namespace
 
-void Device::Impl::select_compute_queue_family() {
+void Device::Impl::select_queue() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
     std::vector<VkQueueFamilyProperties> families(n);
@@ -311,7 +307,7 @@ void Device::Impl::select_compute_queue_family() {
     if (bits > 0 && bits < 64) timestamp_mask = (std::uint64_t(1) << bits) - 1;
 }
 
-void Device::Impl::create_logical_device() {
+void Device::Impl::create_device() {
     const float priority = 1.0f;
     VkDeviceQueueCreateInfo queue_info{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
     queue_info.queueFamilyIndex = queue_family;
@@ -329,7 +325,7 @@ void Device::Impl::create_logical_device() {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     features.features.sparseBinding = binds_sparse;
 
-    optional = gpu::query_optional_features(physical);
+    optional = gpu::query_features(physical);
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
     void** feature_chain_end = &v13.pNext;
@@ -343,8 +339,8 @@ void Device::Impl::create_logical_device() {
         enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, extension_features.accel);
         enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, extension_features.query);
     }
-    pipeline_statistics = compile_only && gpu::supports_device_extension(
-                                              physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
+    pipeline_statistics =
+        compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
     if (pipeline_statistics)
         enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, extension_features.executables);
     if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, extension_features.atomics);
@@ -359,11 +355,10 @@ void Device::Impl::create_logical_device() {
     device_info.pQueueCreateInfos = &queue_info;
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
     device_info.ppEnabledExtensionNames = extensions.data();
-    gpu::throw_unless_vulkan_success(vkCreateDevice(physical, &device_info, nullptr, &device),
-                                     "vkCreateDevice");
+    gpu::vk_check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
 }
 
-void Device::Impl::query_and_store_device_limits() {
+void Device::Impl::query_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
     VkPhysicalDeviceMaintenance4Properties sizes{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MAINTENANCE_4_PROPERTIES,
@@ -393,14 +388,14 @@ void Device::Impl::query_and_store_device_limits() {
         scratch_alignment = std::max(1u, accel_properties.minAccelerationStructureScratchOffsetAlignment);
 }
 
-void Device::Impl::create_pipeline_layout() {
+void Device::Impl::create_layout() {
     const VkPushConstantRange range{VK_SHADER_STAGE_COMPUTE_BIT, 0, 2 * sizeof(std::uint64_t)};
     VkPipelineLayoutCreateInfo layout{VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
     layout.pushConstantRangeCount = 1;
     layout.pPushConstantRanges = &range;
-    gpu::throw_unless_vulkan_success(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout),
-                                     "vkCreatePipelineLayout");
-    gpu::set_vulkan_object_name(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
+    gpu::vk_check(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout),
+                  "vkCreatePipelineLayout");
+    gpu::set_object_name(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
 }
 
 Device::Impl::Impl() = default;
@@ -409,7 +404,7 @@ Device::Impl::~Impl() {
     if (!device) return;
     nothing.reset();
     transfers.reset();
-    for (const OrphanedBuffer& orphan : orphans) destroy_orphaned_buffer(orphan);
+    for (const OrphanedBuffer& orphan : orphans) destroy_buffer(orphan);
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
         // Deferred: the kernel was never launched, so its pipeline does not exist.
@@ -423,7 +418,7 @@ Device::Impl::~Impl() {
     vkDestroyDevice(device, nullptr);
 }
 
-void Device::Impl::wait_until_device_idle() noexcept {
+void Device::Impl::wait_idle() noexcept {
     if (compile_only) return;  // a driver without hardware has no work and cannot wait
     const std::lock_guard lock(queue_mutex);
     vkDeviceWaitIdle(device);
@@ -431,7 +426,7 @@ void Device::Impl::wait_until_device_idle() noexcept {
 
 void Device::Impl::submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence) {
     const std::lock_guard lock(queue_mutex);
-    gpu::throw_unless_vulkan_success(vkQueueSubmit(queue, 1, &submit_info, fence), "vkQueueSubmit");
+    gpu::vk_check(vkQueueSubmit(queue, 1, &submit_info, fence), "vkQueueSubmit");
 }
 
 }  // namespace relidar

@@ -26,19 +26,19 @@ namespace relidar::gpu {
 class PipelineCache;
 class BufferTransfers;
 
-void throw_unless_vulkan_success(VkResult result, const char* call_name);
+void vk_check(VkResult result, const char* call_name);
 /// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
-[[noreturn]] void throw_vulkan_error(VkResult result, const std::string& message);
-std::string get_vulkan_result_name(VkResult result);
+[[noreturn]] void vk_fail(VkResult result, const std::string& message);
+std::string vk_result_name(VkResult result);
 
 /// Calls a function with (pointer to a number, pointer to values) twice, as Vulkan lists
 /// values.
 template <class Value, class Call>
 std::vector<Value> enumerate(const char* call_name, const Call& call, const Value& initial = {}) {
     std::uint32_t n = 0;
-    throw_unless_vulkan_success(call(&n, static_cast<Value*>(nullptr)), call_name);
+    vk_check(call(&n, static_cast<Value*>(nullptr)), call_name);
     std::vector<Value> values(n, initial);
-    throw_unless_vulkan_success(call(&n, values.data()), call_name);
+    vk_check(call(&n, values.data()), call_name);
     return values;
 }
 
@@ -55,13 +55,13 @@ struct VulkanInstance {
     VulkanInstance(const VulkanInstance&) = delete;
     VulkanInstance& operator=(const VulkanInstance&) = delete;
 
-    std::vector<VkPhysicalDevice> list_physical_devices() const;
+    std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
 /// Has no effect if the Vulkan loader lacks VK_EXT_debug_utils.
 template <class Handle>
-void set_vulkan_object_name(VkDevice device, VkObjectType object_type, Handle handle,
-                            const std::string& object_name) {
+void set_object_name(VkDevice device, VkObjectType object_type, Handle handle,
+                     const std::string& object_name) {
     if (!vkSetDebugUtilsObjectNameEXT) return;
     VkDebugUtilsObjectNameInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT};
     info.objectType = object_type;
@@ -70,11 +70,11 @@ void set_vulkan_object_name(VkDevice device, VkObjectType object_type, Handle ha
     vkSetDebugUtilsObjectNameEXT(device, &info);
 }
 
-bool supports_device_extension(VkPhysicalDevice physical_device, const char* extension_name);
+bool has_extension(VkPhysicalDevice physical_device, const char* extension_name);
 
 struct Missing {
     std::string text;
-    void add_name_if_feature_missing(bool is_present, const char* feature_name) {
+    void require(bool is_present, const char* feature_name) {
         if (!is_present) text += (text.empty() ? "" : ", ") + std::string(feature_name);
     }
 };
@@ -88,20 +88,17 @@ struct OptionalFeatures {
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
-OptionalFeatures query_optional_features(VkPhysicalDevice physical_device);
+OptionalFeatures query_features(VkPhysicalDevice physical_device);
 
-bool can_request_full_subgroups_of_one_size(
-    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-    const OptionalFeatures& optional_features);
-std::string list_missing_software_traversal_features(
-    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-    const OptionalFeatures& optional_features);
+bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+                           const OptionalFeatures& optional_features);
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+                                 const OptionalFeatures& optional_features);
 
-std::string list_missing_neural_network_features(
-    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-    const OptionalFeatures& optional_features);
+std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+                                 const OptionalFeatures& optional_features);
 
 /// Kernels with equal names, constants and subgroup requirements share one pipeline until
 /// the device is closed, because trainings and renderers create dozens of kernels.
@@ -115,7 +112,7 @@ struct ComputePipelines {
     std::mutex mutex;
     std::map<std::string, std::shared_future<CompiledPipeline>> by_key;
     std::counting_semaphore<> compilers{/// Limits the number of threads that compile simultaneously.
-                                        std::ptrdiff_t(get_max_parallel_threads())};
+                                        std::ptrdiff_t(max_threads())};
 };
 
 DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index);
@@ -187,21 +184,20 @@ struct Device::Impl {
     Impl();
     ~Impl();
     /// @param pipeline_cache_folder if empty, pipelines are not cached in a file
-    void open_device_with_pipeline_cache(const std::filesystem::path& pipeline_cache_folder);
-    void select_compute_queue_family();
-    void create_logical_device();
-    void query_and_store_device_limits();
-    void create_pipeline_layout();
+    void open_device(const std::filesystem::path& pipeline_cache_folder);
+    void select_queue();
+    void create_device();
+    void query_limits();
+    void create_layout();
     /// Locks a mutex, because only one thread at a time may use a queue.
     void submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence = VK_NULL_HANDLE);
     /// Ignores errors, because destructors call this function.
-    void wait_until_device_idle() noexcept;
+    void wait_idle() noexcept;
     /// Waits until the queue has bound all pieces.
-    VkResult bind_memory_to_sparse_buffer(VkBuffer buffer,
-                                          const std::vector<gpu::MemorySuballocation>& memory_pieces);
-    void destroy_orphaned_buffer(const OrphanedBuffer& buffer) noexcept;
+    VkResult bind_sparse(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& memory_pieces);
+    void destroy_buffer(const OrphanedBuffer& buffer) noexcept;
     /// Does nothing if a stream still has recorded commands.
-    void free_orphaned_buffers();
+    void free_orphans();
 };
 
 }  // namespace relidar

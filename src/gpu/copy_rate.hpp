@@ -11,6 +11,6 @@ class Device;
 /// Bytes read plus bytes written per second. Uses the fastest of several copies of 256
 /// MiB, which is larger than any cache, or less if memory is short.
 /// @return nullopt if less than 1 MiB is free
-std::optional<double> measure_copy_bandwidth_bytes_per_s(Device& device);
+std::optional<double> measure_bandwidth(Device& device);
 
 }  // namespace relidar

@@ -15,14 +15,14 @@ namespace relidar::gpu {
 
 namespace {
 
-std::vector<VkExtensionProperties> list_device_extensions(VkPhysicalDevice physical_device) {
+std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical_device) {
     return enumerate<VkExtensionProperties>(
         "vkEnumerateDeviceExtensionProperties", [&](std::uint32_t* n, auto* properties) {
             return vkEnumerateDeviceExtensionProperties(physical_device, nullptr, n, properties);
         });
 }
 
-const char* get_device_type_name(VkPhysicalDeviceType device_type) {
+const char* device_type_name(VkPhysicalDeviceType device_type) {
     switch (device_type) {
         case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
             return "discrete GPU";
@@ -37,7 +37,7 @@ const char* get_device_type_name(VkPhysicalDeviceType device_type) {
     }
 }
 
-std::uint64_t get_largest_device_local_heap_bytes(VkPhysicalDevice physical_device) {
+std::uint64_t largest_heap_bytes(VkPhysicalDevice physical_device) {
     VkPhysicalDeviceMemoryProperties memory;
     vkGetPhysicalDeviceMemoryProperties(physical_device, &memory);
     std::uint64_t largest = 0;
@@ -58,7 +58,7 @@ bool contains_extension(const std::vector<VkExtensionProperties>& extensions, co
 
 }  // namespace
 
-OptionalFeatures query_optional_features(VkPhysicalDevice physical_device) {
+OptionalFeatures query_features(VkPhysicalDevice physical_device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
@@ -69,7 +69,7 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical_device) {
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical_device);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical_device);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
@@ -90,16 +90,15 @@ OptionalFeatures query_optional_features(VkPhysicalDevice physical_device) {
     return optional;
 }
 
-bool can_request_full_subgroups_of_one_size(
-    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-    const OptionalFeatures& optional_features) {
+bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+                           const OptionalFeatures& optional_features) {
     return size_control_properties.minSubgroupSize == size_control_properties.maxSubgroupSize ||
            (optional_features.subgroup_size && optional_features.full_subgroups);
 }
 
 /// lavapipe on arm64 with LLVM 19 or older ignores failed stores on a CPU without LSE
 /// atomics (llvm/llvm-project, issue 150988), so sums are too small.
-bool does_driver_lose_float_additions([[maybe_unused]] const VkPhysicalDeviceDriverProperties& driver) {
+bool loses_float_adds([[maybe_unused]] const VkPhysicalDeviceDriverProperties& driver) {
 #if defined(__aarch64__)
     constexpr int kFirstCorrectLlvm = 20;
     int llvm = 0;
@@ -113,97 +112,86 @@ bool does_driver_lose_float_additions([[maybe_unused]] const VkPhysicalDeviceDri
 
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
-std::string list_missing_software_traversal_features(
-    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-    const OptionalFeatures& optional_features) {
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+                                 const OptionalFeatures& optional_features) {
     const auto operations = [&](VkSubgroupFeatureFlags required) {
         return (subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
                (subgroup_properties.supportedOperations & required) == required;
     };
     Missing groups;
-    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
-    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT),
-                                       "subgroup ballots in compute");
-    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT),
-                                       "subgroup arithmetic in compute");
-    groups.add_name_if_feature_missing(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT),
-                                       "subgroup shuffles in compute");
-    groups.add_name_if_feature_missing(
+    groups.require(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
+    groups.require(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
+    groups.require(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
+    groups.require(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
+    groups.require(
         size_control_properties.minSubgroupSize >= 4 && size_control_properties.maxSubgroupSize <= 64,
         "subgroups with 4 to 64 lanes");
-    groups.add_name_if_feature_missing(
-        can_request_full_subgroups_of_one_size(size_control_properties, optional_features),
-        "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.require(can_fix_subgroup_size(size_control_properties, optional_features),
+                   "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-std::string list_missing_neural_network_features(
-    const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-    const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-    const OptionalFeatures& optional_features) {
+std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
+                                 const OptionalFeatures& optional_features) {
     Missing groups;
-    groups.add_name_if_feature_missing(
-        subgroup_properties.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
-        "subgroup shuffles in compute");
-    groups.add_name_if_feature_missing(
-        can_request_full_subgroups_of_one_size(size_control_properties, optional_features),
-        "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
+    groups.require(subgroup_properties.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
+                   "subgroup shuffles in compute");
+    groups.require(can_fix_subgroup_size(size_control_properties, optional_features),
+                   "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-bool supports_device_extension(VkPhysicalDevice physical_device, const char* extension_name) {
-    return contains_extension(list_device_extensions(physical_device), extension_name);
+bool has_extension(VkPhysicalDevice physical_device, const char* extension_name) {
+    return contains_extension(list_extensions(physical_device), extension_name);
 }
 
 namespace {
 
-std::string list_missing_kernel_features(const VkPhysicalDeviceProperties& properties,
-                                         const VkPhysicalDeviceDriverProperties& driver_properties,
-                                         const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,
-                                         const VkPhysicalDeviceVulkan13Features& vulkan_1_3_features,
-                                         const VkPhysicalDeviceSubgroupProperties& subgroup_properties) {
+std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
+                                const VkPhysicalDeviceDriverProperties& driver_properties,
+                                const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,
+                                const VkPhysicalDeviceVulkan13Features& vulkan_1_3_features,
+                                const VkPhysicalDeviceSubgroupProperties& subgroup_properties) {
     Missing base;
-    base.add_name_if_feature_missing(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
+    base.require(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
     // Older compilers of lavapipe terminate the process on some CPUs (docs/debugging.md).
     int mesa_major = 0, mesa_minor = 0;
     const bool is_old_lavapipe =
         driver_properties.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
         std::sscanf(driver_properties.driverInfo, "Mesa %d.%d", &mesa_major, &mesa_minor) == 2 &&
         std::pair(mesa_major, mesa_minor) < std::pair(24, 1);
-    base.add_name_if_feature_missing(!is_old_lavapipe, "lavapipe from Mesa 24.1 or newer");
-    base.add_name_if_feature_missing(vulkan_1_2_features.bufferDeviceAddress, "bufferDeviceAddress");
-    base.add_name_if_feature_missing(vulkan_1_2_features.scalarBlockLayout, "scalarBlockLayout");
-    base.add_name_if_feature_missing(vulkan_1_2_features.timelineSemaphore, "timelineSemaphore");
-    base.add_name_if_feature_missing(vulkan_1_2_features.hostQueryReset, "hostQueryReset");
-    base.add_name_if_feature_missing(vulkan_1_3_features.maintenance4, "maintenance4");
-    base.add_name_if_feature_missing(
-        (subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-            (subgroup_properties.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
-        "subgroup arithmetic and ballots in compute");
-    base.add_name_if_feature_missing(
-        subgroup_properties.subgroupSize >= 4 && subgroup_properties.subgroupSize <= 64,
-        "subgroups with 4 to 64 lanes");
+    base.require(!is_old_lavapipe, "lavapipe from Mesa 24.1 or newer");
+    base.require(vulkan_1_2_features.bufferDeviceAddress, "bufferDeviceAddress");
+    base.require(vulkan_1_2_features.scalarBlockLayout, "scalarBlockLayout");
+    base.require(vulkan_1_2_features.timelineSemaphore, "timelineSemaphore");
+    base.require(vulkan_1_2_features.hostQueryReset, "hostQueryReset");
+    base.require(vulkan_1_3_features.maintenance4, "maintenance4");
+    base.require((subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+                     (subgroup_properties.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+                 "subgroup arithmetic and ballots in compute");
+    base.require(subgroup_properties.subgroupSize >= 4 && subgroup_properties.subgroupSize <= 64,
+                 "subgroups with 4 to 64 lanes");
     return base.text;
 }
 
-std::string list_missing_ray_query_features(
-    const std::vector<VkExtensionProperties>& extensions,
-    const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel_features,
-    const VkPhysicalDeviceRayQueryFeaturesKHR& ray_query_features) {
+std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
+                                  const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel_features,
+                                  const VkPhysicalDeviceRayQueryFeaturesKHR& ray_query_features) {
     Missing rays;
     for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
                              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
-        rays.add_name_if_feature_missing(contains_extension(extensions, name), name);
-    rays.add_name_if_feature_missing(accel_features.accelerationStructure, "accelerationStructure");
-    rays.add_name_if_feature_missing(ray_query_features.rayQuery, "rayQuery");
+        rays.require(contains_extension(extensions, name), name);
+    rays.require(accel_features.accelerationStructure, "accelerationStructure");
+    rays.require(ray_query_features.rayQuery, "rayQuery");
     return rays.text;
 }
 
 }  // namespace
 
 DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) {
-    const std::vector<VkExtensionProperties> extensions = list_device_extensions(physical_device);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical_device);
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
@@ -223,31 +211,30 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) 
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
     if (is_13) vkGetPhysicalDeviceFeatures2(physical_device, &features);
-    const OptionalFeatures optional = is_13 ? query_optional_features(physical_device) : OptionalFeatures();
+    const OptionalFeatures optional = is_13 ? query_features(physical_device) : OptionalFeatures();
 
     DeviceInfo info;
     info.index = device_index;
     info.name = properties.properties.deviceName;
     info.vendor_id = properties.properties.vendorID;
-    info.type = get_device_type_name(properties.properties.deviceType);
+    info.type = device_type_name(properties.properties.deviceType);
     info.driver = fmt::format("{} {}", driver.driverName, driver.driverInfo);
     const std::uint32_t packed_version = properties.properties.apiVersion;
     info.api_version =
         fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(packed_version), VK_API_VERSION_MINOR(packed_version),
                     VK_API_VERSION_PATCH(packed_version));
-    info.memory_bytes = get_largest_device_local_heap_bytes(physical_device);
+    info.memory_bytes = largest_heap_bytes(physical_device);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = contains_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
-                         atomics.shaderBufferFloat32AtomicAdd && !does_driver_lose_float_additions(driver);
+                         atomics.shaderBufferFloat32AtomicAdd && !loses_float_adds(driver);
 
-    info.why_not_usable = list_missing_kernel_features(properties.properties, driver, v12, v13, subgroup);
-    info.why_not_ray_query = list_missing_ray_query_features(extensions, accel, query);
+    info.why_not_usable = missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
+    info.why_not_ray_query = missing_for_ray_query(extensions, accel, query);
     info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
-    info.can_require_subgroup_size = can_request_full_subgroups_of_one_size(sizes, optional);
-    info.why_not_software = is_swiftshader(info)
-                                ? kNoCompiler
-                                : list_missing_software_traversal_features(subgroup, sizes, optional);
+    info.can_require_subgroup_size = can_fix_subgroup_size(sizes, optional);
+    info.why_not_software =
+        is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && info.why_not_usable.empty();
     return info;
 }

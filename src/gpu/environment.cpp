@@ -23,12 +23,12 @@ namespace {
 constexpr std::array kDriverVariables = {"VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES",
                                          "VK_LOADER_DRIVERS_SELECT", "VK_LOADER_DRIVERS_DISABLE"};
 
-std::string read_environment_variable(const char* name) {
+std::string read_variable(const char* name) {
     const char* text = std::getenv(name);
     return text ? text : "";
 }
 
-std::uint64_t parse_memory_limit_bytes(const std::string& mib_text) {
+std::uint64_t parse_limit(const std::string& mib_text) {
     std::uint64_t mib = 0;
     const char* end = mib_text.data() + mib_text.size();
     const auto [parsed, failed] = std::from_chars(mib_text.data(), end, mib);
@@ -40,10 +40,9 @@ std::uint64_t parse_memory_limit_bytes(const std::string& mib_text) {
     return mib << 20;
 }
 
-std::filesystem::path get_pipeline_cache_folder_of_user() {
-    const std::string relidar_cache = read_environment_variable("RELIDAR_PIPELINE_CACHE"),
-                      cache = read_environment_variable("XDG_CACHE_HOME"),
-                      home = read_environment_variable("HOME");
+std::filesystem::path user_cache_folder() {
+    const std::string relidar_cache = read_variable("RELIDAR_PIPELINE_CACHE"),
+                      cache = read_variable("XDG_CACHE_HOME"), home = read_variable("HOME");
     if (relidar_cache == "0") return {};
     if (!relidar_cache.empty()) return relidar_cache;
     if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
@@ -52,16 +51,15 @@ std::filesystem::path get_pipeline_cache_folder_of_user() {
 
 }  // namespace
 
-DeviceOptions apply_environment_variables(DeviceOptions options) {
-    if (read_environment_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
+DeviceOptions apply_environment(DeviceOptions options) {
+    if (read_variable("RELIDAR_VALIDATION") == "1") options.validation = true;
     options.report_missing_drivers =
         std::ranges::all_of(kDriverVariables, [](const char* name) { return !std::getenv(name); });
-    const std::string limit = read_environment_variable("RELIDAR_MEMORY_LIMIT_MIB");
-    if (!limit.empty() && options.memory_limit_bytes == 0)
-        options.memory_limit_bytes = parse_memory_limit_bytes(limit);
-    if (options.pipeline_cache.empty()) options.pipeline_cache = get_pipeline_cache_folder_of_user();
+    const std::string limit = read_variable("RELIDAR_MEMORY_LIMIT_MIB");
+    if (!limit.empty() && options.memory_limit_bytes == 0) options.memory_limit_bytes = parse_limit(limit);
+    if (options.pipeline_cache.empty()) options.pipeline_cache = user_cache_folder();
 #ifdef RELIDAR_ASSERTS
-    gpu::set_injected_faults(read_environment_variable("RELIDAR_FAULTS"));
+    gpu::inject_faults(read_variable("RELIDAR_FAULTS"));
 #endif
     return options;
 }

@@ -8,15 +8,15 @@
 
 namespace relidar {
 
-std::size_t get_validation_message_count(const Device& device) { return device.impl().instance->n_messages; }
+std::size_t validation_count(const Device& device) { return device.impl().instance->n_messages; }
 
 ForcedBehaviourScope::ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced_behaviour)
     : device_(device), before_(std::exchange(device.impl().forced, forced_behaviour)) {}
 ForcedBehaviourScope::~ForcedBehaviourScope() { device_.impl().forced = before_; }
 
-bool should_coalesce_memory_access(const Device& device) {
+bool should_coalesce(const Device& device) {
     return device.impl().forced.coalesces.value_or(device.info().type != "CPU");
 }
-bool is_brute_force_tracing_forced(const Device& device) { return device.impl().forced.brute_force; }
+bool is_brute_force(const Device& device) { return device.impl().forced.brute_force; }
 
 }  // namespace relidar

@@ -10,7 +10,7 @@
 namespace relidar {
 
 /// Warnings and errors of the Vulkan validation layer.
-std::size_t get_validation_message_count(const Device& device);
+std::size_t validation_count(const Device& device);
 
 /// Behaviour of a device that a test can select instead of the default of the device.
 struct ForcedBehaviour {

@@ -21,7 +21,7 @@ namespace relidar {
 
 namespace {
 
-std::span<const std::uint32_t> get_embedded_kernel_spirv(std::string_view kernel_name) {
+std::span<const std::uint32_t> embedded_spirv(std::string_view kernel_name) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         if (kernel.name == kernel_name) return kernel.words;
     throw Error(ExitCode::bug,
@@ -29,12 +29,12 @@ std::span<const std::uint32_t> get_embedded_kernel_spirv(std::string_view kernel
 }
 
 /// They use subgroup operations in branches, or in loops that lanes leave early.
-constexpr std::array<std::string_view, 3> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace",
-                                                        "gpu/check_subgroups"};
+constexpr std::array<std::string_view, 3> kReconvergingKernels{"diff/accel/bvh_cluster",
+                                                               "diff/backward/trace", "gpu/check_subgroups"};
 
 /// lavapipe up to 25.0. Later versions execute a load in an untaken branch, which may
 /// crash.
-bool skips_loads_in_untaken_branches(const std::string& driver_name) {
+bool skips_dead_loads(const std::string& driver_name) {
     int major = 0, minor = 0;
     const std::size_t version = driver_name.find("Mesa ");
     if (version == std::string::npos ||
@@ -43,37 +43,39 @@ bool skips_loads_in_untaken_branches(const std::string& driver_name) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-std::vector<std::uint32_t> make_kernel_spirv_for_device(
-    const Device::Impl& device, std::string_view kernel_name_with_variant, std::string_view kernel_base_name,
-    const std::vector<SpecialisationConstant>& constants) {
+std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_view kernel_name_with_variant,
+                                        std::string_view kernel_base_name,
+                                        const std::vector<SpecialisationConstant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
-    std::vector<std::uint32_t> words = gpu::mark_parameter_block_read_only(
-        gpu::remove_constant_branches(get_embedded_kernel_spirv(kernel_name_with_variant), values));
+    std::vector<std::uint32_t> words =
+        gpu::mark_params_readonly(gpu::remove_branches(embedded_spirv(kernel_name_with_variant), values));
     if (device.info.driver.starts_with("llvmpipe")) {
-        if (!skips_loads_in_untaken_branches(device.info.driver))
-            words = gpu::make_array_indices_nonuniform(words);
-        words = gpu::hoist_parameter_loads(words);
+        if (!skips_dead_loads(device.info.driver)) words = gpu::make_nonuniform(words);
+        words = gpu::hoist_loads(words);
     }
-    if (std::find(kReconverging.begin(), kReconverging.end(), kernel_base_name) != kReconverging.end()) {
+    if (std::find(kReconvergingKernels.begin(), kReconvergingKernels.end(), kernel_base_name) !=
+        kReconvergingKernels.end()) {
         if (device.optional.maximal_reconvergence)
-            return gpu::add_execution_mode_to_spirv(words, gpu::kMaximallyReconverges);
+            return gpu::add_execution_mode(words, gpu::kMaximallyReconverges);
         if (device.optional.subgroup_uniform_control_flow)
-            return gpu::add_execution_mode_to_spirv(words, gpu::kSubgroupUniformControlFlow);
+            return gpu::add_execution_mode(words, gpu::kSubgroupUniformControlFlow);
     }
     return words;
 }
 
-gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
-    Device::Impl& device, std::span<const std::uint32_t> spirv_words, const std::string& debug_name,
-    const std::vector<SpecialisationConstant>& constants, SubgroupRequirement subgroup_requirement) {
+gpu::ComputePipelines::CompiledPipeline create_pipeline(Device::Impl& device,
+                                                        std::span<const std::uint32_t> spirv_words,
+                                                        const std::string& debug_name,
+                                                        const std::vector<SpecialisationConstant>& constants,
+                                                        SubgroupRequirement subgroup_requirement) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = spirv_words.size_bytes();
     module_info.pCode = spirv_words.data();
     VkShaderModule module = VK_NULL_HANDLE;
-    gpu::throw_unless_vulkan_success(vkCreateShaderModule(device.device, &module_info, nullptr, &module),
-                                     "vkCreateShaderModule");
-    gpu::set_vulkan_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, debug_name);
+    gpu::vk_check(vkCreateShaderModule(device.device, &module_info, nullptr, &module),
+                  "vkCreateShaderModule");
+    gpu::set_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, debug_name);
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < constants.size(); ++i)
         map.push_back({static_cast<std::uint32_t>(constants[i].id),
@@ -106,7 +108,7 @@ gpu::ComputePipelines::CompiledPipeline create_compute_pipeline(
     made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     if (made.result == VK_SUCCESS)
-        gpu::set_vulkan_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, debug_name);
+        gpu::set_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, debug_name);
     return made;
 }
 
@@ -122,19 +124,19 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-std::string format_constants_of_kernel(std::span<const std::uint32_t> spirv_words,
-                                       std::vector<SpecialisationConstant> constants) {
+std::string format_constants(std::span<const std::uint32_t> spirv_words,
+                             std::vector<SpecialisationConstant> constants) {
     std::sort(constants.begin(), constants.end(),
               [](const SpecialisationConstant& first, const SpecialisationConstant& second) {
                   return first.id < second.id;
               });
-    const std::set<std::uint32_t> of_module = gpu::list_specialisation_constant_ids(spirv_words);
+    const std::set<std::uint32_t> of_module = gpu::list_constants(spirv_words);
     std::string text;
     for (const SpecialisationConstant& c : constants) {
         if (c.id == SpecialisationConstantId::WORKGROUP_SIZE ||
             !of_module.contains(static_cast<std::uint32_t>(c.id)))
             continue;
-        text += fmt::format("{}{}={}", text.empty() ? "" : " ", get_constant_name(c.id), c.value);
+        text += fmt::format("{}{}={}", text.empty() ? "" : " ", constant_name(c.id), c.value);
     }
     return text;
 }
@@ -142,8 +144,9 @@ std::string format_constants_of_kernel(std::span<const std::uint32_t> spirv_word
 /// Creates the pipeline if no kernel with the same name and constants exists.
 /// @param launch_mode at its first use (deferred), or immediately in another thread
 /// (async)
-std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_or_start_pipeline_build(
-    Device::Impl& device, const KernelBase::Impl& kernel, std::launch launch_mode) {
+std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_pipeline(Device::Impl& device,
+                                                                          const KernelBase::Impl& kernel,
+                                                                          std::launch launch_mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
     std::string key = fmt::format("{} {}", kernel.module, kernel.subgroups == SubgroupRequirement::full);
     for (const SpecialisationConstant& c : kernel.constants)
@@ -153,18 +156,17 @@ std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_or_start_pipeli
         made = std::async(launch_mode, [&device, module = kernel.module, stem = kernel.name,
                                         constants = kernel.constants, subgroups = kernel.subgroups] {
             const CompilerSlot compiler_slot(device.pipelines.compilers);
-            const std::string constants_shown =
-                format_constants_of_kernel(get_embedded_kernel_spirv(module), constants);
-            return create_compute_pipeline(
-                device, make_kernel_spirv_for_device(device, module, stem, constants),
-                constants_shown.empty() ? module : module + " " + constants_shown, constants, subgroups);
+            const std::string constants_shown = format_constants(embedded_spirv(module), constants);
+            return create_pipeline(device, kernel_spirv(device, module, stem, constants),
+                                   constants_shown.empty() ? module : module + " " + constants_shown,
+                                   constants, subgroups);
         });
     return made;
 }
 
 }  // namespace
 
-const char* get_constant_name(SpecialisationConstantId constant_id) {
+const char* constant_name(SpecialisationConstantId constant_id) {
     switch (constant_id) {
 #define RELIDAR_CONSTANT_ID(name, number) \
     case SpecialisationConstantId::name:  \
@@ -191,28 +193,26 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
     });
     impl_->workgroup_size = size == all.end() ? device.workgroup_size : size->value;
     if (size == all.end()) all.push_back({SpecialisationConstantId::WORKGROUP_SIZE, device.workgroup_size});
-    impl_->addresses = gpu::list_pointer_offsets_in_parameter_block(get_embedded_kernel_spirv(kernel_name));
-    if (gpu::can_split_kernel_launch(impl_->name))
-        impl_->speed = &device.launch_limit.get_kernel_speed(impl_->name);
-    impl_->made_ = find_or_start_pipeline_build(
-        device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
-    if (device.compile_only) compile_pipeline_and_store_statistics();
+    impl_->addresses = gpu::list_pointers(embedded_spirv(kernel_name));
+    if (gpu::can_split(impl_->name)) impl_->speed = &device.launch_limit.speed_of(impl_->name);
+    impl_->made_ =
+        find_pipeline(device, *impl_, device.compiles_ahead ? std::launch::async : std::launch::deferred);
+    if (device.compile_only) compile_pipeline();
 }
 
-VkPipeline KernelBase::Impl::wait_for_compiled_pipeline() {
+VkPipeline KernelBase::Impl::wait_for_pipeline() {
     if (pipeline_) return pipeline_;
     const gpu::ComputePipelines::CompiledPipeline made = made_.get();
     if (made.result != VK_SUCCESS)
-        gpu::throw_vulkan_error(
-            made.result,
-            fmt::format("cannot create kernel {} on {}: the driver returned {}, expected VK_SUCCESS", module,
-                        device->info.name, gpu::get_vulkan_result_name(made.result)));
+        gpu::vk_fail(made.result,
+                     fmt::format("cannot create kernel {} on {}: the driver returned {}, expected VK_SUCCESS",
+                                 module, device->info.name, gpu::vk_result_name(made.result)));
     return pipeline_ = made.pipeline;
 }
 
 namespace {
 
-double convert_statistic_to_double(const VkPipelineExecutableStatisticKHR& statistic) {
+double to_double(const VkPipelineExecutableStatisticKHR& statistic) {
     switch (statistic.format) {
         case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
             return statistic.value.b32 ? 1.0 : 0.0;
@@ -227,7 +227,7 @@ double convert_statistic_to_double(const VkPipelineExecutableStatisticKHR& stati
 
 /// Reads the statistics of the driver's compiler, under the names of the driver
 /// (VK_KHR_pipeline_executable_properties).
-void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
+void query_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics) {
     VkPipelineInfoKHR info{VK_STRUCTURE_TYPE_PIPELINE_INFO_KHR};
     info.pipeline = pipeline;
     const auto executables = gpu::enumerate<VkPipelineExecutablePropertiesKHR>(
@@ -249,16 +249,16 @@ void query_pipeline_statistics(VkDevice device, VkPipeline pipeline, PipelineSta
         },
         {VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_STATISTIC_KHR});
     for (const VkPipelineExecutableStatisticKHR& value : values)
-        statistics.values[value.name] = convert_statistic_to_double(value);
+        statistics.values[value.name] = to_double(value);
 }
 
 }  // namespace
 
-void KernelBase::compile_pipeline_and_store_statistics() {
+void KernelBase::compile_pipeline() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;
     s.kernel = impl_->module;
-    s.constants = format_constants_of_kernel(get_embedded_kernel_spirv(impl_->module), impl_->constants);
+    s.constants = format_constants(embedded_spirv(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
     const auto is_same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants &&
@@ -266,30 +266,29 @@ void KernelBase::compile_pipeline_and_store_statistics() {
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
     const gpu::ComputePipelines::CompiledPipeline made = impl_->made_.get();
-    if (made.result != VK_SUCCESS) s.failure = gpu::get_vulkan_result_name(made.result);
-    else if (device.pipeline_statistics) query_pipeline_statistics(device.device, made.pipeline, s);
+    if (made.result != VK_SUCCESS) s.failure = gpu::vk_result_name(made.result);
+    else if (device.pipeline_statistics) query_statistics(device.device, made.pipeline, s);
     device.compiled.push_back(s);
 }
 
 KernelBase::~KernelBase() = default;
 
-bool is_lane_reconvergence_guaranteed(const Device& device) {
+bool lanes_reconverge(const Device& device) {
     const gpu::OptionalFeatures& optional = device.impl().optional;
     return optional.maximal_reconvergence || optional.subgroup_uniform_control_flow;
 }
 
-std::string list_missing_neural_network_features(const Device& device) {
+std::string missing_for_networks(const Device& device) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
     vkGetPhysicalDeviceProperties2(device.impl().physical, &properties);
-    return gpu::list_missing_neural_network_features(subgroup, sizes, device.impl().optional);
+    return gpu::missing_for_networks(subgroup, sizes, device.impl().optional);
 }
 
-KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
-                                                     const KernelVariant& base_variant) {
+KernelVariant atomic_variant(const Device& device, const KernelVariant& base_variant) {
     if (device.impl().wrong_sums)
         fail<DeviceError>("cannot add gradients on {}: it computes wrong sums of floats (`relidar check`)",
                           device.info().name);

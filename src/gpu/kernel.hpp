@@ -29,7 +29,7 @@ enum class SpecialisationConstantId : std::uint32_t {
     RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #undef RELIDAR_CONSTANT_ID
 };
-const char* get_constant_name(SpecialisationConstantId constant_id);
+const char* constant_name(SpecialisationConstantId constant_id);
 
 struct SpecialisationConstant {
     SpecialisationConstantId id;
@@ -41,14 +41,14 @@ struct SpecialisationConstant {
 enum class SubgroupRequirement { any, full };
 
 /// Returns an empty text if the kernel is unknown.
-constexpr std::string_view find_parameter_struct_name(std::string_view kernel_name) {
+constexpr std::string_view params_name(std::string_view kernel_name) {
     for (const auto& [kernel, params] : kKernelParams)
         if (kernel == kernel_name) return params;
     return {};
 }
 
 template <class Struct>
-consteval std::string_view get_unqualified_struct_name() {
+consteval std::string_view struct_name() {
     // The compiler's text for this function contains the name, for example "... [with
     // Struct = relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
@@ -75,7 +75,7 @@ public:
 private:
     std::unique_ptr<Impl> impl_;
 
-    void compile_pipeline_and_store_statistics();
+    void compile_pipeline();
 };
 
 /// Compilation fails if the parameter struct of the kernel with this name is not Params.
@@ -84,10 +84,10 @@ class KernelName {
 public:
     template <std::size_t n>
     consteval KernelName(const char (&name)[n]) : name_(name) {
-        if (find_parameter_struct_name(name_) != get_unqualified_struct_name<Params>())
+        if (params_name(name_) != struct_name<Params>())
             throw "the kernel with this name has another parameter struct than Params";
     }
-    std::string_view get_kernel_name() const { return name_; }
+    std::string_view text() const { return name_; }
 
 private:
     std::string_view name_;
@@ -105,25 +105,24 @@ class Kernel : public KernelBase {
 public:
     Kernel(Device& device, KernelName<Params> name, const std::vector<SpecialisationConstant>& constants = {},
            SubgroupRequirement subgroups = SubgroupRequirement::any)
-        : KernelBase(device, name.get_kernel_name(), constants, subgroups) {}
+        : KernelBase(device, name.text(), constants, subgroups) {}
     Kernel(Device& device, KernelName<Params> name, const KernelVariant& variant,
            const std::vector<SpecialisationConstant>& constants = {},
            SubgroupRequirement subgroups = SubgroupRequirement::any)
-        : KernelBase(device, std::string(name.get_kernel_name()) + variant.suffix, constants, subgroups) {}
+        : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
 };
 
 /// GPUs load complete cache lines if neighbouring threads read neighbouring addresses. On
 /// a CPU device it is faster if each thread reads consecutive addresses.
-bool should_coalesce_memory_access(const Device& device);
-bool is_brute_force_tracing_forced(const Device& device);
+bool should_coalesce(const Device& device);
+bool is_brute_force(const Device& device);
 
 /// Vulkan guarantees this only with an extension.
-bool is_lane_reconvergence_guaranteed(const Device& device);
+bool lanes_reconverge(const Device& device);
 
-std::string list_missing_neural_network_features(const Device& device);
+std::string missing_for_networks(const Device& device);
 
 /// Float atomics if the device has them, otherwise compare-and-swap.
-KernelVariant choose_atomic_float_add_kernel_variant(const Device& device,
-                                                     const KernelVariant& base_variant = KernelVariant("@"));
+KernelVariant atomic_variant(const Device& device, const KernelVariant& base_variant = KernelVariant("@"));
 
 }  // namespace relidar

@@ -7,38 +7,35 @@
 
 namespace relidar::gpu {
 
-std::uint32_t KernelSpeed::choose_workgroups_per_dispatch(double target_dispatch_s) const {
+std::uint32_t KernelSpeed::workgroups_for(double target_dispatch_s) const {
     const double s_per_group = s_per_group_;
     if (!(s_per_group > 0.0)) return kUnknownGroups;
     return static_cast<std::uint32_t>(std::clamp(target_dispatch_s / s_per_group, 1.0, 4e9));
 }
 
-double KernelSpeed::estimate_dispatch_duration_s(std::uint32_t n_workgroups) const {
-    return s_per_group_ * n_workgroups;
-}
+double KernelSpeed::estimate_s(std::uint32_t n_workgroups) const { return s_per_group_ * n_workgroups; }
 
-bool KernelSpeed::should_measure_next_dispatch(double target_dispatch_s, std::uint32_t n_workgroups) {
-    constexpr std::uint64_t kFirst = 8, kEvery = 64;
+bool KernelSpeed::should_measure(double target_dispatch_s, std::uint32_t n_workgroups) {
+    constexpr std::uint64_t kFirstMeasured = 8, kMeasureInterval = 64;
     // The fixed cost of small dispatches would make the kernel look slow. The pieces of a
     // slow kernel are measured, so that a kernel that has become faster is noticed.
-    if (n_workgroups < std::min(kUnknownGroups / 4, choose_workgroups_per_dispatch(target_dispatch_s) / 2))
-        return false;
+    if (n_workgroups < std::min(kUnknownGroups / 4, workgroups_for(target_dispatch_s) / 2)) return false;
     const std::uint64_t n = n_dispatches_++;
-    return n < kFirst || n % kEvery == 0;
+    return n < kFirstMeasured || n % kMeasureInterval == 0;
 }
 
-void KernelSpeed::update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s) {
+void KernelSpeed::add_dispatch(std::uint32_t n_workgroups, double duration_s) {
     // Keeps the maximum, because a kernel may be slower in another scene.
-    constexpr double kForget = 0.9;
-    s_per_group_ = std::max(duration_s / n_workgroups, kForget * s_per_group_);
+    constexpr double kOldWeight = 0.9;
+    s_per_group_ = std::max(duration_s / n_workgroups, kOldWeight * s_per_group_);
 }
 
-KernelSpeed& LaunchTimeLimit::get_kernel_speed(const std::string& kernel_name) {
+KernelSpeed& LaunchTimeLimit::speed_of(const std::string& kernel_name) {
     const std::scoped_lock lock(mutex_);
     return speeds_[kernel_name];
 }
 
-bool can_split_kernel_launch(const std::string& kernel_name) {
+bool can_split(const std::string& kernel_name) {
     constexpr std::array<std::string_view, 4> kUnsplittableKernels{
         "diff/accel/bvh_refit", "diff/optimizer/adam", "scene/activate_vjp", "gpu/radix_scan"};
     return std::ranges::find(kUnsplittableKernels, kernel_name) == kUnsplittableKernels.end();

@@ -19,12 +19,12 @@ public:
     /// Number of workgroups per dispatch for a kernel whose speed is unknown.
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
-    std::uint32_t choose_workgroups_per_dispatch(double target_dispatch_s) const;
+    std::uint32_t workgroups_for(double target_dispatch_s) const;
     /// Returns 0 if the speed is unknown.
-    double estimate_dispatch_duration_s(std::uint32_t n_workgroups) const;
+    double estimate_s(std::uint32_t n_workgroups) const;
     /// The first 8 dispatches of a kernel are measured, and then every 64th.
-    bool should_measure_next_dispatch(double target_dispatch_s, std::uint32_t n_workgroups);
-    void update_speed_from_dispatch(std::uint32_t n_workgroups, double duration_s);
+    bool should_measure(double target_dispatch_s, std::uint32_t n_workgroups);
+    void add_dispatch(std::uint32_t n_workgroups, double duration_s);
 
 private:
     std::atomic<double> s_per_group_{0.0};
@@ -36,9 +36,9 @@ public:
     /// Half of the duration that drivers allow, because speeds vary. 0 = no limit.
     double piece_s = 0.0;
 
-    bool has_dispatch_time_limit() const { return piece_s > 0.0; }
+    bool has_limit() const { return piece_s > 0.0; }
     /// The reference stays valid. Thread-safe.
-    KernelSpeed& get_kernel_speed(const std::string& kernel_name);
+    KernelSpeed& speed_of(const std::string& kernel_name);
 
 private:
     std::mutex mutex_;
@@ -46,6 +46,6 @@ private:
 };
 
 /// False for kernels that read the total number of workgroups.
-bool can_split_kernel_launch(const std::string& kernel_name);
+bool can_split(const std::string& kernel_name);
 
 }  // namespace relidar::gpu

@@ -15,31 +15,31 @@ namespace relidar::gpu {
 namespace {
 
 // Acceleration structures need this alignment in bytes.
-constexpr std::uint64_t kAlignment = 256;
+constexpr std::uint64_t kBufferAlignment = 256;
 
-std::vector<VkMemoryPropertyFlags> list_memory_flags_best_first(BufferPurpose purpose) {
-    constexpr VkMemoryPropertyFlags kHost =
+std::vector<VkMemoryPropertyFlags> preferred_flags(BufferPurpose purpose) {
+    constexpr VkMemoryPropertyFlags kHostFlags =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
     switch (purpose) {
         case BufferPurpose::device:
             return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
         case BufferPurpose::parameters:
-            return {kHost | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHost};
+            return {kHostFlags | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHostFlags};
         case BufferPurpose::upload:
-            return {kHost};
+            return {kHostFlags};
         case BufferPurpose::readback:
-            return {kHost | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHost};
+            return {kHostFlags | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHostFlags};
     }
     return {};
 }
 
 }  // namespace
 
-MemoryBudget query_memory_budget(VkPhysicalDevice physical_device) {
+MemoryBudget query_budget(VkPhysicalDevice physical_device) {
     VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};
     VkPhysicalDeviceMemoryProperties2 memory{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_PROPERTIES_2};
-    const bool has_budgets = supports_device_extension(physical_device, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
+    const bool has_budgets = has_extension(physical_device, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
     if (has_budgets) memory.pNext = &budgets;
     vkGetPhysicalDeviceMemoryProperties2(physical_device, &memory);
     MemoryBudget largest;
@@ -91,11 +91,11 @@ DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical_device, V
 }
 
 DeviceMemoryAllocator::~DeviceMemoryAllocator() {
-    for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty_blocks(type, 0);
+    for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
 }
 
 /// Smaller for a small heap, for example the 256 MiB that a host can access.
-std::uint64_t DeviceMemoryAllocator::compute_new_block_size_bytes(std::uint32_t memory_type_index) const {
+std::uint64_t DeviceMemoryAllocator::new_block_bytes(std::uint32_t memory_type_index) const {
     const std::uint64_t heap_bytes =
         properties_.memoryHeaps[properties_.memoryTypes[memory_type_index].heapIndex].size;
     // Drivers without hardware report a heap size of 0.
@@ -104,68 +104,65 @@ std::uint64_t DeviceMemoryAllocator::compute_new_block_size_bytes(std::uint32_t 
 
 /// Best first. Device memory that the host can access may be scarce, so only small
 /// parameter buffers may use it.
-std::vector<std::uint32_t> DeviceMemoryAllocator::list_suitable_memory_types(
-    const VkMemoryRequirements& requirements, BufferPurpose purpose) const {
+std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequirements& requirements,
+                                                             BufferPurpose purpose) const {
     std::vector<std::uint32_t> suitable_types;
-    for (const VkMemoryPropertyFlags properties_mask : list_memory_flags_best_first(purpose))
+    for (const VkMemoryPropertyFlags properties_mask : preferred_flags(purpose))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
             if (!(requirements.memoryTypeBits >> type & 1u) ||
                 (properties_.memoryTypes[type].propertyFlags & properties_mask) != properties_mask)
                 continue;
             const bool scarce = purpose == BufferPurpose::parameters &&
                                 (properties_mask & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
-                                requirements.size > compute_new_block_size_bytes(type);
+                                requirements.size > new_block_bytes(type);
             if (!scarce) suitable_types.push_back(type);
             break;
         }
     return suitable_types;
 }
 
-std::optional<MemorySuballocation> DeviceMemoryAllocator::suballocate_from_existing_block(
+std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
     const VkMemoryRequirements& requirements, std::uint32_t memory_type_index) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[memory_type_index])
-        if (const auto offset =
-                block->free.allocate_range(requirements.size, std::max(requirements.alignment, kAlignment)))
+        if (const auto offset = block->free.allocate_range(
+                requirements.size, std::max(requirements.alignment, kBufferAlignment)))
             return MemorySuballocation{block.get(), *offset, requirements.size};
     return std::nullopt;
 }
 
-VkResult DeviceMemoryAllocator::suballocate_memory(const VkMemoryRequirements& requirements,
-                                                   BufferPurpose purpose,
-                                                   MemorySuballocation& suballocation) {
+VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
+                                            MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
     VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
-    for (const std::uint32_t type : list_suitable_memory_types(requirements, purpose)) {
-        std::optional<MemorySuballocation> free_piece = suballocate_from_existing_block(requirements, type);
-        result = free_piece ? VK_SUCCESS : suballocate_from_new_block(requirements, type, free_piece);
+    for (const std::uint32_t type : find_types(requirements, purpose)) {
+        std::optional<MemorySuballocation> free_piece = place_in_block(requirements, type);
+        result = free_piece ? VK_SUCCESS : place_in_new_block(requirements, type, free_piece);
         if (result != VK_SUCCESS) continue;
         suballocation = *free_piece;
-        if (purpose != BufferPurpose::device) result = map_block_to_host(*suballocation.block);
+        if (purpose != BufferPurpose::device) result = map_block(*suballocation.block);
         if (result == VK_SUCCESS) break;
         suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
     }
     return result;
 }
 
-VkResult DeviceMemoryAllocator::suballocate_from_new_block(
-    const VkMemoryRequirements& requirements, std::uint32_t memory_type_index,
-    std::optional<MemorySuballocation>& suballocation) {
-    const std::uint64_t shared = compute_new_block_size_bytes(memory_type_index);
+VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& requirements,
+                                                   std::uint32_t memory_type_index,
+                                                   std::optional<MemorySuballocation>& suballocation) {
+    const std::uint64_t shared = new_block_bytes(memory_type_index);
     VkResult result = VK_SUCCESS;
     // First tries a block that several buffers can share.
     for (const std::uint64_t n_bytes :
          {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
-        result = allocate_memory_block(memory_type_index, n_bytes);
-        if (result == VK_SUCCESS &&
-            (suballocation = suballocate_from_existing_block(requirements, memory_type_index)))
+        result = allocate_block(memory_type_index, n_bytes);
+        if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, memory_type_index)))
             return VK_SUCCESS;
-        release_empty_blocks(memory_type_index, 0);
+        release_empty(memory_type_index, 0);
     }
     return result;
 }
 
-VkResult DeviceMemoryAllocator::allocate_memory_block(std::uint32_t memory_type_index,
-                                                      std::uint64_t n_bytes) {
+VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t memory_type_index, std::uint64_t n_bytes) {
     VkMemoryAllocateFlagsInfo flags{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
     flags.flags = VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
     VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
@@ -175,13 +172,13 @@ VkResult DeviceMemoryAllocator::allocate_memory_block(std::uint32_t memory_type_
         MemoryBlock{VK_NULL_HANDLE, memory_type_index, n_bytes, nullptr, FreeRanges(n_bytes)});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
     if (result != VK_SUCCESS) return result;
-    set_vulkan_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
-                           fmt::format("block of {} MiB, type {}", n_bytes >> 20, memory_type_index));
+    set_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
+                    fmt::format("block of {} MiB, type {}", n_bytes >> 20, memory_type_index));
     blocks_[memory_type_index].push_back(std::move(block));
     return result;
 }
 
-VkResult DeviceMemoryAllocator::map_block_to_host(MemoryBlock& block) {
+VkResult DeviceMemoryAllocator::map_block(MemoryBlock& block) {
     if (block.mapped) return VK_SUCCESS;
     void* pointer = nullptr;
     const VkResult result = vkMapMemory(device_, block.memory, 0, VK_WHOLE_SIZE, 0, &pointer);
@@ -190,18 +187,17 @@ VkResult DeviceMemoryAllocator::map_block_to_host(MemoryBlock& block) {
 }
 
 /// Keeps one empty block of each memory type for short-lived buffers.
-void DeviceMemoryAllocator::release_suballocation(const MemorySuballocation& suballocation) {
+void DeviceMemoryAllocator::release(const MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
     suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
-    if (suballocation.block->free.is_whole_block_free()) release_empty_blocks(suballocation.block->type, 1);
+    if (suballocation.block->free.is_all_free()) release_empty(suballocation.block->type, 1);
 }
 
 /// @param n_blocks_to_keep number of empty blocks of normal size that are kept
-void DeviceMemoryAllocator::release_empty_blocks(std::uint32_t memory_type_index,
-                                                 std::size_t n_blocks_to_keep) {
+void DeviceMemoryAllocator::release_empty(std::uint32_t memory_type_index, std::size_t n_blocks_to_keep) {
     std::erase_if(blocks_[memory_type_index], [&](const std::unique_ptr<MemoryBlock>& block) {
-        if (!block->free.is_whole_block_free()) return false;
-        if (n_blocks_to_keep > 0 && block->n_bytes == compute_new_block_size_bytes(memory_type_index)) {
+        if (!block->free.is_all_free()) return false;
+        if (n_blocks_to_keep > 0 && block->n_bytes == new_block_bytes(memory_type_index)) {
             --n_blocks_to_keep;
             return false;
         }
@@ -210,7 +206,7 @@ void DeviceMemoryAllocator::release_empty_blocks(std::uint32_t memory_type_index
     });
 }
 
-std::size_t DeviceMemoryAllocator::count_memory_blocks() const {
+std::size_t DeviceMemoryAllocator::block_count() const {
     const std::lock_guard lock(mutex_);
     std::size_t n = 0;
     for (const MemoryBlockList& blocks : blocks_) n += blocks.size();

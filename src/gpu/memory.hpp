@@ -32,11 +32,11 @@ struct MemoryBudget {
     std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap, in bytes.
     std::uint64_t n_used = 0;   ///< Memory of this heap that this process uses, in bytes.
 
-    std::uint64_t get_free_device_memory_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
+    std::uint64_t free_bytes() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
 };
 /// With VK_EXT_memory_budget, memory of other programs is subtracted. Otherwise n_used is
 /// 0.
-MemoryBudget query_memory_budget(VkPhysicalDevice physical_device);
+MemoryBudget query_budget(VkPhysicalDevice physical_device);
 
 class FreeRanges {
 public:
@@ -45,7 +45,7 @@ public:
     /// @param alignment_bytes a power of two
     std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment_bytes);
     void release_range(std::uint64_t offset, std::uint64_t n_bytes);
-    bool is_whole_block_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
+    bool is_all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
     std::uint64_t n_bytes_;
@@ -78,10 +78,10 @@ public:
     DeviceMemoryAllocator& operator=(const DeviceMemoryAllocator&) = delete;
 
     /// @return result of the driver for the last memory type that was tried
-    VkResult suballocate_memory(const VkMemoryRequirements& requirements, BufferPurpose purpose,
-                                MemorySuballocation& suballocation);
-    void release_suballocation(const MemorySuballocation& suballocation);
-    std::size_t count_memory_blocks() const;
+    VkResult suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
+                         MemorySuballocation& suballocation);
+    void release(const MemorySuballocation& suballocation);
+    std::size_t block_count() const;
 
 private:
     using MemoryBlockList = std::vector<std::unique_ptr<MemoryBlock>>;
@@ -91,17 +91,16 @@ private:
     mutable std::mutex mutex_;
     std::array<MemoryBlockList, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
 
-    std::vector<std::uint32_t> list_suitable_memory_types(const VkMemoryRequirements& requirements,
-                                                          BufferPurpose purpose) const;
-    std::uint64_t compute_new_block_size_bytes(std::uint32_t memory_type_index) const;
-    std::optional<MemorySuballocation> suballocate_from_existing_block(
-        const VkMemoryRequirements& requirements, std::uint32_t memory_type_index);
-    VkResult suballocate_from_new_block(const VkMemoryRequirements& requirements,
-                                        std::uint32_t memory_type_index,
-                                        std::optional<MemorySuballocation>& suballocation);
-    VkResult map_block_to_host(MemoryBlock& block);
-    VkResult allocate_memory_block(std::uint32_t memory_type_index, std::uint64_t n_bytes);
-    void release_empty_blocks(std::uint32_t memory_type_index, std::size_t n_blocks_to_keep);
+    std::vector<std::uint32_t> find_types(const VkMemoryRequirements& requirements,
+                                          BufferPurpose purpose) const;
+    std::uint64_t new_block_bytes(std::uint32_t memory_type_index) const;
+    std::optional<MemorySuballocation> place_in_block(const VkMemoryRequirements& requirements,
+                                                      std::uint32_t memory_type_index);
+    VkResult place_in_new_block(const VkMemoryRequirements& requirements, std::uint32_t memory_type_index,
+                                std::optional<MemorySuballocation>& suballocation);
+    VkResult map_block(MemoryBlock& block);
+    VkResult allocate_block(std::uint32_t memory_type_index, std::uint64_t n_bytes);
+    void release_empty(std::uint32_t memory_type_index, std::size_t n_blocks_to_keep);
 };
 
 }  // namespace relidar::gpu

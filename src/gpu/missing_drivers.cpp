@@ -18,7 +18,7 @@ struct GpuMaker {
     std::uint32_t vendor_id;                  ///< PCI identifier, also in VkPhysicalDeviceProperties
     const char *name, *device_file, *advice;  ///< device_file: in /dev, a number may follow
 };
-constexpr GpuMaker kMakers[] = {
+constexpr GpuMaker kGpuMakers[] = {
     {0x10DE, "NVIDIA", "nvidia",
      "install NVIDIA's Vulkan driver; in a container, set NVIDIA_DRIVER_CAPABILITIES=all"},
     {0x1002, "AMD", "kfd", "install Mesa's Vulkan driver (RADV)"},
@@ -47,15 +47,14 @@ fs::path find_device_file(const fs::path& root, std::uint32_t vendor_id, const s
 
 }  // namespace
 
-std::vector<std::string> list_gpus_without_driver(const std::vector<DeviceInfo>& devices,
-                                                  const fs::path& root) {
+std::vector<std::string> find_driverless(const std::vector<DeviceInfo>& devices, const fs::path& root) {
     std::vector<std::string> lines;
     std::error_code failed;
     const auto add = [&](const std::string& name, const fs::path& file, const char* advice) {
         lines.push_back(fmt::format("{} (/{}) is not used, because no Vulkan driver offers it; {}", name,
                                     file.lexically_relative(root).string(), advice));
     };
-    for (const GpuMaker& maker : kMakers) {
+    for (const GpuMaker& maker : kGpuMakers) {
         if (std::ranges::find(devices, maker.vendor_id, &DeviceInfo::vendor_id) != devices.end()) continue;
         const fs::path file = find_device_file(root, maker.vendor_id, maker.device_file);
         if (!file.empty()) add(fmt::format("the {} GPU of this machine", maker.name), file, maker.advice);

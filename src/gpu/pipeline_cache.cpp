@@ -26,7 +26,7 @@ struct PipelineCacheHeader {
     std::uint64_t hash = 0;
 };
 
-PipelineCacheHeader make_pipeline_cache_header(std::string_view cache_data) {
+PipelineCacheHeader make_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
     header.n_bytes = cache_data.size();
     // FNV-1a. Drivers check only the header of their data and could crash.
@@ -37,8 +37,8 @@ PipelineCacheHeader make_pipeline_cache_header(std::string_view cache_data) {
 }
 
 /// Empty if the file is missing, truncated, damaged, or from another driver.
-std::string read_cache_data_if_valid(const std::filesystem::path& path,
-                                     const VkPhysicalDeviceProperties& device_properties) {
+std::string read_cache(const std::filesystem::path& path,
+                       const VkPhysicalDeviceProperties& device_properties) {
     std::ifstream file(path, std::ios::binary);
     PipelineCacheHeader header;
     if (!file.read(reinterpret_cast<char*>(&header), sizeof header)) return {};
@@ -48,7 +48,7 @@ std::string read_cache_data_if_valid(const std::filesystem::path& path,
     VkPipelineCacheHeaderVersionOne driver{};
     if (bytes.size() < sizeof driver || !file.read(bytes.data(), static_cast<std::streamsize>(bytes.size())))
         return {};
-    const PipelineCacheHeader expected = make_pipeline_cache_header(bytes);
+    const PipelineCacheHeader expected = make_cache_header(bytes);
     std::memcpy(&driver, bytes.data(), sizeof driver);
     const bool same_driver =
         driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE &&
@@ -60,7 +60,7 @@ std::string read_cache_data_if_valid(const std::filesystem::path& path,
 
 }  // namespace
 
-void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes) {
+void write_cache_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     // One process may close several devices simultaneously.
@@ -73,7 +73,7 @@ void try_replace_file_atomically(const std::filesystem::path& path, std::string_
     if (!file || failed) std::filesystem::remove(temporary, failed);
 }
 
-std::string make_cache_file_name(const VkPhysicalDeviceProperties& device_properties) {
+std::string cache_file_name(const VkPhysicalDeviceProperties& device_properties) {
     std::string uuid;
     for (const std::uint8_t byte : device_properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
     return fmt::format("{:04x}_{:04x}_{}", device_properties.vendorID, device_properties.deviceID, uuid);
@@ -84,22 +84,22 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical_device, VkDevice device,
     : device_(device) {
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(physical_device, &properties);
-    if (!cache_folder.empty()) path_ = cache_folder / ("pipelines_" + make_cache_file_name(properties));
+    if (!cache_folder.empty()) path_ = cache_folder / ("pipelines_" + cache_file_name(properties));
 
-    const std::string bytes = path_.empty() ? std::string() : read_cache_data_if_valid(path_, properties);
+    const std::string bytes = path_.empty() ? std::string() : read_cache(path_, properties);
     read_bytes_ = bytes.size();
     VkPipelineCacheCreateInfo info{VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO};
     info.initialDataSize = bytes.size();
     info.pInitialData = bytes.data();
     if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) {
-        set_vulkan_object_name(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
+        set_object_name(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
         return;
     }
     handle_ = VK_NULL_HANDLE;  // Without a handle, pipelines are created without a cache.
     path_.clear();
 }
 
-void PipelineCache::save_cache_to_file() const {
+void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
@@ -108,13 +108,12 @@ void PipelineCache::save_cache_to_file() const {
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;
     bytes.resize(n_bytes);
-    const PipelineCacheHeader header = make_pipeline_cache_header(bytes);
-    try_replace_file_atomically(path_,
-                                std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
+    const PipelineCacheHeader header = make_cache_header(bytes);
+    write_cache_file(path_, std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
 }
 
 PipelineCache::~PipelineCache() {
-    if (!path_.empty()) save_cache_to_file();
+    if (!path_.empty()) save();
     vkDestroyPipelineCache(device_, handle_, nullptr);
 }
 

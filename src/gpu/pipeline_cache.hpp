@@ -14,10 +14,10 @@
 namespace relidar::gpu {
 
 /// Atomically. Ignores failures, because they only make the next start slower.
-void try_replace_file_atomically(const std::filesystem::path& path, std::string_view bytes);
+void write_cache_file(const std::filesystem::path& path, std::string_view bytes);
 
 /// Unique for the device and its driver version.
-std::string make_cache_file_name(const VkPhysicalDeviceProperties& device_properties);
+std::string cache_file_name(const VkPhysicalDeviceProperties& device_properties);
 
 class PipelineCache {
 public:
@@ -30,7 +30,7 @@ public:
 
     VkPipelineCache handle() const { return handle_; }
     const std::filesystem::path& path() const { return path_; }
-    std::size_t get_loaded_cache_size_bytes() const { return read_bytes_; }
+    std::size_t loaded_bytes() const { return read_bytes_; }
 
 private:
     VkDevice device_;
@@ -38,7 +38,7 @@ private:
     std::filesystem::path path_;
     std::size_t read_bytes_ = 0;
 
-    void save_cache_to_file() const;
+    void save() const;
 };
 
 }  // namespace relidar::gpu

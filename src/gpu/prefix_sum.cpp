@@ -13,7 +13,7 @@ PrefixSum::PrefixSum(Device& device)
     : sums_(device, "gpu/scan_sums", {kTileWorkgroup}, SubgroupRequirement::full),
       write_(device, "gpu/scan_write", {kTileWorkgroup}, SubgroupRequirement::full) {}
 
-void PrefixSum::reserve_scratch_memory(Device& device, std::size_t max_count) {
+void PrefixSum::reserve_scratch(Device& device, std::size_t max_count) {
     for (std::size_t level = 0; max_count > RELIDAR_TILE_SIZE; ++level) {
         max_count = count_tiles(max_count);
         if (levels_.size() == level) levels_.emplace_back();
@@ -24,19 +24,18 @@ void PrefixSum::reserve_scratch_memory(Device& device, std::size_t max_count) {
 void PrefixSum::run(Stream& stream, const StridedCounts& counts,
                     Address<std::uint32_t, shared::ScanPrefix> prefix, std::uint32_t count,
                     Address<std::uint32_t, shared::ScanTotal> total) const {
-    record_prefix_sum_of_one_level(stream,
-                                   {.counts = counts.address,
-                                    .tile_sums = {},
-                                    .prefix = prefix,
-                                    .total = total,
-                                    .n = count,
-                                    .offset = counts.offset,
-                                    .stride = counts.stride},
-                                   0);
+    record_level(stream,
+                 {.counts = counts.address,
+                  .tile_sums = {},
+                  .prefix = prefix,
+                  .total = total,
+                  .n = count,
+                  .offset = counts.offset,
+                  .stride = counts.stride},
+                 0);
 }
 
-void PrefixSum::record_prefix_sum_of_one_level(Stream& stream, shared::ScanParams level_0_params,
-                                               std::size_t level) const {
+void PrefixSum::record_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const {
     if (level_0_params.n == 0) return;
     const std::size_t n_tiles = count_tiles(level_0_params.n), n_threads = n_tiles * RELIDAR_TILE_THREADS;
     if (n_tiles > 1) {
@@ -44,16 +43,15 @@ void PrefixSum::record_prefix_sum_of_one_level(Stream& stream, shared::ScanParam
         RELIDAR_ASSERT_LE(n_tiles, levels_[level].size());
         level_0_params.tile_sums = levels_[level].address();
         relidar::run(stream, sums_, n_threads, level_0_params);
-        record_prefix_sum_of_one_level(
-            stream,
-            {.counts = level_0_params.tile_sums.cast_content_tag<shared::ScanCounts>(),
-             .tile_sums = {},
-             .prefix = level_0_params.tile_sums.cast_content_tag<shared::ScanPrefix>(),
-             .total = {},
-             .n = static_cast<std::uint32_t>(n_tiles),
-             .offset = 0,
-             .stride = 1},
-            level + 1);
+        record_level(stream,
+                     {.counts = level_0_params.tile_sums.cast_tag<shared::ScanCounts>(),
+                      .tile_sums = {},
+                      .prefix = level_0_params.tile_sums.cast_tag<shared::ScanPrefix>(),
+                      .total = {},
+                      .n = static_cast<std::uint32_t>(n_tiles),
+                      .offset = 0,
+                      .stride = 1},
+                     level + 1);
     }
     relidar::run(stream, write_, n_threads, level_0_params);
 }

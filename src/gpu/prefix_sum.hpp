@@ -18,7 +18,7 @@ class PrefixSum {
 public:
     explicit PrefixSum(Device& device);
     /// Frees the old memory, so no pending submission may use this object.
-    void reserve_scratch_memory(Device& device, std::size_t max_count);
+    void reserve_scratch(Device& device, std::size_t max_count);
     /// Submits kernels that compute prefix sums: prefix[i] is the sum of all counts
     /// before count i. `prefix` may be the same array as the counts. The total must fit
     /// into 32 bits.
@@ -33,8 +33,7 @@ private:
     /// higher level tiles of the level below.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
-    void record_prefix_sum_of_one_level(Stream& stream, shared::ScanParams level_0_params,
-                                        std::size_t level) const;
+    void record_level(Stream& stream, shared::ScanParams level_0_params, std::size_t level) const;
 };
 
 }  // namespace relidar

@@ -48,7 +48,7 @@ RadixSort::RadixSort(Device& device, std::uint32_t max_keys, std::uint32_t words
 SortBuffers RadixSort::run(Stream& stream, SortBuffers input, SortBuffers scratch, std::uint32_t key_bits,
                            Address<std::uint32_t, shared::SortCount> n_keys) const {
     const std::size_t n_threads = count_tiles(capacity_) * RELIDAR_TILE_THREADS;
-    for (std::uint32_t pass = 0; pass < count_radix_passes(key_bits); ++pass) {
+    for (std::uint32_t pass = 0; pass < pass_count(key_bits); ++pass) {
         const shared::RadixSortParams params{
             .n_keys = n_keys,
             .keys = input.keys,

@@ -23,9 +23,7 @@ public:
     std::uint32_t capacity() const { return capacity_; }
 
     /// 8 bits per pass. If the number is odd, the result is in the second set of arrays.
-    static std::uint32_t count_radix_passes(std::uint32_t key_bits) {
-        return key_bits > 8 ? (key_bits + 7) / 8 : 1;
-    }
+    static std::uint32_t pass_count(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
     /// Submits kernels that sort keys by their low `key_bits` bits. Equal keys keep their
     /// order. Overwrites both sets of arrays.
     /// @param input keys to sort. The order array of this set is not read

@@ -22,33 +22,33 @@ struct ReadbackBuffer::Impl {
                                               gpu::BufferPurpose::readback, name)) {}
 };
 
-ReadbackBuffer::ReadbackBuffer(Device& device, std::size_t n_bytes, const std::string& description)
-    : impl_(std::make_unique<Impl>(device, n_bytes, description)) {}
+ReadbackBuffer::ReadbackBuffer(Device& device, std::size_t n_bytes, const std::string& text)
+    : impl_(std::make_unique<Impl>(device, n_bytes, text)) {}
 ReadbackBuffer::~ReadbackBuffer() = default;
 ReadbackBuffer::ReadbackBuffer(ReadbackBuffer&&) noexcept = default;
 ReadbackBuffer& ReadbackBuffer::operator=(ReadbackBuffer&&) noexcept = default;
 
-void ReadbackBuffer::record_copy_to_host(Stream& stream, const Buffer& source, std::size_t n_bytes,
-                                         std::size_t offset_bytes) {
+void ReadbackBuffer::record_copy(Stream& stream, const Buffer& source, std::size_t n_bytes,
+                                 std::size_t offset_bytes) {
     Impl& r = *impl_;
     if (n_bytes > r.host->n_bytes || offset_bytes + n_bytes > source.size_bytes())
         throw Error(ExitCode::bug,
                     fmt::format("cannot read back {}: bytes {} to {} of {}, at most {} at once", r.what,
                                 offset_bytes, offset_bytes + n_bytes, source.size_bytes(), r.host->n_bytes));
-    stream.impl().record_copy_to_host(source.impl(), r.host, {offset_bytes, 0, n_bytes});
+    stream.impl().record_copy(source.impl(), r.host, {offset_bytes, 0, n_bytes});
     r.ticket = stream.impl().last_ticket + 1;
     r.pending = true;
 }
 
-bool ReadbackBuffer::has_pending_copy() const { return impl_->pending; }
+bool ReadbackBuffer::is_pending() const { return impl_->pending; }
 
-const void* ReadbackBuffer::wait_for_copied_bytes(Stream& stream) {
+const void* ReadbackBuffer::wait_for_bytes(Stream& stream) {
     Impl& r = *impl_;
     if (r.ticket == 0 || r.ticket > stream.impl().last_ticket)
         throw Error(ExitCode::bug, fmt::format("cannot wait for {}: its copy was not submitted; call "
                                                "record_copy_to_host() and submit_commands() first",
                                                r.what));
-    stream.wait_for_submission(r.ticket);
+    stream.wait_for(r.ticket);
     r.pending = false;
     return r.host->mapped;
 }

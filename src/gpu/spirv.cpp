@@ -9,8 +9,8 @@
 
 namespace relidar::gpu {
 
-std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
-                                                       const ExecutionMode& execution_mode) {
+std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> spirv_words,
+                                              const ExecutionMode& execution_mode) {
     // The name of the extension ends with a zero byte, which may need another word.
     const std::string_view extension_name = execution_mode.extension;
     std::vector<std::uint32_t> extension_words(1 + extension_name.size() / 4 + 1, 0u);
@@ -19,37 +19,37 @@ std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint
 
     std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords), modes;
     bool extended = false;
-    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
-            append_spirv_instruction(result, extension_words);
+            append_instruction(result, extension_words);
             extended = true;
         }
         if (opcode == kOpEntryPoint) {
-            append_spirv_instruction(modes, kOpExecutionMode, {instruction[2], execution_mode.mode});
+            append_instruction(modes, kOpExecutionMode, {instruction[2], execution_mode.mode});
         } else {  // Inserts the execution mode after the last entry point, as SPIR-V requires.
-            append_spirv_instruction(result, modes);
+            append_instruction(result, modes);
             modes.clear();
         }
-        append_spirv_instruction(result, instruction);
+        append_instruction(result, instruction);
     });
     return result;
 }
 
-std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words) {
+std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> spirv_words) {
     std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
     std::uint32_t block = 0;  // Id of the type of the parameter block.
-    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block = instruction[1];
-        append_spirv_instruction(result, instruction);
+        append_instruction(result, instruction);
         if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
-            append_spirv_instruction(result, kOpMemberDecorate, {block, instruction[2], kNonWritable});
+            append_instruction(result, kOpMemberDecorate, {block, instruction[2], kNonWritable});
     });
     return result;
 }
 
-std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> spirv_words) {
+std::set<std::uint32_t> list_constants(std::span<const std::uint32_t> spirv_words) {
     std::set<std::uint32_t> ids;
-    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && instruction[2] == kSpecId) ids.insert(instruction[3]);
     });
     return ids;

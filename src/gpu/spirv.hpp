@@ -26,30 +26,29 @@ inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgro
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
 
 /// Adds the mode to each entry point.
-std::vector<std::uint32_t> add_execution_mode_to_spirv(std::span<const std::uint32_t> spirv_words,
-                                                       const ExecutionMode& execution_mode);
+std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> spirv_words,
+                                              const ExecutionMode& execution_mode);
 
-std::vector<std::uint32_t> mark_parameter_block_read_only(std::span<const std::uint32_t> spirv_words);
+std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> spirv_words);
 
 /// Loads all parameters once, at the start of the kernel. Only for lavapipe, which would
 /// repeat the loads for each lane in loops and branches.
-std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> spirv_words);
+std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> spirv_words);
 
 /// Makes array indices non-uniform for the compiler. lavapipe after 25.0 executes a load
 /// with a uniform index even in a branch that no lane takes, and may crash. Call this
-/// before hoist_parameter_loads(), which moves the loads of parameters.
-std::vector<std::uint32_t> make_array_indices_nonuniform(std::span<const std::uint32_t> spirv_words);
+/// before hoist_loads(), which moves the loads of parameters.
+std::vector<std::uint32_t> make_nonuniform(std::span<const std::uint32_t> spirv_words);
 
 /// Unreachable blocks stay in the module. lavapipe would remove the branches only after
 /// inlining all functions, which is slow.
 /// @param constant_value_by_id other constants keep their default value
-std::vector<std::uint32_t> remove_constant_branches(
+std::vector<std::uint32_t> remove_branches(
     std::span<const std::uint32_t> spirv_words,
     const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id);
 
-std::vector<std::uint32_t> list_pointer_offsets_in_parameter_block(
-    std::span<const std::uint32_t> spirv_words);
+std::vector<std::uint32_t> list_pointers(std::span<const std::uint32_t> spirv_words);
 
-std::set<std::uint32_t> list_specialisation_constant_ids(std::span<const std::uint32_t> spirv_words);
+std::set<std::uint32_t> list_constants(std::span<const std::uint32_t> spirv_words);
 
 }  // namespace relidar::gpu

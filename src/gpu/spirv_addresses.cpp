@@ -13,16 +13,16 @@ namespace {
 class ParameterTypes {
 public:
     explicit ParameterTypes(std::span<const std::uint32_t> words) {
-        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            store_type_information(opcode, instruction);
+        for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            store_type(opcode, instruction);
         });
     }
 
-    std::uint32_t get_parameter_block_type_id() const { return block_; }
+    std::uint32_t block_type() const { return block_; }
 
     /// Byte offsets of all device addresses in a value at `value_offset_bytes`.
-    void append_pointer_member_offsets(std::uint32_t type_id, std::uint32_t value_offset_bytes,
-                                       std::vector<std::uint32_t>& pointer_offsets) const {
+    void append_pointers(std::uint32_t type_id, std::uint32_t value_offset_bytes,
+                         std::vector<std::uint32_t>& pointer_offsets) const {
         const auto type_entry = types_.find(type_id);
         // Numbers and vectors cannot contain a device address.
         if (type_entry == types_.end()) return;
@@ -33,13 +33,12 @@ public:
                 break;
             case kOpTypeArray:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
-                    append_pointer_member_offsets(t[2], value_offset_bytes + k * strides_.at(type_id),
-                                                  pointer_offsets);
+                    append_pointers(t[2], value_offset_bytes + k * strides_.at(type_id), pointer_offsets);
                 break;
             default:
                 for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
-                    append_pointer_member_offsets(t[k + 2], value_offset_bytes + offsets_.at({type_id, k}),
-                                                  pointer_offsets);
+                    append_pointers(t[k + 2], value_offset_bytes + offsets_.at({type_id, k}),
+                                    pointer_offsets);
         }
     }
 
@@ -50,7 +49,7 @@ private:
     /// By the id of the struct and the index of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
-    void store_type_information(std::uint32_t opcode, SpirvInstruction instruction) {
+    void store_type(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
         if (opcode == kOpTypePointer || opcode == kOpTypeArray || opcode == kOpTypeStruct)
             types_[instruction[1]] = instruction;
@@ -64,11 +63,10 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> list_pointer_offsets_in_parameter_block(
-    std::span<const std::uint32_t> spirv_words) {
+std::vector<std::uint32_t> list_pointers(std::span<const std::uint32_t> spirv_words) {
     const ParameterTypes types(spirv_words);
     std::vector<std::uint32_t> offsets;
-    types.append_pointer_member_offsets(types.get_parameter_block_type_id(), 0, offsets);
+    types.append_pointers(types.block_type(), 0, offsets);
     return offsets;
 }
 

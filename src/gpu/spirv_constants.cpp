@@ -21,12 +21,12 @@ public:
     explicit SpirvConstantValues(const std::map<std::uint32_t, std::uint32_t>& constants)
         : constants_(constants) {}
 
-    std::optional<std::uint32_t> find_constant_value(std::uint32_t result_id) const {
+    std::optional<std::uint32_t> find_value(std::uint32_t result_id) const {
         const auto match = value_by_id_.find(result_id);
         return match == value_by_id_.end() ? std::nullopt : std::optional(match->second);
     }
 
-    void evaluate_instruction_if_constant(std::uint32_t opcode, SpirvInstruction instruction) {
+    void evaluate(std::uint32_t opcode, SpirvInstruction instruction) {
         switch (opcode) {
             case kOpTypeBool:
                 types_.insert(instruction[1]);
@@ -45,16 +45,15 @@ public:
                 break;
             case kOpConstant:
             case kOpSpecConstant:
-                if (types_.contains(instruction[1]))
-                    value_by_id_[instruction[2]] = get_specialised_constant_value(instruction);
+                if (types_.contains(instruction[1])) value_by_id_[instruction[2]] = specialised(instruction);
                 break;
             case kOpSpecConstantOp:
-                fold_constant_operation(instruction, instruction[3], instruction.subspan(4));
+                fold(instruction, instruction[3], instruction.subspan(4));
                 break;
             case kOpLogicalOr:
             case kOpLogicalAnd:
             case kOpLogicalNot:
-                fold_constant_operation(instruction, opcode, instruction.subspan(3));
+                fold(instruction, opcode, instruction.subspan(3));
                 break;
             default:
                 break;
@@ -66,25 +65,23 @@ private:
     std::set<std::uint32_t> types_;
     std::map<std::uint32_t, std::uint32_t> spec_ids_, value_by_id_;
 
-    std::uint32_t get_specialised_constant_value(SpirvInstruction constant_instruction) const {
+    std::uint32_t specialised(SpirvInstruction constant_instruction) const {
         const auto spec_id = spec_ids_.find(constant_instruction[2]);
         const auto override_value =
             spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
         return override_value == constants_.end() ? constant_instruction[3] : override_value->second;
     }
 
-    void fold_constant_operation(SpirvInstruction instruction, std::uint32_t operation_opcode,
-                                 SpirvInstruction operands) {
+    void fold(SpirvInstruction instruction, std::uint32_t operation_opcode, SpirvInstruction operands) {
         if (!types_.contains(instruction[1])) return;
-        if (const std::optional<std::uint32_t> value =
-                evaluate_constant_operation(operation_opcode, operands))
+        if (const std::optional<std::uint32_t> value = evaluate_operation(operation_opcode, operands))
             value_by_id_[instruction[2]] = *value;
     }
 
-    std::optional<std::uint32_t> evaluate_constant_operation(std::uint32_t operation,
-                                                             SpirvInstruction operands) const {
-        const std::optional<std::uint32_t> a = find_constant_value(operands[0]),
-                                           b = operands.size() > 1 ? find_constant_value(operands[1]) : a;
+    std::optional<std::uint32_t> evaluate_operation(std::uint32_t operation,
+                                                    SpirvInstruction operands) const {
+        const std::optional<std::uint32_t> a = find_value(operands[0]),
+                                           b = operands.size() > 1 ? find_value(operands[1]) : a;
         if (operation == kOpLogicalOr && (a == 1u || b == 1u)) return 1;
         if (operation == kOpLogicalAnd && (a == 0u || b == 0u)) return 0;
         if (!a || !b) return std::nullopt;
@@ -109,7 +106,7 @@ class ControlFlowGraph {
 public:
     explicit ControlFlowGraph(std::span<const std::uint32_t> words) {
         std::uint32_t label = 0;
-        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
             switch (opcode) {
                 case kOpLabel:
                     label = instruction[1];
@@ -142,8 +139,8 @@ public:
     /// must not lead back to `source_block`, and must not end or continue a loop that
     /// starts before them.
     /// @param merge_block block in which both paths of the branch join
-    bool can_remove_branch_to_successor(std::uint32_t source_block, std::uint32_t successor_block,
-                                        std::uint32_t merge_block) const {
+    bool can_remove(std::uint32_t source_block, std::uint32_t successor_block,
+                    std::uint32_t merge_block) const {
         if (successor_block == merge_block) return !with_phi_.contains(merge_block);
         std::set<std::uint32_t> behind = {successor_block};
         for (std::vector<std::uint32_t> open = {successor_block}; !open.empty();) {
@@ -169,7 +166,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> remove_constant_branches(
+std::vector<std::uint32_t> remove_branches(
     std::span<const std::uint32_t> spirv_words,
     const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id) {
     std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
@@ -177,22 +174,20 @@ std::vector<std::uint32_t> remove_constant_branches(
     const ControlFlowGraph blocks(spirv_words);
     std::uint32_t block = 0;
     SpirvInstruction merge;  // Merge instruction that belongs to the next branch.
-    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-        values.evaluate_instruction_if_constant(opcode, instruction);
+    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+        values.evaluate(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];
         if (opcode == kOpSelectionMerge) {
             merge = instruction;
             return;
         }
         std::optional<std::uint32_t> condition;
-        if (opcode == kOpBranchConditional && !merge.empty())
-            condition = values.find_constant_value(instruction[1]);
-        if (condition &&
-            blocks.can_remove_branch_to_successor(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
-            append_spirv_instruction(result, kOpBranch, {instruction[*condition != 0 ? 2 : 3]});
+        if (opcode == kOpBranchConditional && !merge.empty()) condition = values.find_value(instruction[1]);
+        if (condition && blocks.can_remove(block, instruction[*condition != 0 ? 3 : 2], merge[1])) {
+            append_instruction(result, kOpBranch, {instruction[*condition != 0 ? 2 : 3]});
         } else {
-            append_spirv_instruction(result, merge);
-            append_spirv_instruction(result, instruction);
+            append_instruction(result, merge);
+            append_instruction(result, instruction);
         }
         merge = {};
     });

@@ -18,8 +18,8 @@ namespace {
 class LaneIndexRewriter {
 public:
     explicit LaneIndexRewriter(std::span<const std::uint32_t> words) : words_(words), next_(words[3]) {
-        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            collect_ids_from_instruction(opcode, instruction);
+        for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            collect_ids(opcode, instruction);
         });
         is_new_lane_ = lane_ == 0;
         for (std::uint32_t* id : {&input_pointer_, &private_pointer_, &push_pointer_, &zero_, &constant_0_,
@@ -28,10 +28,10 @@ public:
         if (is_new_lane_) lane_ = next_++;
     }
 
-    std::vector<std::uint32_t> rewrite_module_with_nonuniform_indices() {
+    std::vector<std::uint32_t> rewrite() {
         result_.assign(words_.begin(), words_.begin() + kHeaderWords);
-        for_each_spirv_instruction(words_, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            emit_edited_instruction(opcode, instruction);
+        for_instructions(words_, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            emit_edited(opcode, instruction);
         });
         result_[3] = next_;
         return result_;
@@ -48,7 +48,7 @@ private:
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 
-    void collect_ids_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+    void collect_ids(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block_ = instruction[1];
         if (opcode == kOpEntryPoint) entry_ = instruction[2];
         if (opcode == kOpTypeInt && instruction[2] == 32 && instruction[3] == 0) uint_ = instruction[1];
@@ -62,58 +62,58 @@ private:
         if (opcode == kOpLoad && instruction[1] == block_pointer_) parameters_.insert(instruction[2]);
     }
 
-    void emit_instruction(std::uint32_t opcode, std::initializer_list<std::uint32_t> operands) {
-        append_spirv_instruction(result_, opcode, operands);
+    void emit(std::uint32_t opcode, std::initializer_list<std::uint32_t> operands) {
+        append_instruction(result_, opcode, operands);
     }
 
-    void emit_types_and_variables() {
-        emit_instruction(kOpTypePointer, {input_pointer_, kInput, uint_});
-        emit_instruction(kOpTypePointer, {private_pointer_, kPrivate, uint_});
-        emit_instruction(kOpTypePointer, {push_pointer_, kPushConstant, uint_});
-        emit_instruction(kOpConstant, {uint_, constant_0_, 0});
-        emit_instruction(kOpConstant, {uint_, constant_1_, 1});
-        emit_instruction(kOpConstant, {uint_, constant_255_, 255});
-        emit_instruction(kOpVariable, {private_pointer_, zero_, kPrivate});
-        if (is_new_lane_) emit_instruction(kOpVariable, {input_pointer_, lane_, kInput});
+    void emit_types() {
+        emit(kOpTypePointer, {input_pointer_, kInput, uint_});
+        emit(kOpTypePointer, {private_pointer_, kPrivateStorage, uint_});
+        emit(kOpTypePointer, {push_pointer_, kPushConstant, uint_});
+        emit(kOpConstant, {uint_, constant_0_, 0});
+        emit(kOpConstant, {uint_, constant_1_, 1});
+        emit(kOpConstant, {uint_, constant_255_, 255});
+        emit(kOpVariable, {private_pointer_, zero_, kPrivateStorage});
+        if (is_new_lane_) emit(kOpVariable, {input_pointer_, lane_, kInput});
     }
 
-    void emit_nonuniform_zero_computation() {
+    void emit_zero() {
         const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;
         next_ += 5;
-        emit_instruction(kOpAccessChain, {push_pointer_, member_pointer, push_, constant_1_, constant_0_});
-        emit_instruction(kOpLoad, {uint_, nothing, member_pointer});
-        emit_instruction(kOpBitwiseAnd, {uint_, low, nothing, constant_255_});
-        emit_instruction(kOpLoad, {uint_, lane, lane_});
-        emit_instruction(kOpBitwiseAnd, {uint_, value, lane, low});
-        emit_instruction(kOpStore, {zero_, value});
+        emit(kOpAccessChain, {push_pointer_, member_pointer, push_, constant_1_, constant_0_});
+        emit(kOpLoad, {uint_, nothing, member_pointer});
+        emit(kOpBitwiseAnd, {uint_, low, nothing, constant_255_});
+        emit(kOpLoad, {uint_, lane, lane_});
+        emit(kOpBitwiseAnd, {uint_, value, lane, low});
+        emit(kOpStore, {zero_, value});
     }
 
-    void emit_edited_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+    void emit_edited(std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && !decorated_) {
-            if (is_new_lane_) emit_instruction(kOpDecorate, {lane_, kBuiltIn, kLocalInvocationIndex});
+            if (is_new_lane_) emit(kOpDecorate, {lane_, kBuiltIn, kLocalInvocationIndex});
             decorated_ = true;
         }
         if (opcode == kOpFunction && !declared_) {
-            emit_types_and_variables();
+            emit_types();
             declared_ = true;
         }
         in_entry_ = in_entry_ || (opcode == kOpFunction && instruction[2] == entry_);
         if (in_entry_ && !filled_ && !is_function_head(opcode)) {
-            emit_nonuniform_zero_computation();
+            emit_zero();
             filled_ = true;
         }
         const std::size_t at = result_.size();
         if (opcode == kOpAccessChain && instruction.size() >= 6 &&
             storage_pointers_.contains(instruction[1]) && !parameters_.contains(instruction[3])) {
             const std::uint32_t zero = next_++, index = next_++;
-            emit_instruction(kOpLoad, {uint_, zero, zero_});
-            emit_instruction(kOpIAdd, {uint_, index, instruction[5], zero});
-            append_spirv_instruction(result_, instruction);
+            emit(kOpLoad, {uint_, zero, zero_});
+            emit(kOpIAdd, {uint_, index, instruction[5], zero});
+            append_instruction(result_, instruction);
             result_[result_.size() - instruction.size() + 5] = index;
             return;
         }
-        append_spirv_instruction(result_, instruction);
+        append_instruction(result_, instruction);
         if (opcode != kOpEntryPoint) return;
         result_.push_back(zero_);
         if (is_new_lane_) result_.push_back(lane_);
@@ -123,8 +123,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> make_array_indices_nonuniform(std::span<const std::uint32_t> spirv_words) {
-    return LaneIndexRewriter(spirv_words).rewrite_module_with_nonuniform_indices();
+std::vector<std::uint32_t> make_nonuniform(std::span<const std::uint32_t> spirv_words) {
+    return LaneIndexRewriter(spirv_words).rewrite();
 }
 
 }  // namespace relidar::gpu

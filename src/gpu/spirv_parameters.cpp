@@ -34,15 +34,14 @@ struct SpirvModule {
     std::map<std::uint32_t, MemberPath> parameter_paths;
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {
-        for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            collect_declarations_from_instruction(opcode, instruction);
-        });
+        for_instructions(
+            words, [&](std::uint32_t opcode, SpirvInstruction instruction) { collect(opcode, instruction); });
     }
 
 private:
     std::map<std::uint32_t, SpirvWords> chains_;
 
-    void collect_declarations_from_instruction(std::uint32_t opcode, SpirvInstruction instruction) {
+    void collect(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block = instruction[1];
         if (opcode == kOpEntryPoint) entry = instruction[2];
         if (opcode >= 19 && opcode <= 39)
@@ -53,13 +52,13 @@ private:
         if (opcode == kOpConstant && instruction.size() == 4 && types.contains(instruction[1]) &&
             (types.at(instruction[1])[0] & 0xffffu) == kOpTypeInt)
             constants[instruction[2]] = instruction[3];
-        if (opcode == kOpAccessChain) store_parameter_path_or_access_chain(instruction);
+        if (opcode == kOpAccessChain) store_path(instruction);
         if (opcode == kOpLoad && instruction[1] == block_pointer && block_pointer) {
             addresses.insert(instruction[2]);
             push_chain = chains_[instruction[3]];
         }
     }
-    void store_parameter_path_or_access_chain(SpirvInstruction instruction) {
+    void store_path(SpirvInstruction instruction) {
         if (!addresses.contains(instruction[3])) {
             chains_[instruction[2]] = SpirvWords(instruction.begin(), instruction.end());
             return;
@@ -79,22 +78,21 @@ public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
     /// A number, a vector, an address or a struct of these.
-    bool is_type_allowed_in_private_variable(std::uint32_t type_id) const {
+    bool is_copyable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
-        if ((t[0] & 0xffffu) != kOpTypeStruct) return get_nonstruct_alignment_bytes(type_id).has_value();
+        if ((t[0] & 0xffffu) != kOpTypeStruct) return alignment_bytes(type_id).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
-            if (!is_type_allowed_in_private_variable(t[k])) return false;
+            if (!is_copyable(t[k])) return false;
         return true;
     }
 
     /// Appends the load of a parameter from its private variable.
-    void append_load_from_private_variable(SpirvWords& instructions, std::uint32_t type_id,
-                                           const MemberPath& member_path, std::uint32_t result_id) {
+    void append_load(SpirvWords& instructions, std::uint32_t type_id, const MemberPath& member_path,
+                     std::uint32_t result_id) {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kOpTypeStruct) {
-            append_spirv_instruction(
-                instructions, kOpLoad,
-                {type_id, result_id, get_or_declare_private_variable(type_id, member_path)});
+            append_instruction(instructions, kOpLoad,
+                               {type_id, result_id, declare_private(type_id, member_path)});
             return;
         }
         SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kOpCompositeConstruct, type_id, result_id};
@@ -102,33 +100,32 @@ public:
             MemberPath member = member_path;
             member.push_back(std::uint32_t(k - 2));
             construct.push_back(next_++);
-            append_load_from_private_variable(instructions, t[k], member, construct.back());
+            append_load(instructions, t[k], member, construct.back());
         }
-        append_spirv_instruction(instructions, construct);
+        append_instruction(instructions, construct);
     }
 
     /// Adds the private variables, and at the start of the entry point the copies to
     /// them.
     /// @param function_code all functions; they must load parameters from these variables
-    SpirvWords make_module_with_hoisted_loads(std::span<const std::uint32_t> spirv_words,
-                                              const SpirvWords& function_code) {
-        const SpirvWords first = make_parameter_copy_instructions();
+    SpirvWords make_module(std::span<const std::uint32_t> spirv_words, const SpirvWords& function_code) {
+        const SpirvWords first = copy_parameters();
         SpirvWords result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
-        for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            if (opcode == kOpFunction && !functions) append_spirv_instruction(result, globals_);
+        for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+            if (opcode == kOpFunction && !functions) append_instruction(result, globals_);
             functions = functions || opcode == kOpFunction;
             if (functions) return;
-            if (opcode == kOpDecorate && !decorated) append_spirv_instruction(result, decorations_);
+            if (opcode == kOpDecorate && !decorated) append_instruction(result, decorations_);
             decorated = decorated || opcode == kOpDecorate;
             SpirvWords words(instruction.begin(), instruction.end());
             if (opcode == kOpEntryPoint) {
                 for (const auto& [path, v] : variables_) words.push_back(v.id);
                 words[0] = std::uint32_t(words.size()) << 16 | kOpEntryPoint;
             }
-            append_spirv_instruction(result, words);
+            append_instruction(result, words);
         });
-        append_functions_with_prologue(result, function_code, first);
+        append_functions(result, function_code, first);
         result[3] = next_;
         return result;
     }
@@ -144,106 +141,99 @@ private:
     SpirvWords globals_, decorations_;
 
     /// Returns nullopt for structs.
-    std::optional<std::uint32_t> get_nonstruct_alignment_bytes(std::uint32_t type_id) const {
+    std::optional<std::uint32_t> alignment_bytes(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
             case kOpTypeInt:
             case kOpTypeFloat:
                 return t[2] / 8;
             case kOpTypeVector:
-                return get_nonstruct_alignment_bytes(t[2]);
+                return alignment_bytes(t[2]);
             case kOpTypePointer:
                 return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
             default:
                 return std::nullopt;
         }
     }
-    std::uint32_t get_or_declare_pointer_type(
-        std::map<std::uint32_t, std::uint32_t>& pointer_type_by_target_type, std::uint32_t storage_class,
-        std::uint32_t type_id) {
+    std::uint32_t declare_pointer(std::map<std::uint32_t, std::uint32_t>& pointer_type_by_target_type,
+                                  std::uint32_t storage_class, std::uint32_t type_id) {
         const auto [at, is_new] = pointer_type_by_target_type.try_emplace(type_id, next_);
-        if (is_new) append_spirv_instruction(globals_, kOpTypePointer, {next_++, storage_class, type_id});
+        if (is_new) append_instruction(globals_, kOpTypePointer, {next_++, storage_class, type_id});
         return at->second;
     }
-    std::uint32_t get_or_declare_int_constant(std::uint32_t value) {
+    std::uint32_t declare_int(std::uint32_t value) {
         for (const auto& [id, known] : module_.constants)
             if (known == value) return id;
         const auto [at, is_new] = index_.try_emplace(value, next_);
-        if (is_new) append_spirv_instruction(globals_, kOpConstant, {module_.int_type, next_++, value});
+        if (is_new) append_instruction(globals_, kOpConstant, {module_.int_type, next_++, value});
         return at->second;
     }
-    std::uint32_t get_or_declare_private_variable(std::uint32_t type_id, const MemberPath& member_path) {
+    std::uint32_t declare_private(std::uint32_t type_id, const MemberPath& member_path) {
         if (const auto existing_variable = variables_.find(member_path);
             existing_variable != variables_.end())
             return existing_variable->second.id;
-        const std::uint32_t pointer_type = get_or_declare_pointer_type(private_pointer_, kPrivate, type_id),
+        const std::uint32_t pointer_type = declare_pointer(private_pointer_, kPrivateStorage, type_id),
                             id = next_++;
-        append_spirv_instruction(globals_, kOpVariable, {pointer_type, id, kPrivate});
+        append_instruction(globals_, kOpVariable, {pointer_type, id, kPrivateStorage});
         if ((module_.types.at(type_id)[0] & 0xffffu) == kOpTypePointer)
-            append_spirv_instruction(decorations_, kOpDecorate, {id, kAliasedPointer});
+            append_instruction(decorations_, kOpDecorate, {id, kAliasedPointer});
         variables_[member_path] = {id, type_id};
         return id;
     }
-    SpirvWords make_parameter_copy_instructions() {
+    SpirvWords copy_parameters() {
         SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
         chain[2] = next_;
-        append_spirv_instruction(code, chain);
-        append_spirv_instruction(code, kOpLoad, {module_.block_pointer, block, chain[2]});
+        append_instruction(code, chain);
+        append_instruction(code, kOpLoad, {module_.block_pointer, block, chain[2]});
         next_ += 2;
         for (const auto& [path, v] : variables_) {
-            const std::uint32_t to_storage =
-                get_or_declare_pointer_type(storage_pointer_, kPhysicalStorage, v.type);
-            // get_or_declare_int_constant() also creates ids.
+            const std::uint32_t to_storage = declare_pointer(storage_pointer_, kPhysicalStorage, v.type);
+            // declare_int() also creates ids.
             const std::uint32_t at = next_++, value = next_++;
             SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kOpAccessChain, to_storage, at,
                                     block};
-            for (const std::uint32_t member : path)
-                access_chain.push_back(get_or_declare_int_constant(member));
-            append_spirv_instruction(code, access_chain);
-            append_spirv_instruction(code, kOpLoad,
-                                     {v.type, value, at, kAligned, *get_nonstruct_alignment_bytes(v.type)});
-            append_spirv_instruction(code, kOpStore, {v.id, value});
+            for (const std::uint32_t member : path) access_chain.push_back(declare_int(member));
+            append_instruction(code, access_chain);
+            append_instruction(code, kOpLoad, {v.type, value, at, kAligned, *alignment_bytes(v.type)});
+            append_instruction(code, kOpStore, {v.id, value});
         }
         return code;
     }
     /// Inserts `prologue_instructions` into the entry point after its variables.
-    void append_functions_with_prologue(SpirvWords& module_words, const SpirvWords& function_code,
-                                        const SpirvWords& prologue_instructions) const {
+    void append_functions(SpirvWords& module_words, const SpirvWords& function_code,
+                          const SpirvWords& prologue_instructions) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < function_code.size(); at += function_code[at] >> 16) {
             const std::uint32_t op = function_code[at] & 0xffffu;
             in_entry = in_entry || (op == kOpFunction && function_code[at + 2] == module_.entry);
             if (in_entry && !filled && !is_function_head(op)) {
-                append_spirv_instruction(module_words, prologue_instructions);
+                append_instruction(module_words, prologue_instructions);
                 filled = true;
             }
-            append_spirv_instruction(module_words,
-                                     std::span(function_code).subspan(at, function_code[at] >> 16));
+            append_instruction(module_words, std::span(function_code).subspan(at, function_code[at] >> 16));
         }
     }
 };
 
 }  // namespace
 
-std::vector<std::uint32_t> hoist_parameter_loads(std::span<const std::uint32_t> spirv_words) {
+std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> spirv_words) {
     const SpirvModule module(spirv_words);
     ParameterLoadHoister result(module);
     SpirvWords code;
     bool functions = false, any = false;
-    for_each_spirv_instruction(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         functions = functions || opcode == kOpFunction;
         if (!functions) return;
         const auto path_entry =
             opcode == kOpLoad ? module.parameter_paths.find(instruction[3]) : module.parameter_paths.end();
-        if (path_entry == module.parameter_paths.end() ||
-            !result.is_type_allowed_in_private_variable(instruction[1]))
-            return append_spirv_instruction(code, instruction);
-        result.append_load_from_private_variable(code, instruction[1], path_entry->second, instruction[2]);
+        if (path_entry == module.parameter_paths.end() || !result.is_copyable(instruction[1]))
+            return append_instruction(code, instruction);
+        result.append_load(code, instruction[1], path_entry->second, instruction[2]);
         any = true;
     });
-    return any ? result.make_module_with_hoisted_loads(spirv_words, code)
-               : SpirvWords(spirv_words.begin(), spirv_words.end());
+    return any ? result.make_module(spirv_words, code) : SpirvWords(spirv_words.begin(), spirv_words.end());
 }
 
 }  // namespace relidar::gpu

@@ -33,23 +33,23 @@ inline constexpr std::uint32_t kOpName = 5, kOpMemberName = 6, kOpLine = 8, kOpE
 inline constexpr std::uint32_t kSpecId = 1, kArrayStride = 6, kBuiltIn = 11, kNonWritable = 24, kOffset = 35,
                                kCoherent = 23, kAliasedPointer = 5356;
 inline constexpr std::uint32_t kLocalInvocationIndex = 29;
-inline constexpr std::uint32_t kInput = 1, kPrivate = 6, kPushConstant = 9, kPhysicalStorage = 5349;
+inline constexpr std::uint32_t kInput = 1, kPrivateStorage = 6, kPushConstant = 9, kPhysicalStorage = 5349;
 inline constexpr std::uint32_t kAligned = 2;
 
 using SpirvInstruction = std::span<const std::uint32_t>;
 
 template <class F>
-void for_each_spirv_instruction(std::span<const std::uint32_t> spirv_words, const F& function) {
+void for_instructions(std::span<const std::uint32_t> spirv_words, const F& function) {
     for (std::size_t at = kHeaderWords; at < spirv_words.size(); at += spirv_words[at] >> 16)
         function(spirv_words[at] & 0xffffu, spirv_words.subspan(at, spirv_words[at] >> 16));
 }
 
-inline void append_spirv_instruction(std::vector<std::uint32_t>& spirv_words, SpirvInstruction instruction) {
+inline void append_instruction(std::vector<std::uint32_t>& spirv_words, SpirvInstruction instruction) {
     spirv_words.insert(spirv_words.end(), instruction.begin(), instruction.end());
 }
 
-inline void append_spirv_instruction(std::vector<std::uint32_t>& spirv_words, std::uint32_t opcode,
-                                     std::initializer_list<std::uint32_t> operands) {
+inline void append_instruction(std::vector<std::uint32_t>& spirv_words, std::uint32_t opcode,
+                               std::initializer_list<std::uint32_t> operands) {
     spirv_words.push_back(std::uint32_t(operands.size() + 1) << 16 | opcode);
     spirv_words.insert(spirv_words.end(), operands);
 }

@@ -20,32 +20,27 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     VkSemaphoreTypeCreateInfo type{VK_STRUCTURE_TYPE_SEMAPHORE_TYPE_CREATE_INFO};
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
-    gpu::throw_unless_vulkan_success(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline),
-                                     "vkCreateSemaphore");
-    gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline,
-                                "submissions of a stream");
-    const bool measures = d.info().timestamps && device->launch_limit.has_dispatch_time_limit();
+    gpu::vk_check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
+    gpu::set_object_name(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
+    const bool measures = d.info().timestamps && device->launch_limit.has_limit();
     for (SubmissionSlot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
         pool.queueFamilyIndex = device->queue_family;
-        gpu::throw_unless_vulkan_success(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool),
-                                         "vkCreateCommandPool");
-        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool,
-                                    "commands of a stream");
+        gpu::vk_check(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool), "vkCreateCommandPool");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool, "commands of a stream");
         if (!timing && !measures) continue;
         VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
         queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
         queries.queryCount = 2 * kMaxLaunches;
-        gpu::throw_unless_vulkan_success(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries),
-                                         "vkCreateQueryPool");
-        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries,
-                                    "times of launches");
+        gpu::vk_check(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries),
+                      "vkCreateQueryPool");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries, "times of launches");
     }
 }
 
 Stream::Impl::~Impl() {
     if (device->compile_only) return;
-    device->wait_until_device_idle();
+    device->wait_idle();
     if (recording) --device->n_recording;
     for (SubmissionSlot& slot : slots) {
         if (slot.queries) vkDestroyQueryPool(device->device, slot.queries, nullptr);
@@ -54,103 +49,100 @@ Stream::Impl::~Impl() {
     if (timeline) vkDestroySemaphore(device->device, timeline, nullptr);
 }
 
-VkCommandBuffer Stream::Impl::get_recording_command_buffer() {
+VkCommandBuffer Stream::Impl::open_commands() {
     SubmissionSlot& slot = slots[current];
     if (recording) return slot.commands;
-    wait_for_submission(slot.ticket);
-    collect_launch_times_of_submission(slot);
+    wait_for(slot.ticket);
+    collect_times(slot);
     slot.block = slot.block_bytes = 0;
     slot.retained_buffers.clear();
-    gpu::throw_unless_vulkan_success(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
+    gpu::vk_check(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
     if (slot.queries) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
     slot.n_buffers = 0;
-    begin_command_buffer_of_submission(slot);
+    begin_commands(slot);
     recording = true;
     ++device->n_recording;
     return slot.commands;
 }
 
-void Stream::Impl::begin_command_buffer_of_submission(SubmissionSlot& slot) {
+void Stream::Impl::begin_commands(SubmissionSlot& slot) {
     if (slot.n_buffers == slot.buffers.size()) {
         VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
         allocate.commandPool = slot.pool;
         allocate.commandBufferCount = 1;
         VkCommandBuffer buffer = VK_NULL_HANDLE;
-        gpu::throw_unless_vulkan_success(vkAllocateCommandBuffers(device->device, &allocate, &buffer),
-                                         "vkAllocateCommandBuffers");
-        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer,
-                                    "commands of a stream");
+        gpu::vk_check(vkAllocateCommandBuffers(device->device, &allocate, &buffer),
+                      "vkAllocateCommandBuffers");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer, "commands of a stream");
         slot.buffers.push_back(buffer);
     }
     slot.commands = slot.buffers[slot.n_buffers++];
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    gpu::throw_unless_vulkan_success(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
+    gpu::vk_check(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
     recorded_s = 0.0;
 }
 
-void Stream::Impl::submit_recorded_commands() {
+void Stream::Impl::submit() {
     SubmissionSlot& slot = slots[current];
-    gpu::throw_unless_vulkan_success(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
+    gpu::vk_check(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;
     info.pCommandBuffers = &slot.commands;
     device->submit_to_queue(info);
-    begin_command_buffer_of_submission(slot);
+    begin_commands(slot);
 }
 
 void Stream::Impl::begin_debug_label(const std::string& label_text) {
     if (!vkCmdBeginDebugUtilsLabelEXT) return;
     VkDebugUtilsLabelEXT label{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
     label.pLabelName = label_text.c_str();
-    vkCmdBeginDebugUtilsLabelEXT(get_recording_command_buffer(), &label);
+    vkCmdBeginDebugUtilsLabelEXT(open_commands(), &label);
 }
 
 void Stream::Impl::end_debug_label() {
-    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(get_recording_command_buffer());
+    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(open_commands());
 }
 
-void Stream::Impl::end_concurrent_launch_scope() {
+void Stream::Impl::end_concurrent() {
     if (--n_concurrent > 0 || !owes_barrier) return;
     owes_barrier = false;
-    record_or_defer_barrier();
+    barrier_or_defer();
 }
 
-void Stream::Impl::add_command_to_current_sequence(const std::string& command_name,
-                                                   VulkanCommandRecorder command) {
+void Stream::Impl::add_command(const std::string& command_name, VulkanCommandRecorder command) {
     CommandSequence& chosen = lanes[lane];
     if (chosen.empty() || chosen.back().closed) chosen.push_back({command_name, {}});
     chosen.back().commands.push_back(std::move(command));
-    record_or_defer_barrier();
+    barrier_or_defer();
 }
 
 /// Each step has a single pair of timestamps, because more would serialise its commands.
-void Stream::Impl::record_commands_of_concurrent_sequences() {
+void Stream::Impl::merge_lanes() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
         const auto has_step = [k](const CommandSequence& one) { return k < one.size(); };
         const std::string& name = std::ranges::find_if(lanes, has_step)->at(k).name;
-        begin_command_timing(name);
+        begin_timing(name);
         begin_debug_label(name);
         for (const CommandSequence& one : lanes)
             if (has_step(one))
-                for (const VulkanCommandRecorder& command : one[k].commands)
-                    command(get_recording_command_buffer());
+                for (const VulkanCommandRecorder& command : one[k].commands) command(open_commands());
         end_debug_label();
-        end_command_timing();
-        record_memory_barrier();
+        end_timing();
+        record_barrier();
     }
     for (CommandSequence& one : lanes) one.clear();
 }
 
-void Stream::Impl::record_or_defer_barrier() {
+void Stream::Impl::barrier_or_defer() {
     if (n_concurrent > 0) owes_barrier = true;
     else if (!lanes.empty()) lanes[lane].back().closed = true;
-    else record_memory_barrier();
+    else record_barrier();
 }
 
-void Stream::Impl::record_memory_barrier() {
+void Stream::Impl::record_barrier() {
     VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
     all.dstAccessMask = VK_ACCESS_MEMORY_READ_BIT | VK_ACCESS_MEMORY_WRITE_BIT;
@@ -160,17 +152,16 @@ void Stream::Impl::record_memory_barrier() {
         later |= VK_PIPELINE_STAGE_HOST_BIT;
         host_reads = false;
     }
-    vkCmdPipelineBarrier(get_recording_command_buffer(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1,
-                         &all, 0, nullptr, 0, nullptr);
+    vkCmdPipelineBarrier(open_commands(), VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, later, 0, 1, &all, 0, nullptr,
+                         0, nullptr);
 }
 
-void Stream::Impl::begin_command_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed,
-                                        std::uint32_t n_workgroups, bool continues_launch) {
+void Stream::Impl::begin_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed,
+                                std::uint32_t n_workgroups, bool continues_launch) {
     last_kernel = command_name;
-    VkCommandBuffer buffer = get_recording_command_buffer();
+    VkCommandBuffer buffer = open_commands();
     SubmissionSlot& slot = slots[current];
-    if (kernel_speed &&
-        !kernel_speed->should_measure_next_dispatch(device->launch_limit.piece_s, n_workgroups))
+    if (kernel_speed && !kernel_speed->should_measure(device->launch_limit.piece_s, n_workgroups))
         kernel_speed = nullptr;
     timed = slot.queries && (timing || kernel_speed) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
@@ -179,19 +170,18 @@ void Stream::Impl::begin_command_timing(const std::string& command_name, gpu::Ke
                         2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
 
-void Stream::Impl::end_command_timing() {
+void Stream::Impl::end_timing() {
     SubmissionSlot& slot = slots[current];
     if (timed)
         vkCmdWriteTimestamp(slot.commands, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                             2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
 }
 
-Stream::Impl::StagedValue Stream::Impl::stage_host_bytes_for_kernels(const void* host_bytes,
-                                                                     std::size_t n_bytes) {
-    constexpr std::size_t kAlignment = 64;
-    get_recording_command_buffer();
+Stream::Impl::StagedValue Stream::Impl::stage_bytes(const void* host_bytes, std::size_t n_bytes) {
+    constexpr std::size_t kStagingAlignment = 64;
+    open_commands();
     SubmissionSlot& slot = slots[current];
-    const std::size_t aligned = (n_bytes + kAlignment - 1) / kAlignment * kAlignment;
+    const std::size_t aligned = (n_bytes + kStagingAlignment - 1) / kStagingAlignment * kStagingAlignment;
     while (slot.block < slot.blocks.size() && slot.block_bytes + aligned > slot.blocks[slot.block]->n_bytes) {
         ++slot.block;
         slot.block_bytes = 0;
@@ -206,18 +196,17 @@ Stream::Impl::StagedValue Stream::Impl::stage_host_bytes_for_kernels(const void*
     return {block.handle, offset, block.address + offset};
 }
 
-void Stream::Impl::record_buffer_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes) {
+void Stream::Impl::record_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes) {
     if (device->compile_only || n_bytes == 0) return;
-    const StagedValue from = stage_host_bytes_for_kernels(host_bytes, n_bytes);
+    const StagedValue from = stage_bytes(host_bytes, n_bytes);
     record_command("write", [from = from.buffer, to = buffer.impl().handle,
                              region = VkBufferCopy{from.offset, 0, n_bytes}](VkCommandBuffer commands) {
         vkCmdCopyBuffer(commands, from, to, 1, &region);
     });
 }
 
-void Stream::Impl::record_copy_to_host(const Buffer::Impl& source,
-                                       const std::shared_ptr<const Buffer::Impl>& target,
-                                       const VkBufferCopy& copied_region) {
+void Stream::Impl::record_copy(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
+                               const VkBufferCopy& copied_region) {
     if (copied_region.size == 0) return;
     record_command("read back",
                    [this, source = source.handle, target, copied_region](VkCommandBuffer commands) {
@@ -227,8 +216,8 @@ void Stream::Impl::record_copy_to_host(const Buffer::Impl& source,
                    });
 }
 
-std::uint64_t Stream::Impl::stage_kernel_parameters(const KernelBase& kernel, const void* parameter_struct,
-                                                    std::size_t n_bytes) {
+std::uint64_t Stream::Impl::stage_parameters(const KernelBase& kernel, const void* parameter_struct,
+                                             std::size_t n_bytes) {
     std::vector<std::byte> params(n_bytes);
     std::memcpy(params.data(), parameter_struct, n_bytes);
     for (const std::uint32_t offset : kernel.impl().addresses) {
@@ -236,7 +225,7 @@ std::uint64_t Stream::Impl::stage_kernel_parameters(const KernelBase& kernel, co
         std::memcpy(&address, params.data() + offset, sizeof(address));
         if (address == 0) std::memcpy(params.data() + offset, &device->nothing->address, sizeof(address));
     }
-    return stage_host_bytes_for_kernels(params.data(), n_bytes).address;
+    return stage_bytes(params.data(), n_bytes).address;
 }
 
 /// Rows of workgroups, because Vulkan limits the number in one dimension. A slow launch
@@ -246,23 +235,20 @@ struct Stream::Impl::Dispatch {
     std::array<std::uint64_t, 2> pushed;
     std::uint32_t rows, columns, rows_per_piece;
 
-    std::uint32_t count_rows_of_dispatch_piece(std::uint32_t first_row) const {
+    std::uint32_t rows_of_piece(std::uint32_t first_row) const {
         return std::min(rows_per_piece, rows - first_row);
     }
-    void record_one_dispatch_piece(VkCommandBuffer commands, VkPipelineLayout layout,
-                                   std::uint32_t first_row) const {
+    void record_piece(VkCommandBuffer commands, VkPipelineLayout layout, std::uint32_t first_row) const {
         vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
         vkCmdPushConstants(commands, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-        vkCmdDispatchBase(commands, 0, first_row, 0, columns, count_rows_of_dispatch_piece(first_row), 1);
+        vkCmdDispatchBase(commands, 0, first_row, 0, columns, rows_of_piece(first_row), 1);
     }
 };
 
 namespace {
 
-Stream::Impl::Dispatch split_launch_into_dispatches(VkPipeline pipeline,
-                                                    const std::array<std::uint64_t, 2>& push_constants,
-                                                    std::uint32_t n_workgroups,
-                                                    std::uint32_t max_workgroups_per_dispatch) {
+Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push_constants,
+                                    std::uint32_t n_workgroups, std::uint32_t max_workgroups_per_dispatch) {
     // Maximum number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t columns = std::max(std::min({n_workgroups, kMaxGroups, max_workgroups_per_dispatch}),
@@ -278,51 +264,50 @@ Stream::Impl::Dispatch split_launch_into_dispatches(VkPipeline pipeline,
 
 }  // namespace
 
-void Stream::Impl::record_kernel_launch(const KernelBase& kernel, std::uint32_t n_threads,
-                                        const void* parameter_struct, std::size_t n_parameter_bytes) {
+void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threads,
+                                 const void* parameter_struct, std::size_t n_parameter_bytes) {
     if (device->compile_only)
         throw Error(ExitCode::bug,
                     fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
                                 kernel.impl().name));
-    const VkPipeline pipeline = kernel.impl().wait_for_compiled_pipeline();
-    const std::array<std::uint64_t, 2> pushed{
-        stage_kernel_parameters(kernel, parameter_struct, n_parameter_bytes), device->nothing->address};
+    const VkPipeline pipeline = kernel.impl().wait_for_pipeline();
+    const std::array<std::uint64_t, 2> pushed{stage_parameters(kernel, parameter_struct, n_parameter_bytes),
+                                              device->nothing->address};
     const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const gpu::LaunchTimeLimit& limit = device->launch_limit;
-    const gpu::KernelSpeed* speed = limit.has_dispatch_time_limit() ? kernel.impl().speed : nullptr;
-    const Dispatch dispatch = split_launch_into_dispatches(
-        pipeline, pushed, n_groups, speed ? speed->choose_workgroups_per_dispatch(limit.piece_s) : n_groups);
+    const gpu::KernelSpeed* speed = limit.has_limit() ? kernel.impl().speed : nullptr;
+    const Dispatch dispatch =
+        split_launch(pipeline, pushed, n_groups, speed ? speed->workgroups_for(limit.piece_s) : n_groups);
     // Lanes are not split, because their commands are recorded later, in one submission.
-    if (speed && lanes.empty()) return record_and_submit_dispatch_pieces(kernel.impl(), dispatch);
+    if (speed && lanes.empty()) return submit_pieces(kernel.impl(), dispatch);
     record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
-            dispatch.record_one_dispatch_piece(commands, layout, row);
+            dispatch.record_piece(commands, layout, row);
     });
 }
 
-void Stream::Impl::record_and_submit_dispatch_pieces(const KernelBase::Impl& kernel,
-                                                     const Dispatch& dispatch) {
+void Stream::Impl::submit_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
     const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
-        const std::uint32_t n_groups = dispatch.count_rows_of_dispatch_piece(row) * dispatch.columns;
-        double expected_s = kernel.speed->estimate_dispatch_duration_s(n_groups);
+        const std::uint32_t n_groups = dispatch.rows_of_piece(row) * dispatch.columns;
+        double expected_s = kernel.speed->estimate_s(n_groups);
         // If the speed is unknown, each piece of a split launch gets a separate
         // submission.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
-        get_recording_command_buffer();
-        if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit_recorded_commands();
-        begin_command_timing(kernel.name, kernel.speed, n_groups, row > 0);
+        open_commands();
+        if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit();
+        begin_timing(kernel.name, kernel.speed, n_groups, row > 0);
         begin_debug_label(kernel.name);
-        dispatch.record_one_dispatch_piece(get_recording_command_buffer(), device->pipeline_layout, row);
+        dispatch.record_piece(open_commands(), device->pipeline_layout, row);
         end_debug_label();
-        end_command_timing();
+        end_timing();
         recorded_s += expected_s;
     }
-    record_or_defer_barrier();
+    barrier_or_defer();
 }
 
-void Stream::Impl::wait_for_submission(std::uint64_t ticket) {
+void Stream::Impl::wait_for(std::uint64_t ticket) {
     if (!ticket) return;
     if (ticket == last_ticket) ++device->n_full_waits;
     VkSemaphoreWaitInfo info{VK_STRUCTURE_TYPE_SEMAPHORE_WAIT_INFO};
@@ -331,12 +316,12 @@ void Stream::Impl::wait_for_submission(std::uint64_t ticket) {
     info.pValues = &ticket;
     const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
     if (result != VK_SUCCESS)
-        gpu::throw_vulkan_error(
-            result, fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
-                                device->info.name, gpu::get_vulkan_result_name(result), last_kernel));
+        gpu::vk_fail(result,
+                     fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
+                                 device->info.name, gpu::vk_result_name(result), last_kernel));
 }
 
-void Stream::Impl::collect_launch_times_of_submission(SubmissionSlot& slot) {
+void Stream::Impl::collect_times(SubmissionSlot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
     const VkResult result =
@@ -351,7 +336,7 @@ void Stream::Impl::collect_launch_times_of_submission(SubmissionSlot& slot) {
         launch_ms = continues ? launch_ms + ms : ms;
         const bool is_complete = i + 1 == slot.launches.size() || !slot.launches[i + 1].continues;
         if (timing && is_complete) times.add_launch_time(name, launch_ms);
-        if (speed) speed->update_speed_from_dispatch(n_groups, 1e-3 * ms);
+        if (speed) speed->add_dispatch(n_groups, 1e-3 * ms);
     }
     slot.launches.clear();
 }
@@ -359,7 +344,7 @@ void Stream::Impl::collect_launch_times_of_submission(SubmissionSlot& slot) {
 Stream::Stream(Device& device, bool timing) : impl_(std::make_unique<Impl>(device, timing)) {}
 Stream::~Stream() = default;
 Device& Stream::device() const { return *impl_->owner; }
-void Stream::wait_for_submission(std::uint64_t ticket) { impl_->wait_for_submission(ticket); }
+void Stream::wait_for(std::uint64_t ticket) { impl_->wait_for(ticket); }
 
 void Stream::fill(const Buffer& buffer, std::uint32_t pattern) {
     if (impl_->device->compile_only) return;
@@ -380,7 +365,7 @@ void Stream::copy(const Buffer& source, const Buffer& target, std::size_t n_byte
 ConcurrentLaunchScope::ConcurrentLaunchScope(Stream& stream) : stream_(stream) {
     ++stream.impl().n_concurrent;
 }
-ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent_launch_scope(); }
+ConcurrentLaunchScope::~ConcurrentLaunchScope() { stream_.impl().end_concurrent(); }
 
 ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t count) : stream_(stream) {
     Stream::Impl& s = stream.impl();
@@ -396,11 +381,11 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
 ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
     // After an exception, the arrays that the commands use may be destroyed.
-    if (std::uncaught_exceptions() == 0) s.record_commands_of_concurrent_sequences();
+    if (std::uncaught_exceptions() == 0) s.merge_lanes();
     s.lanes.clear();
 }
 
-void ConcurrentSequenceScope::select_command_sequence(std::size_t sequence_index) {
+void ConcurrentSequenceScope::select_lane(std::size_t sequence_index) {
     Stream::Impl& s = stream_.impl();
     if (sequence_index >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
@@ -414,15 +399,15 @@ std::uint64_t Stream::submit_commands() {
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a ConcurrentLaunchScope is still open");
-    s.record_commands_of_concurrent_sequences();
-    VkCommandBuffer commands = s.get_recording_command_buffer();
+    s.merge_lanes();
+    VkCommandBuffer commands = s.open_commands();
     // RenderDoc and GFXReconstruct need this label to capture a program without a window.
     if (vkCmdInsertDebugUtilsLabelEXT) {
         VkDebugUtilsLabelEXT frame_end{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
         frame_end.pLabelName = "vr-marker,frame_end,type,application";
         vkCmdInsertDebugUtilsLabelEXT(commands, &frame_end);
     }
-    gpu::throw_unless_vulkan_success(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
+    gpu::vk_check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;
     VkTimelineSemaphoreSubmitInfo values{VK_STRUCTURE_TYPE_TIMELINE_SEMAPHORE_SUBMIT_INFO};
     values.signalSemaphoreValueCount = 1;
@@ -437,7 +422,7 @@ std::uint64_t Stream::submit_commands() {
     --s.device->n_recording;
     s.recorded_s = 0.0;
     s.last_ticket = s.slots[s.current].ticket = ticket;
-    s.current = (s.current + 1) % Impl::kSlots;
+    s.current = (s.current + 1) % Impl::kMaxPending;
     return ticket;
 }
 
@@ -445,20 +430,20 @@ const KernelTimes& Stream::times() const {
     for (Impl::SubmissionSlot& slot : impl_->slots) {
         const bool open = impl_->recording && &slot == &impl_->slots[impl_->current];
         if (open || !slot.ticket) continue;
-        impl_->wait_for_submission(slot.ticket);
-        impl_->collect_launch_times_of_submission(slot);
+        impl_->wait_for(slot.ticket);
+        impl_->collect_times(slot);
     }
     return impl_->times;
 }
 
-void Stream::reset_kernel_times() {
+void Stream::reset_times() {
     times();
     impl_->times = {};
 }
 
 void KernelTimes::add_launch_time(const std::string& kernel_name, double duration_ms) {
     std::vector<double>& last = milliseconds[kernel_name];
-    if (std::ssize(last) >= kLast) last.erase(last.begin());
+    if (std::ssize(last) >= kMaxTimes) last.erase(last.begin());
     last.push_back(duration_ms);
     LaunchTotals& total = totals[kernel_name];
     total.launches += 1.0;
@@ -469,7 +454,7 @@ void KernelTimes::add_times(const KernelTimes& later_times) {
     for (const auto& [kernel, ms] : later_times.milliseconds) {
         std::vector<double>& last = milliseconds[kernel];
         last.insert(last.end(), ms.begin(), ms.end());
-        if (std::ssize(last) > kLast) last.erase(last.begin(), last.end() - kLast);
+        if (std::ssize(last) > kMaxTimes) last.erase(last.begin(), last.end() - kMaxTimes);
     }
     for (const auto& [kernel, more] : later_times.totals) {
         totals[kernel].launches += more.launches;

@@ -32,7 +32,7 @@ struct KernelBase::Impl {
 
     /// Waits until the pipeline is compiled.
     /// @throws DeviceError if the driver rejects it
-    VkPipeline wait_for_compiled_pipeline();
+    VkPipeline wait_for_pipeline();
 
 private:
     friend class KernelBase;
@@ -41,7 +41,7 @@ private:
 };
 
 struct Stream::Impl {
-    static constexpr std::size_t kSlots = 3;  ///< Maximum number of pending submissions.
+    static constexpr std::size_t kMaxPending = 3;  ///< Maximum number of pending submissions.
     static constexpr std::size_t kBlockBytes = 1 << 16;
     /// Maximum number of timed launches per submission.
     static constexpr std::uint32_t kMaxLaunches = 256;
@@ -84,7 +84,7 @@ struct Stream::Impl {
     Device* owner = nullptr;
     Device::Impl* device = nullptr;
     bool timing = false;
-    std::array<SubmissionSlot, kSlots> slots;
+    std::array<SubmissionSlot, kMaxPending> slots;
     std::size_t current = 0;
     bool recording = false;  ///< True if commands were recorded but not submitted yet.
     int n_concurrent = 0;    ///< Number of open ConcurrentLaunchScope objects.
@@ -106,70 +106,68 @@ struct Stream::Impl {
     ~Impl();
 
     /// Starts a new recording if there is none.
-    VkCommandBuffer get_recording_command_buffer();
+    VkCommandBuffer open_commands();
     /// With timestamps and a barrier. In a ConcurrentSequenceScope, stored for later.
     template <class Recorded>
     void record_command(const std::string& command_name, Recorded command) {
-        if (!lanes.empty()) return add_command_to_current_sequence(command_name, std::move(command));
-        begin_command_timing(command_name);
+        if (!lanes.empty()) return add_command(command_name, std::move(command));
+        begin_timing(command_name);
         begin_debug_label(command_name);
-        command(get_recording_command_buffer());
+        command(open_commands());
         end_debug_label();
-        end_command_timing();
-        record_or_defer_barrier();
+        end_timing();
+        barrier_or_defer();
     }
-    void end_concurrent_launch_scope();
+    void end_concurrent();
     /// Step n of a lane may run concurrently with step n of the other lanes.
-    void record_commands_of_concurrent_sequences();
+    void merge_lanes();
     struct StagedValue {
         VkBuffer buffer;
         std::size_t offset;
         std::uint64_t address;
     };
     /// Stores a value from the host where the kernels of this submission can read it.
-    StagedValue stage_host_bytes_for_kernels(const void* host_bytes, std::size_t n_bytes);
+    StagedValue stage_bytes(const void* host_bytes, std::size_t n_bytes);
     /// Returns the device address of the values.
     template <class T>
-    Address<T> stage_host_values_for_kernels(const std::vector<T>& host_values) {
-        return Address<T>(
-            stage_host_bytes_for_kernels(host_values.data(), host_values.size() * sizeof(T)).address);
+    Address<T> stage_values(const std::vector<T>& host_values) {
+        return Address<T>(stage_bytes(host_values.data(), host_values.size() * sizeof(T)).address);
     }
-    void record_buffer_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes);
-    void record_copy_to_host(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
-                             const VkBufferCopy& copied_region);
-    void record_kernel_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* parameter_struct,
-                              std::size_t n_parameter_bytes);
-    void wait_for_submission(std::uint64_t ticket);
-    void collect_launch_times_of_submission(SubmissionSlot& slot);
+    void record_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes);
+    void record_copy(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
+                     const VkBufferCopy& copied_region);
+    void record_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* parameter_struct,
+                       std::size_t n_parameter_bytes);
+    void wait_for(std::uint64_t ticket);
+    void collect_times(SubmissionSlot& slot);
     struct Dispatch;
 
 private:
     /// Each address 0 in the struct becomes the address of a buffer with zeros.
     /// @return device address of the stored struct
-    std::uint64_t stage_kernel_parameters(const KernelBase& kernel, const void* parameter_struct,
-                                          std::size_t n_bytes);
-    void add_command_to_current_sequence(const std::string& command_name, VulkanCommandRecorder command);
+    std::uint64_t stage_parameters(const KernelBase& kernel, const void* parameter_struct,
+                                   std::size_t n_bytes);
+    void add_command(const std::string& command_name, VulkanCommandRecorder command);
     /// In a ConcurrentLaunchScope, only the end of the scope records a barrier.
-    void record_or_defer_barrier();
-    void record_memory_barrier();
+    void barrier_or_defer();
+    void record_barrier();
     /// @param continues_launch true if the command continues a launch that was split
-    void begin_command_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed = nullptr,
-                              std::uint32_t n_workgroups = 0, bool continues_launch = false);
-    void end_command_timing();
+    void begin_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed = nullptr,
+                      std::uint32_t n_workgroups = 0, bool continues_launch = false);
+    void end_timing();
     /// Begins a named region that debuggers show. end_debug_label() ends it.
     void begin_debug_label(const std::string& label_text);
     void end_debug_label();
-    void record_and_submit_dispatch_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
-    void begin_command_buffer_of_submission(SubmissionSlot& slot);
+    void submit_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);
+    void begin_commands(SubmissionSlot& slot);
     /// The submission continues in a new command buffer.
-    void submit_recorded_commands();
+    void submit();
 };
 
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)
-        stream.impl().record_kernel_launch(kernel, static_cast<std::uint32_t>(n_threads), &params,
-                                           sizeof(Params));
+        stream.impl().record_launch(kernel, static_cast<std::uint32_t>(n_threads), &params, sizeof(Params));
 }
 
 }  // namespace relidar

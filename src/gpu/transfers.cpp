@@ -10,25 +10,23 @@ namespace relidar::gpu {
 
 namespace {
 
-constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(32) << 20;
+constexpr std::size_t kMinStagingBytes = std::size_t(64) << 10, kMaxStagingBytes = std::size_t(32) << 20;
 
 }  // namespace
 
-void BufferTransfers::create_command_buffer() {
+void BufferTransfers::create_commands() {
     VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
     pool.queueFamilyIndex = device_.queue_family;
-    throw_unless_vulkan_success(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_),
-                                "vkCreateCommandPool");
+    vk_check(vkCreateCommandPool(device_.device, &pool, nullptr, &pool_), "vkCreateCommandPool");
     VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
     allocate.commandPool = pool_;
     allocate.commandBufferCount = 1;
-    throw_unless_vulkan_success(vkAllocateCommandBuffers(device_.device, &allocate, &commands_),
-                                "vkAllocateCommandBuffers");
-    set_vulkan_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
-    set_vulkan_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
+    vk_check(vkAllocateCommandBuffers(device_.device, &allocate, &commands_), "vkAllocateCommandBuffers");
+    set_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
+    set_object_name(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
     const VkFenceCreateInfo fence{VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-    throw_unless_vulkan_success(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
-    set_vulkan_object_name(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
+    vk_check(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
+    set_object_name(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
 }
 
 BufferTransfers::~BufferTransfers() {
@@ -36,9 +34,9 @@ BufferTransfers::~BufferTransfers() {
     vkDestroyCommandPool(device_.device, pool_, nullptr);
 }
 
-Buffer::Impl& BufferTransfers::get_or_enlarge_staging_buffer(std::unique_ptr<Buffer::Impl>& staging_buffer,
-                                                             BufferPurpose purpose, std::size_t n_bytes) {
-    const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kSmallest, kLargest);
+Buffer::Impl& BufferTransfers::ensure_staging(std::unique_ptr<Buffer::Impl>& staging_buffer,
+                                              BufferPurpose purpose, std::size_t n_bytes) {
+    const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kMinStagingBytes, kMaxStagingBytes);
     if (!staging_buffer || staging_buffer->n_bytes < staging_bytes) {
         staging_buffer.reset();
         staging_buffer = std::make_unique<Buffer::Impl>(device_, staging_bytes, purpose, "staging");
@@ -46,24 +44,24 @@ Buffer::Impl& BufferTransfers::get_or_enlarge_staging_buffer(std::unique_ptr<Buf
     return *staging_buffer;
 }
 
-void BufferTransfers::upload_to_buffer(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
-                                       std::size_t offset_bytes) {
+void BufferTransfers::upload(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
+                             std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& from = get_or_enlarge_staging_buffer(upload_, BufferPurpose::upload, n_bytes);
-    for (std::size_t done = 0; done < n_bytes; done += kLargest) {
-        const std::size_t n = std::min(kLargest, n_bytes - done);
+    const Buffer::Impl& from = ensure_staging(upload_, BufferPurpose::upload, n_bytes);
+    for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
+        const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
         std::memcpy(from.mapped, static_cast<const std::byte*>(host_data) + done, n);
-        copy_buffer_and_wait(from.handle, target.handle, {0, offset_bytes + done, n});
+        copy_now(from.handle, target.handle, {0, offset_bytes + done, n});
     }
 }
 
-void BufferTransfers::download_from_buffer(const Buffer::Impl& source, void* host_data, std::size_t n_bytes,
-                                           std::size_t offset_bytes) {
+void BufferTransfers::download(const Buffer::Impl& source, void* host_data, std::size_t n_bytes,
+                               std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
-    const Buffer::Impl& to = get_or_enlarge_staging_buffer(download_, BufferPurpose::readback, n_bytes);
-    for (std::size_t done = 0; done < n_bytes; done += kLargest) {
-        const std::size_t n = std::min(kLargest, n_bytes - done);
-        copy_buffer_and_wait(source.handle, to.handle, {offset_bytes + done, 0, n});
+    const Buffer::Impl& to = ensure_staging(download_, BufferPurpose::readback, n_bytes);
+    for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
+        const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
+        copy_now(source.handle, to.handle, {offset_bytes + done, 0, n});
         std::memcpy(static_cast<std::byte*>(host_data) + done, to.mapped, n);
     }
 }
@@ -71,16 +69,16 @@ void BufferTransfers::download_from_buffer(const Buffer::Impl& source, void* hos
 void BufferTransfers::copy_buffer(const Buffer::Impl& source, const Buffer::Impl& target,
                                   std::size_t n_bytes) {
     const std::lock_guard lock(mutex_);
-    copy_buffer_and_wait(source.handle, target.handle, {0, 0, n_bytes});
+    copy_now(source.handle, target.handle, {0, 0, n_bytes});
 }
 
 /// Needs no barrier before, because every submission of a stream ends with one.
-void BufferTransfers::copy_buffer_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
-    if (!done_) create_command_buffer();
-    throw_unless_vulkan_success(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
+void BufferTransfers::copy_now(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
+    if (!done_) create_commands();
+    vk_check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    throw_unless_vulkan_success(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+    vk_check(vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
     vkCmdCopyBuffer(commands_, source, target, 1, &region);
     VkMemoryBarrier memory_barrier{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     memory_barrier.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
@@ -89,15 +87,14 @@ void BufferTransfers::copy_buffer_and_wait(VkBuffer source, VkBuffer target, con
     vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT,
                          VK_PIPELINE_STAGE_HOST_BIT | VK_PIPELINE_STAGE_ALL_COMMANDS_BIT, 0, 1,
                          &memory_barrier, 0, nullptr, 0, nullptr);
-    throw_unless_vulkan_success(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
+    vk_check(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
     info.commandBufferCount = 1;
     info.pCommandBuffers = &commands_;
-    throw_unless_vulkan_success(vkResetFences(device_.device, 1, &done_), "vkResetFences");
+    vk_check(vkResetFences(device_.device, 1, &done_), "vkResetFences");
     device_.submit_to_queue(info, done_);
     ++device_.n_full_waits;
-    throw_unless_vulkan_success(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)),
-                                "vkWaitForFences");
+    vk_check(vkWaitForFences(device_.device, 1, &done_, VK_TRUE, ~std::uint64_t(0)), "vkWaitForFences");
 }
 
 }  // namespace relidar::gpu

@@ -17,10 +17,9 @@ public:
     BufferTransfers(const BufferTransfers&) = delete;
     BufferTransfers& operator=(const BufferTransfers&) = delete;
 
-    void upload_to_buffer(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
-                          std::size_t offset_bytes);
-    void download_from_buffer(const Buffer::Impl& source, void* host_data, std::size_t n_bytes,
-                              std::size_t offset_bytes);
+    void upload(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
+                std::size_t offset_bytes);
+    void download(const Buffer::Impl& source, void* host_data, std::size_t n_bytes, std::size_t offset_bytes);
     void copy_buffer(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes);
 
 private:
@@ -32,10 +31,10 @@ private:
     /// Allocated at the first copy in each direction.
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
-    void create_command_buffer();
-    Buffer::Impl& get_or_enlarge_staging_buffer(std::unique_ptr<Buffer::Impl>& staging_buffer,
-                                                BufferPurpose purpose, std::size_t n_bytes);
-    void copy_buffer_and_wait(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
+    void create_commands();
+    Buffer::Impl& ensure_staging(std::unique_ptr<Buffer::Impl>& staging_buffer, BufferPurpose purpose,
+                                 std::size_t n_bytes);
+    void copy_now(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
 };
 
 }  // namespace relidar::gpu

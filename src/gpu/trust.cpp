@@ -15,12 +15,12 @@
 namespace relidar {
 namespace {
 
-DeviceOpenCallbacks& get_device_open_callbacks() {
+DeviceOpenCallbacks& open_callbacks() {
     static DeviceOpenCallbacks functions;
     return functions;
 }
 
-std::string& get_injected_fault_names() {
+std::string& injected_faults() {
     static std::string faults;
     return faults;
 }
@@ -30,7 +30,7 @@ struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;
 };
-UnsavedTestResults& get_unsaved_device_test_results() {
+UnsavedTestResults& unsaved_results() {
     static UnsavedTestResults results;
     return results;
 }
@@ -39,8 +39,7 @@ UnsavedTestResults& get_unsaved_device_test_results() {
 thread_local const DeviceTestResults* fixed_trust = nullptr;
 
 /// A file is accepted only if it equals this text exactly.
-std::string format_device_test_results(const std::string& driver_version,
-                                       const DeviceTestResults& test_results) {
+std::string format_results(const std::string& driver_version, const DeviceTestResults& test_results) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
         "driver {}\nfloat_atomics {}\nfloat_swaps {}\nsubgroup_size {}\nray_query {}\n",
@@ -48,8 +47,8 @@ std::string format_device_test_results(const std::string& driver_version,
         test_results.subgroup_size, int(test_results.ray_query));
 }
 
-std::optional<DeviceTestResults> read_device_test_results(const std::filesystem::path& path,
-                                                          const std::string& expected_driver_version) {
+std::optional<DeviceTestResults> read_results(const std::filesystem::path& path,
+                                              const std::string& expected_driver_version) {
     std::ifstream file(path);
     std::stringstream content;
     content << file.rdbuf();
@@ -65,16 +64,15 @@ std::optional<DeviceTestResults> read_device_test_results(const std::filesystem:
     trust.float_atomics = atomics != 0;
     trust.float_swaps = swaps != 0;
     trust.ray_query = CheckVerdict(ray_query);
-    return text == format_device_test_results(expected_driver_version, trust) ? std::optional(trust)
-                                                                              : std::nullopt;
+    return text == format_results(expected_driver_version, trust) ? std::optional(trust) : std::nullopt;
 }
 
 }  // namespace
 
-void set_device_open_callbacks(DeviceOpenCallbacks callbacks) {
-    get_device_open_callbacks() = std::move(callbacks);
-    const std::scoped_lock lock(get_unsaved_device_test_results().mutex);
-    get_unsaved_device_test_results().by_device.clear();
+void set_open_callbacks(DeviceOpenCallbacks callbacks) {
+    open_callbacks() = std::move(callbacks);
+    const std::scoped_lock lock(unsaved_results().mutex);
+    unsaved_results().by_device.clear();
 }
 
 ScopedDeviceTestResults::ScopedDeviceTestResults(const DeviceTestResults& test_results)
@@ -85,30 +83,28 @@ ScopedDeviceTestResults::~ScopedDeviceTestResults() { fixed_trust = before_; }
 
 namespace gpu {
 
-void set_injected_faults(const std::string& comma_separated_faults) {
-    get_injected_fault_names() = comma_separated_faults;
-}
-bool is_fault_injected(const std::string& fault_name) {
-    return ("," + get_injected_fault_names() + ",").find("," + fault_name + ",") != std::string::npos;
+void inject_faults(const std::string& comma_separated_faults) { injected_faults() = comma_separated_faults; }
+bool has_fault(const std::string& fault_name) {
+    return ("," + injected_faults() + ",").find("," + fault_name + ",") != std::string::npos;
 }
 
-DeviceTestResults read_or_run_device_test(const Device::Impl& device, const DeviceOptions& options) {
+DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions& options) {
     if (fixed_trust) return *fixed_trust;
-    if (!get_device_open_callbacks().check || options.compile_only) return {};
+    if (!open_callbacks().check || options.compile_only) return {};
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
     // Injected faults must not affect later runs.
-    if (!options.pipeline_cache.empty() && get_injected_fault_names().empty())
-        path = options.pipeline_cache / ("check_" + make_cache_file_name(properties) + ".txt");
+    if (!options.pipeline_cache.empty() && injected_faults().empty())
+        path = options.pipeline_cache / ("check_" + cache_file_name(properties) + ".txt");
     const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {
         return trust && (trust->ray_query != CheckVerdict::unknown ||
                          device.traversal != RayTracingBackend::ray_query);
     };
-    const std::string key = make_cache_file_name(properties) + " " + get_injected_fault_names();
-    UnsavedTestResults& unstored = get_unsaved_device_test_results();
+    const std::string key = cache_file_name(properties) + " " + injected_faults();
+    UnsavedTestResults& unstored = unsaved_results();
     const std::scoped_lock lock(unstored.mutex);
-    const std::optional<DeviceTestResults> saved_results = read_device_test_results(path, device.info.driver);
+    const std::optional<DeviceTestResults> saved_results = read_results(path, device.info.driver);
     if (is_complete(saved_results)) return *saved_results;
     const auto checked_before = unstored.by_device.find(key);
     if (checked_before != unstored.by_device.end() && is_complete(checked_before->second))
@@ -116,22 +112,19 @@ DeviceTestResults read_or_run_device_test(const Device::Impl& device, const Devi
     DeviceOptions check_options = options;
     check_options.index = device.info.index;
     check_options.traversal = device.traversal;
-    const DeviceTestResults trust = get_device_open_callbacks().check(check_options);
-    if (!path.empty())
-        try_replace_file_atomically(path, format_device_test_results(device.info.driver, trust));
-    if (!read_device_test_results(path, device.info.driver)) unstored.by_device[key] = trust;
+    const DeviceTestResults trust = open_callbacks().check(check_options);
+    if (!path.empty()) write_cache_file(path, format_results(device.info.driver, trust));
+    if (!read_results(path, device.info.driver)) unstored.by_device[key] = trust;
     return trust;
 }
 
-void report_device_note(const std::string& text) {
-    if (get_device_open_callbacks().note && !fixed_trust) get_device_open_callbacks().note(text);
+void report_note(const std::string& text) {
+    if (open_callbacks().note && !fixed_trust) open_callbacks().note(text);
 }
 
-void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results) {
+void disable_failed(Device::Impl& device, const DeviceTestResults& test_results) {
     DeviceInfo& info = device.info;
-    const auto note = [&](const std::string& text) {
-        report_device_note(fmt::format("{}: {}", info.name, text));
-    };
+    const auto note = [&](const std::string& text) { report_note(fmt::format("{}: {}", info.name, text)); };
     if (!test_results.float_atomics && info.float_atomics) {
         info.float_atomics = false;
         note(

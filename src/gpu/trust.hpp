@@ -15,16 +15,16 @@ namespace relidar::gpu {
 /// Reads the results of the device check from the cache folder, or runs the check if the
 /// file is missing, damaged, or from another version of the driver or of relidar. If the
 /// program has set no check, every method counts as correct.
-DeviceTestResults read_or_run_device_test(const Device::Impl& device, const DeviceOptions& options);
+DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions& options);
 
 /// Prints a line about devices, unless this thread has fixed test results.
-void report_device_note(const std::string& text);
+void report_note(const std::string& text);
 /// Prints one line for each method. Call it before the device is opened.
-void disable_methods_that_failed_test(Device::Impl& device, const DeviceTestResults& test_results);
+void disable_failed(Device::Impl& device, const DeviceTestResults& test_results);
 
 /// For tests: float_atomics, float_swaps, subgroups:N, ray_query. In builds with
-/// RELIDAR_ASSERTS, apply_environment_variables() reads them from RELIDAR_FAULTS.
-void set_injected_faults(const std::string& comma_separated_faults);
-bool is_fault_injected(const std::string& fault_name);
+/// RELIDAR_ASSERTS, apply_environment() reads them from RELIDAR_FAULTS.
+void inject_faults(const std::string& comma_separated_faults);
+bool has_fault(const std::string& fault_name);
 
 }  // namespace relidar::gpu

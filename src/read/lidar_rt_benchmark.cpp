@@ -8,8 +8,8 @@
 
 namespace relidar {
 
-RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
-                                                     std::span<const BenchmarkSequence> benchmark_sequences) {
+RequestedDriveFrames find_drive(const DatasetOptions& options,
+                                std::span<const BenchmarkSequence> benchmark_sequences) {
     const auto part = std::find_if(benchmark_sequences.begin(), benchmark_sequences.end(),
                                    [&](const BenchmarkSequence& p) { return options.sequence == p.name; });
     if (part == benchmark_sequences.end()) return {options.sequence, options.frames};

@@ -47,7 +47,7 @@ struct RequestedDriveFrames {
 };
 /// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
 /// @throws UsageError if this sequence contains none of the requested frames
-RequestedDriveFrames find_requested_drive_and_frames(const DatasetOptions& options,
-                                                     std::span<const BenchmarkSequence> benchmark_sequences);
+RequestedDriveFrames find_drive(const DatasetOptions& options,
+                                std::span<const BenchmarkSequence> benchmark_sequences);
 
 }  // namespace relidar

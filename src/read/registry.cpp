@@ -15,15 +15,15 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/parallel.hpp"
-#include "log/checks/checks.hpp"
 #include "log/checks/box_conventions.hpp"
-#include "read/scans/far_marker.hpp"
-#include "read/kitti/log_files.hpp"
+#include "log/checks/checks.hpp"
+#include "read/bag/load_ros_bag.hpp"
 #include "read/files/other_formats.hpp"
 #include "read/files/point_table.hpp"
-#include "read/scans/pose_conventions.hpp"
-#include "read/bag/load_ros_bag.hpp"
+#include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
+#include "read/scans/far_marker.hpp"
+#include "read/scans/pose_conventions.hpp"
 
 namespace relidar {
 namespace {
@@ -36,45 +36,44 @@ struct DatasetKind {
     /// ".ending" files with this extension, also inside a folder.
     const char* marker;
     const char* describe;
-    LidarSequence (*load)(const fs::path&, const DatasetOptions&);
+    Log (*load)(const fs::path&, const DatasetOptions&);
     /// selected with DatasetOptions::sequence
     bool holds_drives = false;
 };
 
-constexpr DatasetKind kKinds[] = {
+constexpr DatasetKind kDatasetKinds[] = {
     {"argoverse2", "city_SE3_egovehicle.feather", "an Argoverse 2 log", load_argoverse2},
     {"kitti_raw", "velodyne_points", "a KITTI raw drive", load_kitti_raw},
-    {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_kitti_odometry},
+    {"kitti_odometry", "calib.txt", "a KITTI odometry sequence", load_odometry},
     {"kitti360", "data_3d_raw", "KITTI-360", load_kitti_360, true},
     {"waymo", ".tfrecord", "a segment of Waymo Open", load_waymo, true},
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
     {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes,
      true},
     {"t4", "annotation/scene.json", "a T4 dataset of TIER IV", load_nuscenes, true},
-    {"boreas", "applanix", "a Boreas sequence", load_boreas_dataset},
-    {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran_dataset},
-    {"once", "lidar_roof", "a ONCE sequence", load_once_dataset},
-    {"folder", "sequence.json", "a plain folder", load_plain_folder},
-    {"synthetic", "street.toml", "a synthetic street", load_synthetic_dataset},
+    {"boreas", "applanix", "a Boreas sequence", load_boreas},
+    {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran},
+    {"once", "lidar_roof", "a ONCE sequence", load_once},
+    {"folder", "sequence.json", "a plain folder", load_folder},
+    {"synthetic", "street.toml", "a synthetic street", load_synthetic},
     {"rosbag", ".mcap .db3 .bag .mcap.zstd .db3.zstd metadata.yaml", "a ROS bag", load_ros_bag},
     {"pcap", ".pcap .pcapng .pcap.gz .pcapng.gz", "a capture of LiDAR packets", load_ros_bag},
 };
 
-std::vector<std::string> list_dataset_kind_names() {
+std::vector<std::string> list_kind_names() {
     std::vector<std::string> names;
-    for (const DatasetKind& kind : kKinds) names.emplace_back(kind.name);
+    for (const DatasetKind& kind : kDatasetKinds) names.emplace_back(kind.name);
     return names;
 }
 
-const DatasetKind& find_dataset_kind(const std::string& kind_name) {
-    for (const DatasetKind& kind : kKinds)
+const DatasetKind& find_kind(const std::string& kind_name) {
+    for (const DatasetKind& kind : kDatasetKinds)
         if (kind_name == kind.name) return kind;
     fail<UsageError>("the dataset kind '{}' is unknown{} (known: {})", kind_name,
-                     format_name_suggestion(kind_name, list_dataset_kind_names(), "'"),
-                     fmt::join(list_dataset_kind_names(), ", "));
+                     did_you_mean(kind_name, list_kind_names(), "'"), fmt::join(list_kind_names(), ", "));
 }
 
-bool contains_file_identifying_dataset(const fs::path& path, std::string_view file_name_pattern) {
+bool contains_match(const fs::path& path, std::string_view file_name_pattern) {
     if (!file_name_pattern.starts_with('.') && !file_name_pattern.ends_with('*'))
         return does_path_exist(path / file_name_pattern);
     const auto matches = [&](const fs::path& file) {
@@ -85,27 +84,27 @@ bool contains_file_identifying_dataset(const fs::path& path, std::string_view fi
     };
     if (!does_path_exist(path)) return false;
     if (!fs::is_directory(path)) return file_name_pattern.starts_with('.') && matches(path);
-    const std::vector<fs::path> files = list_folder_entries(path);
+    const std::vector<fs::path> files = list_folder(path);
     return std::any_of(files.begin(), files.end(), matches);
 }
 
-bool is_dataset_of_kind(const fs::path& path, const DatasetKind& kind) {
+bool is_of_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
-        if (contains_file_identifying_dataset(path, left.substr(0, end))) return true;
+        if (contains_match(path, left.substr(0, end))) return true;
         left.remove_prefix(std::min(end + 1, left.size()));
     }
     return false;
 }
 
 /// The message contains an example of a sequence.json.
-void throw_if_scans_lack_sequence_json(const fs::path& path) {
+void require_sequence_json(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
     for (const char* scans : {"scans", "."}) {
         if (!fs::is_directory(path / scans, failed)) continue;
         std::size_t n = 0;
-        for (const fs::path& file : list_folder_entries(path / scans))
+        for (const fs::path& file : list_folder(path / scans))
             n += read::is_point_file(file) || read::is_image_file(file);
         if (n < 2) continue;
         const std::string lidars =
@@ -126,16 +125,16 @@ void visit_ranges(const Scan& scan, const Visit& visit) {
 }
 
 /// Rounds the largest range up to metres. Returns 80 m without returns.
-double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
+double farthest_return_m(const Log& sequence, int lidar_index) {
     // No LiDAR on a vehicle measures larger ranges.
-    constexpr float kFarthest_m = 1000.0f;
+    constexpr float kMaxPlausibleRange_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
     parallel_for(int(farthest.size()), [&](int index) {
-        const LidarFrame& frame = sequence.frames[std::size_t(index)];
+        const Frame& frame = sequence.frames[std::size_t(index)];
         if (frame.lidar != lidar_index) return;
         visit_ranges(frame.scan, [&](float range_m) {
-            if (range_m <= kFarthest_m)
+            if (range_m <= kMaxPlausibleRange_m)
                 farthest[std::size_t(index)] = std::max(farthest[std::size_t(index)], range_m);
         });
     });
@@ -144,11 +143,11 @@ double find_farthest_return_m(const LidarSequence& sequence, int lidar_index) {
 }
 
 /// Uses the largest range in the log, and adds a note.
-void set_unknown_max_ranges(LidarSequence& sequence) {
+void fill_max_ranges(Log& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
         if (std::isfinite(sensor.max_range_m)) continue;
-        sensor.max_range_m = find_farthest_return_m(sequence, int(l));
+        sensor.max_range_m = farthest_return_m(sequence, int(l));
         const std::string& name = sequence.lidars[l].name;
         sequence.notes.push_back(
             fmt::format("maximum range{}: relidar uses the range of the farthest return, {} m, because the "
@@ -161,7 +160,7 @@ struct RangeLimitCounts {
     std::size_t n_below_min = 0, n_above_max = 0, n_returns = 0;
 };
 
-RangeLimitCounts count_returns_outside_limits(const Scan& scan, const RangeLimits& limits) {
+RangeLimitCounts count_outside(const Scan& scan, const RangeLimits& limits) {
     RangeLimitCounts counts;
     visit_ranges(scan, [&](float range_m) {
         counts.n_returns += range_m > 0.0f;
@@ -173,8 +172,7 @@ RangeLimitCounts count_returns_outside_limits(const Scan& scan, const RangeLimit
 
 /// @param counts_of_frames  [frames]
 /// @throws DataError if all returns of the log are outside the limits
-void add_notes_about_dropped_returns(LidarSequence& sequence,
-                                     const std::vector<RangeLimitCounts>& counts_of_frames) {
+void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_frames) {
     std::size_t n_all = 0, n_within_limits = 0;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         RangeLimitCounts sum;
@@ -207,25 +205,25 @@ void add_notes_about_dropped_returns(LidarSequence& sequence,
 }
 
 /// Turns returns outside the limits into dropped rays.
-void apply_range_limits_to_lidars_and_scans(LidarSequence& sequence, const RangeLimits& requested_limits) {
-    set_unknown_max_ranges(sequence);
+void apply_range_limits(Log& sequence, const RangeLimits& requested_limits) {
+    fill_max_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
-        const RangeLimits limits = intersect_range_limits(lidar.sensor.range_limits(), requested_limits);
+        const RangeLimits limits = intersect(lidar.sensor.range_limits(), requested_limits);
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
     }
     std::vector<RangeLimitCounts> counts(sequence.frames.size());
     parallel_for(int(counts.size()), [&](int index) {
-        LidarFrame& frame = sequence.frames[std::size_t(index)];
-        const RangeLimits limits = sequence.get_lidar(frame).sensor.range_limits();
-        counts[std::size_t(index)] = count_returns_outside_limits(frame.scan, limits);
-        remove_returns_outside_limits(frame.scan, limits);
+        Frame& frame = sequence.frames[std::size_t(index)];
+        const RangeLimits limits = sequence.lidar_of(frame).sensor.range_limits();
+        counts[std::size_t(index)] = count_outside(frame.scan, limits);
+        limit_ranges(frame.scan, limits);
     });
-    add_notes_about_dropped_returns(sequence, counts);
+    note_dropped(sequence, counts);
 }
 
 /// Also removes the frames of all other LiDARs, and the poses that are then unused.
-void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<std::string>& lidar_names) {
+void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names) {
         bool is_found = false;  // LiDARs that share a topic have the names TOPIC:ID
@@ -235,7 +233,7 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
             new_index_of_lidar[l] = 0;
             is_found = true;
         }
-        if (!is_found) new_index_of_lidar[std::size_t(find_lidar_index_by_name(sequence, name))] = 0;
+        if (!is_found) new_index_of_lidar[std::size_t(find_lidar(sequence, name))] = 0;
     }
     std::vector<Lidar> remaining_lidars;
     std::vector<std::string> left_out;
@@ -247,16 +245,16 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
         }
     }
     std::erase_if(sequence.frames,
-                  [&](const LidarFrame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
+                  [&](const Frame& frame) { return new_index_of_lidar[std::size_t(frame.lidar)] < 0; });
     if (sequence.frames.empty())
         fail<UsageError>(
             "dataset.lidars: the selected frames contain no scan of {}; select another LiDAR or other frames",
             fmt::join(lidar_names, ", "));
     PoseTrack track;
-    for (LidarFrame& frame : sequence.frames) {
+    for (Frame& frame : sequence.frames) {
         frame.lidar = new_index_of_lidar[std::size_t(frame.lidar)];
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
-        track.append(frame.time_s, sequence.world_from_vehicle.interpolate_pose(frame.time_s));
+        track.append(frame.time_s, sequence.world_from_vehicle.pose_at(frame.time_s));
     }
     sequence.lidars = std::move(remaining_lidars);
     sequence.world_from_vehicle = std::move(track);
@@ -266,7 +264,7 @@ void remove_all_except_named_lidars(LidarSequence& sequence, const std::vector<s
 }
 
 /// The kind of a mere path is empty.
-std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset) {
+std::pair<std::string, fs::path> split_dataset(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
     const bool has_kind =
@@ -277,26 +275,26 @@ std::pair<std::string, fs::path> split_kind_and_path(const std::string& dataset)
 
 /// @param requested_drive  may be empty
 /// @throws UsageError if the dataset contains only one drive
-const DatasetKind& find_dataset_kind_of_path(const std::string& dataset, const std::string& requested_drive) {
-    const auto [kind, path] = split_kind_and_path(dataset);
-    const std::string name = kind.empty() ? detect_dataset_kind(path) : kind;
-    const DatasetKind& reader = find_dataset_kind(name);
+const DatasetKind& kind_of_path(const std::string& dataset, const std::string& requested_drive) {
+    const auto [kind, path] = split_dataset(dataset);
+    const std::string name = kind.empty() ? detect_kind(path) : kind;
+    const DatasetKind& reader = find_kind(name);
     if (!requested_drive.empty() && !reader.holds_drives)
         fail<UsageError>(
             "dataset.sequence: found '{}', but {} is a single drive; do not set dataset.sequence",
-            shorten_for_error_message(requested_drive), reader.describe);
+            quote(requested_drive), reader.describe);
     return reader;
 }
 
-void set_sweep_starts_and_azimuth_shifts(LidarSequence& sequence) {
+void estimate_sweeps(Log& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
-        nominal.push_back(lidar.pattern ? RayTable{} : make_nominal_rays(lidar, 0.0));
+        nominal.push_back(lidar.pattern ? RayTable{} : make_lidar_rays(lidar, 0.0));
     parallel_for(int(sequence.frames.size()), [&](int index) {
-        LidarFrame& frame = sequence.frames[std::size_t(index)];
-        frame.start = find_sweep_start(frame.scan.rays, sequence.get_lidar(frame));
-        frame.azimuth_shift_rad = measure_azimuth_shifts_rad(frame.scan, sequence.get_lidar(frame).sensor,
-                                                             nominal[std::size_t(frame.lidar)]);
+        Frame& frame = sequence.frames[std::size_t(index)];
+        frame.start = find_sweep_start(frame.scan.rays, sequence.lidar_of(frame));
+        frame.azimuth_shift_rad = measure_shifts_rad(frame.scan, sequence.lidar_of(frame).sensor,
+                                                     nominal[std::size_t(frame.lidar)]);
     });
 }
 
@@ -304,42 +302,41 @@ void set_sweep_starts_and_azimuth_shifts(LidarSequence& sequence) {
 
 bool is_dataset(const fs::path& path) {
     try {
-        return std::any_of(std::begin(kKinds), std::end(kKinds),
-                           [&](const DatasetKind& kind) { return is_dataset_of_kind(path, kind); });
+        return std::any_of(std::begin(kDatasetKinds), std::end(kDatasetKinds),
+                           [&](const DatasetKind& kind) { return is_of_kind(path, kind); });
     } catch (const DataError&) {
         return false;  // the path cannot be read
     }
 }
 
-std::string detect_dataset_kind(const fs::path& path) {
+std::string detect_kind(const fs::path& path) {
     std::error_code failed;
-    if (!fs::is_regular_file(path, failed)) require_existing_folder(path, "a dataset");
+    if (!fs::is_regular_file(path, failed)) require_folder(path, "a dataset");
     std::string supported_formats;
-    for (const DatasetKind& kind : kKinds) {
-        if (is_dataset_of_kind(path, kind)) return kind.name;
+    for (const DatasetKind& kind : kDatasetKinds) {
+        if (is_of_kind(path, kind)) return kind.name;
         supported_formats +=
             fmt::format("{}{} ({})", supported_formats.empty() ? "" : ", ", kind.describe, kind.marker);
     }
-    throw_if_scans_lack_sequence_json(path);
-    if (const std::string other = describe_unsupported_format(path); !other.empty())
-        fail("{}: {}", path.string(), other);
-    if (const std::string other = describe_unsupported_file_in(path); !other.empty())
+    require_sequence_json(path);
+    if (const std::string other = describe_format(path); !other.empty()) fail("{}: {}", path.string(), other);
+    if (const std::string other = find_unsupported(path); !other.empty())
         fail("{} is not a dataset: {}", path.string(), other);
-    for (const DatasetKind& kind : kKinds) {
-        const std::string stranger = kitti::describe_mistaken_kitti_folder(path, kind.marker);
+    for (const DatasetKind& kind : kDatasetKinds) {
+        const std::string stranger = kitti::describe_mistake(path, kind.marker);
         if (!stranger.empty()) fail("{} is not a dataset: {}", path.string(), stranger);
     }
     fail("{} is not a dataset of a known format, expected one of: {}", path.string(), supported_formats);
 }
 
-std::string make_dataset_path_absolute(const std::string& dataset) {
-    const auto [kind, path] = split_kind_and_path(dataset);
+std::string absolute_dataset(const std::string& dataset) {
+    const auto [kind, path] = split_dataset(dataset);
     if (path.empty()) return dataset;
     const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();
     return kind.empty() ? absolute : kind + ":" + absolute;
 }
 
-LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
+Log load_sequence(const std::string& dataset, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end))
         fail<UsageError>("the frame range {}:{} is empty, expected a:b with 0 <= a < b", range.begin,
@@ -348,16 +345,15 @@ LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& op
         fail<UsageError>(
             "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
             options.min_range_m, options.max_range_m);
-    LidarSequence sequence = find_dataset_kind_of_path(dataset, options.sequence)
-                                 .load(split_kind_and_path(dataset).second, options);
+    Log sequence = kind_of_path(dataset, options.sequence).load(split_dataset(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
-    require_valid_sequence(sequence);
-    if (!options.lidars.empty()) remove_all_except_named_lidars(sequence, options.lidars);
-    read::correct_poses_if_stored_inverted(sequence);
-    set_sweep_starts_and_azimuth_shifts(sequence);
-    remove_returns_that_mark_dropped_rays(sequence);
-    apply_range_limits_to_lidars_and_scans(sequence, {options.min_range_m, options.max_range_m});
-    checks::remove_boxes_of_vehicle(sequence);
+    check_sequence(sequence);
+    if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
+    read::fix_inverted_poses(sequence);
+    estimate_sweeps(sequence);
+    remove_drop_markers(sequence);
+    apply_range_limits(sequence, {options.min_range_m, options.max_range_m});
+    checks::remove_ego_boxes(sequence);
     checks::note_faults(sequence);
     return sequence;
 }

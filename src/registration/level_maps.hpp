@@ -23,27 +23,26 @@ public:
 
     void clear() {
         maps_.clear();
-        for (int level = 0; level < kLevels; ++level)
-            maps_.emplace_back(get_registration_settings_of_level(level).cell_m);
+        for (int level = 0; level < kLevels; ++level) maps_.emplace_back(settings_of_level(level).cell_m);
     }
     bool empty() const { return maps_.front().empty(); }
-    RegistrationRound get_registration_settings_of_level(int level) const {
-        return interpolate_round_settings(first_, last_, level / double(kLevels - 1));
+    RegistrationRound settings_of_level(int level) const {
+        return blend_rounds(first_, last_, level / double(kLevels - 1));
     }
     /// Adds points that the vehicle measured after driving `travelled_distance_m`.
-    void add_points_to_maps(const std::vector<glm::dvec3>& points_m, double travelled_distance_m) {
+    void add_points(const std::vector<glm::dvec3>& points_m, double travelled_distance_m) {
         parallel_for(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m)
-                maps_[std::size_t(level)].add_point_to_cell(point_m, travelled_distance_m);
+                maps_[std::size_t(level)].add_point(point_m, travelled_distance_m);
         });
     }
-    void remove_cells_last_seen_before(double min_travelled_distance_m) {
-        for (VoxelPlaneMap& map : maps_) map.remove_cells_before(min_travelled_distance_m);
+    void forget_before(double min_travelled_distance_m) {
+        for (VoxelPlaneMap& map : maps_) map.remove_before(min_travelled_distance_m);
     }
     /// Returns the plane at a point. Searches map `finest_level` first, then the coarser
     /// maps, because distant points form planes only in large cells. Returns null if no
     /// map has a plane.
-    const LocalPlane* find_finest_plane_at(const glm::dvec3& point_m, int finest_level) const {
+    const LocalPlane* find_plane(const glm::dvec3& point_m, int finest_level) const {
         const LocalPlane* plane = nullptr;
         for (int l = finest_level; l >= 0 && !plane; --l)
             plane = maps_[std::size_t(l)].find_plane_at(point_m);

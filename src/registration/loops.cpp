@@ -17,33 +17,33 @@ namespace {
 // closures connect only keyframes.
 constexpr double kKeyframeDistance_m = 4.0;
 // Minimum path length between two passes over a road. Odometry has aligned closer passes.
-constexpr double kApart_m = 80.0;
+constexpr double kMinPassDistance_m = 80.0;
 // A loop closure is searched between two poses that are at most this far apart. The limit
 // grows by kLoopDistanceGrowth per metre of path between the poses, because odometry
 // drifts.
 constexpr double kLoopDistance_m = 4.0, kLoopDistanceGrowth = 0.01, kMaxLoopDistance_m = 15.0;
 // A scan is aligned with a map of the earlier pass. The map extends this distance along
 // the road before and after the earlier pose that is nearest to the scan.
-constexpr double kMap_m = 14.0;
+constexpr double kMapReach_m = 14.0;
 // Registration tries a grid of start positions around the predicted pose. The values are
 // the spacing of the grid, and its largest horizontal and vertical distance.
-constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
+constexpr double kStartGridStep_m = 1.5, kMaxStartOffset_m = 6.0, kMaxStartHeight_m = 4.5;
 // Penalty per grid step between a start position and the predicted position. The score of
 // a start position is the share of points on planes of the map, minus this penalty.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
-constexpr int kMostLoopSteps = 10;
-constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
+constexpr int kMaxLoopSteps = 10;
+constexpr double kMinLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // Minimum share of the scan's points on planes of the map.
-constexpr double kLeastShare = 0.4;
+constexpr double kMinClosureShare = 0.4;
 constexpr std::size_t kMinLoopClosures = 2;
 // standard deviations of odometry errors between two keyframes
 constexpr double kOdometrySigma_m = 0.01, kOdometrySigma_rad = 3e-4;
 constexpr double kClosureSigma_m = 0.05, kClosureSigma_rad = 2e-3;  // standard deviations of a loop closure
 // Scale of a robust kernel. A loop closure that contradicts the other loop closures by
 // much more than this has almost no weight.
-constexpr double kBelieved_m = 0.5;
-constexpr int kReweighted = 6;
+constexpr double kClosureKernel_m = 0.5;
+constexpr int kClosureReweightings = 6;
 
 /// The scan at a later keyframe was registered to the map of an earlier pass.
 struct LoopClosure {
@@ -66,21 +66,21 @@ public:
         }
     }
 
-    LoopClosureResult detect_and_close_loops(const std::function<bool(double)>& proceed) {
+    LoopClosureResult run_closures(const std::function<bool(double)>& proceed) {
         LoopClosureResult result{track_, 0, 0.0};
         std::optional<LoopClosure> before;
         for (std::size_t later = 0; later < keyframes_.size(); ++later) {
             if (later % 16 == 0 && !proceed(double(later) / double(keyframes_.size()))) return result;
-            const std::optional<std::size_t> earlier = find_nearest_earlier_keyframe(later);
+            const std::optional<std::size_t> earlier = find_earlier(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
-            if (const auto closure = register_scan_as_loop_closure(*earlier, later, before)) {
+            if (const auto closure = find_closure(*earlier, later, before)) {
                 closures_.push_back(*closure);
                 before = closure;
             }
         }
         if (closures_.size() < kMinLoopClosures) return result;
-        apply_loop_corrections(result);
+        correct_poses(result);
         return result;
     }
 
@@ -94,22 +94,21 @@ private:
     MultiScalePlaneMaps maps_;  // map around the keyframe `map_of_`
     std::optional<std::size_t> map_of_;
 
-    const Pose& get_keyframe_pose(std::size_t keyframe_index) const {
+    const Pose& keyframe_pose(std::size_t keyframe_index) const {
         return track_.pose[keyframes_[keyframe_index]];
     }
-    double get_path_length_to_keyframe_m(std::size_t keyframe_index) const {
+    double path_to_keyframe_m(std::size_t keyframe_index) const {
         return path_length_m_[keyframes_[keyframe_index]];
     }
 
-    std::optional<std::size_t> find_nearest_earlier_keyframe(std::size_t later_keyframe_index) const {
+    std::optional<std::size_t> find_earlier(std::size_t later_keyframe_index) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
         for (std::size_t key = 0; key < later_keyframe_index; ++key) {
-            const double path_m =
-                get_path_length_to_keyframe_m(later_keyframe_index) - get_path_length_to_keyframe_m(key);
-            if (!(path_m > kApart_m)) break;
-            const double distance_m = glm::distance(get_keyframe_pose(key).translation,
-                                                    get_keyframe_pose(later_keyframe_index).translation);
+            const double path_m = path_to_keyframe_m(later_keyframe_index) - path_to_keyframe_m(key);
+            if (!(path_m > kMinPassDistance_m)) break;
+            const double distance_m = glm::distance(keyframe_pose(key).translation,
+                                                    keyframe_pose(later_keyframe_index).translation);
             if (distance_m > std::min(kLoopDistance_m + kLoopDistanceGrowth * path_m, kMaxLoopDistance_m) ||
                 distance_m >= least_m)
                 continue;
@@ -119,41 +118,39 @@ private:
         return nearest;
     }
 
-    void build_map_around_keyframe(std::size_t centre_keyframe_index) {
+    void build_map(std::size_t centre_keyframe_index) {
         if (map_of_ == centre_keyframe_index) return;
         map_of_ = centre_keyframe_index;
         maps_.clear();
         std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keyframes_.size(); ++key) {
-            if (std::abs(get_path_length_to_keyframe_m(key) -
-                         get_path_length_to_keyframe_m(centre_keyframe_index)) > kMap_m)
+            if (std::abs(path_to_keyframe_m(key) - path_to_keyframe_m(centre_keyframe_index)) > kMapReach_m)
                 continue;
             for (const SubsampledPoint& point : scans_[keyframes_[key]])
-                points_m.push_back(transform_point_to_world(track_, point).point_m);
+                points_m.push_back(point_to_world(track_, point).point_m);
         }
-        maps_.add_points_to_maps(points_m, 0.0);
+        maps_.add_points(points_m, 0.0);
     }
 
     /// Returns the points of a keyframe's scan in the vehicle frame of its pose.
-    std::vector<WorldPointWithOrigin> transform_scan_to_keyframe(std::size_t keyframe_index) const {
-        const Pose pose_from_world = inverse(get_keyframe_pose(keyframe_index));
+    std::vector<WorldPointWithOrigin> scan_in_keyframe(std::size_t keyframe_index) const {
+        const Pose pose_from_world = inverse(keyframe_pose(keyframe_index));
         std::vector<WorldPointWithOrigin> points;
         for (const SubsampledPoint& point : scans_[keyframes_[keyframe_index]]) {
-            const WorldPointWithOrigin at = transform_point_to_world(track_, point);
+            const WorldPointWithOrigin at = point_to_world(track_, point);
             points.push_back({pose_from_world * at.point_m, pose_from_world * at.vehicle_m});
         }
         return points;
     }
 
-    double compute_fraction_on_coarse_planes(const std::vector<WorldPointWithOrigin>& points,
-                                             const Pose& pose) const {
+    double coarse_share(const std::vector<WorldPointWithOrigin>& points, const Pose& pose) const {
         const std::size_t step = std::max<std::size_t>(1, points.size() / kGridPoints);
         std::size_t n = 0, on_planes = 0;
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
             const glm::dvec3 p = pose * points[i].point_m;
-            const LocalPlane* plane = maps_.find_finest_plane_at(p, 0);
-            on_planes += plane && compute_robust_weight(glm::dot(plane->normal, p - plane->point_m),
-                                                        first_.scale_m) > 0.25;
+            const LocalPlane* plane = maps_.find_plane(p, 0);
+            on_planes +=
+                plane && robust_weight(glm::dot(plane->normal, p - plane->point_m), first_.scale_m) > 0.25;
         }
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
@@ -161,90 +158,85 @@ private:
     /// Returns the best start pose for an alignment. Searches a grid of positions around
     /// `initial_pose`. Score: share of points on planes of the map, minus a penalty for
     /// the distance from `initial_pose`.
-    Pose find_best_start_pose(const std::vector<WorldPointWithOrigin>& points, const Pose& initial_pose,
-                              double search_radius_m) const {
+    Pose find_start_pose(const std::vector<WorldPointWithOrigin>& points, const Pose& initial_pose,
+                         double search_radius_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
-            return int(std::ceil(std::min(search_radius_m, widest_m) / kGrid_m));
+            return int(std::ceil(std::min(search_radius_m, widest_m) / kStartGridStep_m));
         };
-        const int wide = steps(kWidest_m), high = steps(kHighest_m);
+        const int wide = steps(kMaxStartOffset_m), high = steps(kMaxStartHeight_m);
         for (int x = -wide; x <= wide; ++x)
             for (int y = -wide; y <= wide; ++y)
                 for (int z = -high; z <= high; ++z) offsets.emplace_back(x, y, z);
         const auto start_at = [&](std::size_t index) {
-            return Pose{initial_pose.rotation, initial_pose.translation + kGrid_m * offsets[index]};
+            return Pose{initial_pose.rotation, initial_pose.translation + kStartGridStep_m * offsets[index]};
         };
         std::vector<double> scores(offsets.size());
         parallel_for(static_cast<int>(offsets.size()), [&](int index) {
-            scores[std::size_t(index)] =
-                compute_fraction_on_coarse_planes(points, start_at(std::size_t(index))) -
-                kGridPenalty * glm::length(offsets[std::size_t(index)]);
+            scores[std::size_t(index)] = coarse_share(points, start_at(std::size_t(index))) -
+                                         kGridPenalty * glm::length(offsets[std::size_t(index)]);
         });
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
     /// Moves a scan by one Gauss-Newton step towards planes of the map.
     /// @return length of the step
-    double align_scan_by_one_step_and_get_length_m(const std::vector<WorldPointWithOrigin>& points,
-                                                   Pose& pose, int map_level,
-                                                   double& fraction_on_planes) const {
-        const double scale_m = maps_.get_registration_settings_of_level(map_level).scale_m;
+    double gauss_newton_step(const std::vector<WorldPointWithOrigin>& points, Pose& pose, int map_level,
+                             double& fraction_on_planes) const {
+        const double scale_m = maps_.settings_of_level(map_level).scale_m;
         const SinglePoseEquations equations =
             sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
                 const glm::dvec3 p = pose * points[i].point_m;
-                if (const LocalPlane* plane = maps_.find_finest_plane_at(p, map_level))
-                    part.add_plane_residual(compute_plane_residual({p, pose.translation}, *plane, scale_m));
+                if (const LocalPlane* plane = maps_.find_plane(p, map_level))
+                    part.add_residual(make_residual({p, pose.translation}, *plane, scale_m));
             });
-        fraction_on_planes = double(equations.count_points_on_planes()) / double(points.size());
+        fraction_on_planes = double(equations.count_on_planes()) / double(points.size());
         if (equations.empty()) return 0.0;
-        const Twist x = equations.solve_for_pose_step(kLoopPrior);
+        const Twist x = equations.solve_step(kLoopPrior);
         pose = apply_twist(pose, x);
-        return compute_pose_change_size_m(x);
+        return twist_size_m(x);
     }
 
-    double refine_pose_and_get_fraction_on_planes(const std::vector<WorldPointWithOrigin>& points,
-                                                  Pose& pose) const {
+    double refine_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level)
-            for (int i = 0; i < kMostLoopSteps &&
-                            align_scan_by_one_step_and_get_length_m(points, pose, level, share) > kLoopStep_m;
-                 ++i) {}
+            for (int i = 0;
+                 i < kMaxLoopSteps && gauss_newton_step(points, pose, level, share) > kMinLoopStep_m; ++i) {}
         return share;
     }
 
-    std::optional<LoopClosure> register_scan_as_loop_closure(
-        std::size_t earlier_keyframe_index, std::size_t later_keyframe_index,
-        const std::optional<LoopClosure>& previous_closure) {
-        build_map_around_keyframe(earlier_keyframe_index);
-        const std::vector<WorldPointWithOrigin> points = transform_scan_to_keyframe(later_keyframe_index);
-        const double reach_m =
-            1.0 + kLoopDistanceGrowth * (get_path_length_to_keyframe_m(later_keyframe_index) -
-                                         get_path_length_to_keyframe_m(earlier_keyframe_index));
+    std::optional<LoopClosure> find_closure(std::size_t earlier_keyframe_index,
+                                            std::size_t later_keyframe_index,
+                                            const std::optional<LoopClosure>& previous_closure) {
+        build_map(earlier_keyframe_index);
+        const std::vector<WorldPointWithOrigin> points = scan_in_keyframe(later_keyframe_index);
+        const double reach_m = 1.0 + kLoopDistanceGrowth * (path_to_keyframe_m(later_keyframe_index) -
+                                                            path_to_keyframe_m(earlier_keyframe_index));
         Pose at;
         if (previous_closure) {
             // Predicts the start pose from the previous loop closure, which corrects a
             // nearby pose. Assumes that both poses move together, like one rigid body.
-            const Pose& previous_pose = get_keyframe_pose(previous_closure->later);
+            const Pose& previous_pose = keyframe_pose(previous_closure->later);
             const Pose world_from_world =
                 apply_twist(previous_pose, previous_closure->off) * inverse(previous_pose);
-            at = world_from_world * get_keyframe_pose(later_keyframe_index);
+            at = world_from_world * keyframe_pose(later_keyframe_index);
         } else {
-            at = find_best_start_pose(points, get_keyframe_pose(later_keyframe_index), reach_m);
+            at = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
         }
-        double share = refine_pose_and_get_fraction_on_planes(points, at);
+        double share = refine_pose(points, at);
         // If too few points match, searches for a better start pose.
-        if (previous_closure && share < kLeastShare) {
-            at = find_best_start_pose(points, get_keyframe_pose(later_keyframe_index), reach_m);
-            share = refine_pose_and_get_fraction_on_planes(points, at);
+        if (previous_closure && share < kMinClosureShare) {
+            at = find_start_pose(points, keyframe_pose(later_keyframe_index), reach_m);
+            share = refine_pose(points, at);
         }
-        if (share < kLeastShare) return std::nullopt;
+        if (share < kMinClosureShare) return std::nullopt;
         return LoopClosure{earlier_keyframe_index, later_keyframe_index,
-                           compute_twist(get_keyframe_pose(later_keyframe_index), at)};
+                           compute_twist(keyframe_pose(later_keyframe_index), at)};
     }
 
     /// Solves for the corrections of all keyframes. Each term of the least-squares
     /// problem gives the expected difference between the corrections of two keyframes.
-    Eigen::VectorXd solve_keyframe_corrections(const std::vector<double>& closure_weights) const {
+    Eigen::VectorXd solve_corrections(const std::vector<double>& closure_weights) const {
         const auto n = Eigen::Index(keyframes_.size());
         std::vector<Eigen::Triplet<double>> entries;
         Eigen::VectorXd g = Eigen::VectorXd::Zero(6 * n);
@@ -259,8 +251,8 @@ private:
             Vector6 weights;
             weights << Eigen::Vector3d::Constant(weight / (sigma_m * sigma_m)),
                 Eigen::Vector3d::Constant(weight / (sigma_rad * sigma_rad));
-            const Matrix6 ja = -make_twist_transfer_matrix(get_keyframe_pose(second).translation -
-                                                           get_keyframe_pose(first).translation);
+            const Matrix6 ja =
+                -twist_transfer(keyframe_pose(second).translation - keyframe_pose(first).translation);
             const Matrix6 jb = Matrix6::Identity();
             const Vector6 target = Eigen::Map<const Vector6>(expected_difference.data());
             const Matrix6 wa = weights.asDiagonal() * ja, wb = weights.asDiagonal() * jb;
@@ -273,8 +265,7 @@ private:
         };
         for (std::size_t k = 0; k + 1 < keyframes_.size(); ++k)
             add_term(k, k + 1, Twist{}, kOdometrySigma_m, kOdometrySigma_rad,
-                     kKeyframeDistance_m /
-                         (get_path_length_to_keyframe_m(k + 1) - get_path_length_to_keyframe_m(k)));
+                     kKeyframeDistance_m / (path_to_keyframe_m(k + 1) - path_to_keyframe_m(k)));
         for (std::size_t i = 0; i < closures_.size(); ++i)
             add_term(closures_[i].earlier, closures_[i].later, closures_[i].off, kClosureSigma_m,
                      kClosureSigma_rad, closure_weights[i]);
@@ -286,31 +277,31 @@ private:
 
     /// Returns the correction of pose `pose_index` if it moves with a keyframe like one
     /// rigid body.
-    Vector6 compute_pose_correction_from_keyframe(std::size_t pose_index, std::size_t keyframe_index,
-                                                  const Eigen::VectorXd& keyframe_corrections) const {
-        return make_twist_transfer_matrix(track_.pose[pose_index].translation -
-                                          get_keyframe_pose(keyframe_index).translation) *
+    Vector6 transfer_correction(std::size_t pose_index, std::size_t keyframe_index,
+                                const Eigen::VectorXd& keyframe_corrections) const {
+        return twist_transfer(track_.pose[pose_index].translation -
+                              keyframe_pose(keyframe_index).translation) *
                keyframe_corrections.segment<6>(6 * Eigen::Index(keyframe_index));
     }
 
     /// Returns the error in metres of a loop closure after the poses are corrected.
-    double compute_closure_residual_m(const LoopClosure& loop_closure,
-                                      const Eigen::VectorXd& keyframe_corrections) const {
-        const Vector6 moves = keyframe_corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
-                              compute_pose_correction_from_keyframe(
-                                  keyframes_[loop_closure.later], loop_closure.earlier, keyframe_corrections);
+    double closure_error_m(const LoopClosure& loop_closure,
+                           const Eigen::VectorXd& keyframe_corrections) const {
+        const Vector6 moves =
+            keyframe_corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
+            transfer_correction(keyframes_[loop_closure.later], loop_closure.earlier, keyframe_corrections);
         return (moves.head<3>() -
                 Eigen::Vector3d(loop_closure.off[0], loop_closure.off[1], loop_closure.off[2]))
             .norm();
     }
 
-    void apply_loop_corrections(LoopClosureResult& result) const {
+    void correct_poses(LoopClosureResult& result) const {
         std::vector<double> believed(closures_.size(), 1.0);
         Eigen::VectorXd x;
-        for (int i = 0; i < kReweighted; ++i) {
-            x = solve_keyframe_corrections(believed);
+        for (int i = 0; i < kClosureReweightings; ++i) {
+            x = solve_corrections(believed);
             for (std::size_t k = 0; k < closures_.size(); ++k)
-                believed[k] = compute_robust_weight(compute_closure_residual_m(closures_[k], x), kBelieved_m);
+                believed[k] = robust_weight(closure_error_m(closures_[k], x), kClosureKernel_m);
         }
         for (std::size_t k = 0; k < closures_.size(); ++k) {
             if (believed[k] < 0.25) continue;
@@ -323,13 +314,12 @@ private:
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             while (key + 1 < keyframes_.size() && keyframes_[key + 1] <= k) ++key;
             const std::size_t next = std::min(key + 1, keyframes_.size() - 1);
-            const double length = get_path_length_to_keyframe_m(next) - get_path_length_to_keyframe_m(key);
+            const double length = path_to_keyframe_m(next) - path_to_keyframe_m(key);
             const double s =
-                length > 0.0
-                    ? glm::clamp((path_length_m_[k] - get_path_length_to_keyframe_m(key)) / length, 0.0, 1.0)
-                    : 0.0;
-            const Vector6 c = (1.0 - s) * compute_pose_correction_from_keyframe(k, key, x) +
-                              s * compute_pose_correction_from_keyframe(k, next, x);
+                length > 0.0 ? glm::clamp((path_length_m_[k] - path_to_keyframe_m(key)) / length, 0.0, 1.0)
+                             : 0.0;
+            const Vector6 c =
+                (1.0 - s) * transfer_correction(k, key, x) + s * transfer_correction(k, next, x);
             result.track.pose[k] = apply_twist(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
         }
     }
@@ -340,7 +330,7 @@ private:
 LoopClosureResult close_loops(const PoseTrack& odometry_track, const SubsampledScans& scans,
                               const RegistrationRound& first, const RegistrationRound& last,
                               const std::function<bool(double done)>& proceed) {
-    return LoopCloser(odometry_track, scans, first, last).detect_and_close_loops(proceed);
+    return LoopCloser(odometry_track, scans, first, last).run_closures(proceed);
 }
 
 }  // namespace relidar

@@ -19,35 +19,35 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostSteps = 8;
-constexpr double kConverged_m = 1e-3;  // stops the iteration if a step is shorter than this
+constexpr int kMaxSteps = 8;
+constexpr double kMinStep_m = 1e-3;  // stops the iteration if a step is shorter than this
 // Weight of a term that pulls each pose to its predicted pose, relative to the mean
 // weight of the points. The term matters only in directions that the points do not
 // determine, for example along a road without walls.
-constexpr double kPrior = 3e-4;
+constexpr double kPriorWeight = 3e-4;
 // The alignment of a scan failed if less than this share of its points lies on planes of
 // the map.
-constexpr double kFewestShare = 0.1;
+constexpr double kMinAlignedShare = 0.1;
 // Map cells that got no new points while the vehicle drove this distance are removed.
 // Otherwise odometry could match an earlier pass over the same road. close_loops() aligns
 // such passes later.
-constexpr double kMemory_m = 80.0;
+constexpr double kMaxCellAge_m = 80.0;
 // The vehicle drives this distance between two removals of old map cells. Removals are
 // rare, because checking all cells takes as long as adding a scan.
-constexpr double kForgotten_m = 5.0;
+constexpr double kCleanupInterval_m = 5.0;
 // If two predicted poses of a scan are this close, only one is used as a start value.
-constexpr double kSame_m = 0.05;
+constexpr double kSamePrediction_m = 0.05;
 // After this many consecutive scans that do not match the map, the map is cleared.
-constexpr int kLostInARow = 5;
-constexpr std::size_t kStretch = 200;  // number of poses in a section of the log
+constexpr int kMaxLostScans = 5;
+constexpr std::size_t kPosesPerSection = 200;  // number of poses in a section of the log
 // Consecutive sections of a log share this number of poses, so that each section has a
 // map before its first new scan.
-constexpr std::size_t kOverlap = 20;
+constexpr std::size_t kSectionOverlap = 20;
 // Without given poses, several initial speeds are tried on this number of scans.
 constexpr int kTrialScans = 4;
-// Forward motions per scan that are tried: from -kBackwards_m to kFastest_m, which is 40
+// Forward motions per scan that are tried: from -kMaxTrialReverse_m to kMaxTrialMotion_m, which is 40
 // m/s at 10 Hz.
-constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
+constexpr double kTrialStep_m = 0.5, kMaxTrialMotion_m = 4.0, kMaxTrialReverse_m = 1.0;
 
 /// Section of a log. Poses within a section are estimated one after the other.
 using LogSection = ProcessGroup::PartRange;
@@ -62,35 +62,34 @@ public:
           begin_(begin),
           first_motion_(first_motion),
           maps_(options.first, options.last) {
-        if (begin + 1 < track_.pose.size())
-            track_.pose[begin + 1] = list_alternative_pose_predictions(begin + 1).front();
+        if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predict_poses(begin + 1).front();
     }
 
     /// Must be called for each pose in order.
-    void estimate_pose_and_add_scan_to_map(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
-        const std::vector<Pose> starts = pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]}
-                                                              : list_alternative_pose_predictions(pose_index);
+    void add_pose(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
+        const std::vector<Pose> starts =
+            pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]} : predict_poses(pose_index);
         PoseCandidate best{starts.front(), 0.0};
         for (const Pose& start : starts) {
             const PoseCandidate candidate = align_scan(pose_index, start, scan);
             if (candidate.share > best.share) best = candidate;
         }
-        const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kFewestShare;
-        set_pose_and_predict_next(pose_index, is_lost ? starts.front() : best.pose);
+        const bool is_lost = !scan.empty() && !maps_.empty() && best.share < kMinAlignedShare;
+        set_pose(pose_index, is_lost ? starts.front() : best.pose);
         if (pose_index > begin_)
             travelled_m_ +=
                 glm::distance(track_.pose[pose_index].translation, track_.pose[pose_index - 1].translation);
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
-        if (is_lost && lost_in_a_row_ < kLostInARow) return;
+        if (is_lost && lost_in_a_row_ < kMaxLostScans) return;
         if (is_lost) maps_.clear();
-        add_scan_to_maps(scan);
+        extend_map(scan);
     }
 
     const PoseTrack& track() const { return track_; }
     /// sum over all scans of the share of points that lie on planes of the map
-    double get_sum_of_fractions_on_planes() const { return share_; }
+    double total_share() const { return share_; }
 
 private:
     struct PoseCandidate {
@@ -106,20 +105,20 @@ private:
     double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
-    void add_scan_to_maps(const std::vector<SubsampledPoint>& scan) {
+    void extend_map(const std::vector<SubsampledPoint>& scan) {
         std::vector<glm::dvec3> points_m(scan.size());
-        parallel_for_in_blocks(scan.size(), [&](std::size_t index) {
-            points_m[index] = transform_point_to_world(track_, scan[index]).point_m;
+        parallel_blocks(scan.size(), [&](std::size_t index) {
+            points_m[index] = point_to_world(track_, scan[index]).point_m;
         });
-        maps_.add_points_to_maps(points_m, travelled_m_);
-        if (travelled_m_ - kMemory_m < forgotten_m_ + kForgotten_m) return;
-        forgotten_m_ = travelled_m_ - kMemory_m;
-        maps_.remove_cells_last_seen_before(forgotten_m_);
+        maps_.add_points(points_m, travelled_m_);
+        if (travelled_m_ - kMaxCellAge_m < forgotten_m_ + kCleanupInterval_m) return;
+        forgotten_m_ = travelled_m_ - kMaxCellAge_m;
+        maps_.forget_before(forgotten_m_);
     }
 
     /// Predicts the motion to pose `pose_index` from the velocity before the previous
     /// pose.
-    Pose predict_constant_motion(std::size_t pose_index) const {
+    Pose predict_motion(std::size_t pose_index) const {
         if (pose_index < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
         const Pose previous_motion = inverse(track_.pose[pose_index - 2]) * track_.pose[pose_index - 1];
@@ -127,82 +126,79 @@ private:
                            (t[pose_index] - t[pose_index - 1]) / (t[pose_index - 1] - t[pose_index - 2]));
     }
 
-    Pose get_relative_motion_of_initial_track(std::size_t pose_index) const {
+    Pose initial_motion(std::size_t pose_index) const {
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
 
     /// Returns predictions of a pose, the most likely one first. The alignment of the
     /// scan starts from each of them.
-    std::vector<Pose> list_alternative_pose_predictions(std::size_t pose_index) const {
-        const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_constant_motion(pose_index);
+    std::vector<Pose> predict_poses(std::size_t pose_index) const {
+        const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
-        const Pose pose_file_prediction =
-            track_.pose[pose_index - 1] * get_relative_motion_of_initial_track(pose_index);
-        if (pose_index < begin_ + 2 ||
-            glm::distance(pose_file_prediction.translation, constant_motion_pose.translation) < kSame_m)
+        const Pose pose_file_prediction = track_.pose[pose_index - 1] * initial_motion(pose_index);
+        if (pose_index < begin_ + 2 || glm::distance(pose_file_prediction.translation,
+                                                     constant_motion_pose.translation) < kSamePrediction_m)
             return {pose_file_prediction};
         return {pose_file_prediction, constant_motion_pose};
     }
 
-    void set_pose_and_predict_next(std::size_t pose_index, const Pose& pose) {
+    void set_pose(std::size_t pose_index, const Pose& pose) {
         track_.pose[pose_index] = pose;
         if (pose_index + 1 < track_.pose.size())
-            track_.pose[pose_index + 1] =
-                pose * (options_.use_pose_motion ? get_relative_motion_of_initial_track(pose_index + 1)
-                                                 : predict_constant_motion(pose_index + 1));
+            track_.pose[pose_index + 1] = pose * (options_.use_pose_motion ? initial_motion(pose_index + 1)
+                                                                           : predict_motion(pose_index + 1));
     }
 
     /// Aligns a scan with the map of the earlier scans, from large to small map cells.
     /// @return the aligned pose, and the share of the scan's points on planes of the map
     PoseCandidate align_scan(std::size_t pose_index, const Pose& start_pose,
                              const std::vector<SubsampledPoint>& scan) {
-        set_pose_and_predict_next(pose_index, start_pose);
+        set_pose(pose_index, start_pose);
         if (maps_.empty() || scan.empty()) return {start_pose, 0.0};
         double share = 0.0;
         for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level) {
-            const double scale_m = maps_.get_registration_settings_of_level(level).scale_m;
-            for (int i = 0;
-                 i < kMostSteps && align_scan_by_one_step_and_get_length_m(
-                                       pose_index, start_pose, scan, level, scale_m, share) > kConverged_m;
+            const double scale_m = maps_.settings_of_level(level).scale_m;
+            for (int i = 0; i < kMaxSteps && gauss_newton_step(pose_index, start_pose, scan, level, scale_m,
+                                                               share) > kMinStep_m;
                  ++i) {}
         }
         return {track_.pose[pose_index], share};
     }
 
     /// @return length of the step
-    double align_scan_by_one_step_and_get_length_m(std::size_t pose_index, const Pose& start_pose,
-                                                   const std::vector<SubsampledPoint>& scan, int map_level,
-                                                   double kernel_scale_m, double& fraction_on_planes) {
+    double gauss_newton_step(std::size_t pose_index, const Pose& start_pose,
+                             const std::vector<SubsampledPoint>& scan, int map_level, double kernel_scale_m,
+                             double& fraction_on_planes) {
         const SinglePoseEquations equations =
             sum_point_equations(scan.size(), [&](SinglePoseEquations& part, std::size_t i) {
-                const WorldPointWithOrigin at = transform_point_to_world(track_, scan[i]);
+                const WorldPointWithOrigin at = point_to_world(track_, scan[i]);
                 const double moves_along = scan[i].left + 1 == pose_index ? double(scan[i].s) : 1.0;
-                if (const LocalPlane* plane = maps_.find_finest_plane_at(at.point_m, map_level))
-                    part.add_plane_residual(compute_plane_residual(at, *plane, kernel_scale_m), moves_along);
+                if (const LocalPlane* plane = maps_.find_plane(at.point_m, map_level))
+                    part.add_residual(make_residual(at, *plane, kernel_scale_m), moves_along);
             });
-        fraction_on_planes = double(equations.count_points_on_planes()) / double(scan.size());
+        fraction_on_planes = double(equations.count_on_planes()) / double(scan.size());
         if (equations.empty()) return 0.0;
         const Twist x =
-            equations.solve_for_pose_step(kPrior, compute_twist(start_pose, track_.pose[pose_index]));
-        set_pose_and_predict_next(pose_index, apply_twist(track_.pose[pose_index], x));
-        return compute_pose_change_size_m(x);
+            equations.solve_step(kPriorWeight, compute_twist(start_pose, track_.pose[pose_index]));
+        set_pose(pose_index, apply_twist(track_.pose[pose_index], x));
+        return twist_size_m(x);
     }
 };
 
 /// Estimates the motion between the first two poses of a section without given poses.
 /// Returns the forward motion for which the first scans match best.
-Pose estimate_initial_forward_motion(const PoseTrack& initial_track, const SubsampledScans& scans,
-                                     const OdometryOptions& options, const LogSection& section) {
+Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& scans,
+                       const OdometryOptions& options, const LogSection& section) {
     Pose best;
     double best_share = -1.0;
-    for (double step_m = -kBackwards_m; step_m <= kFastest_m; step_m += kTrialStep_m) {
+    for (double step_m = -kMaxTrialReverse_m; step_m <= kMaxTrialMotion_m; step_m += kTrialStep_m) {
         const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
         SectionOdometry follower(initial_track, options, section.begin, motion);
         int n = 0;
         for (std::size_t k = section.begin; k < section.end && n < kTrialScans; n += !scans[k++].empty())
-            follower.estimate_pose_and_add_scan_to_map(k, scans[k]);
-        if (follower.get_sum_of_fractions_on_planes() <= best_share) continue;
-        best_share = follower.get_sum_of_fractions_on_planes();
+            follower.add_pose(k, scans[k]);
+        if (follower.total_share() <= best_share) continue;
+        best_share = follower.total_share();
         best = motion;
     }
     return best;
@@ -211,24 +207,24 @@ Pose estimate_initial_forward_motion(const PoseTrack& initial_track, const Subsa
 /// Estimates the poses of a section. The first pose stays unchanged.
 /// @param should_continue called before each scan
 /// @return poses of the section; empty if should_continue() returned false
-std::vector<Pose> estimate_section_poses(const PoseTrack& initial_track, const SubsampledScans& scans,
-                                         const OdometryOptions& options, const LogSection& section,
-                                         const std::function<bool()>& should_continue) {
+std::vector<Pose> track_section(const PoseTrack& initial_track, const SubsampledScans& scans,
+                                const OdometryOptions& options, const LogSection& section,
+                                const std::function<bool()>& should_continue) {
     SectionOdometry follower(initial_track, options, section.begin,
-                             options.use_pose_motion ? std::nullopt
-                                                     : std::optional(estimate_initial_forward_motion(
-                                                           initial_track, scans, options, section)));
+                             options.use_pose_motion
+                                 ? std::nullopt
+                                 : std::optional(find_first_motion(initial_track, scans, options, section)));
     for (std::size_t k = section.begin; k < section.end; ++k) {
         if (!should_continue()) return {};
-        follower.estimate_pose_and_add_scan_to_map(k, scans[k]);
+        follower.add_pose(k, scans[k]);
     }
     const auto first = follower.track().pose.begin();
     return {first + std::ptrdiff_t(section.begin), first + std::ptrdiff_t(section.end)};
 }
 
 /// Joins the sections to one track. Two sections agree at the last scan that they share.
-std::vector<Pose> join_section_poses(const std::vector<LogSection>& sections,
-                                     const std::vector<Pose>& section_poses, const SubsampledScans& scans) {
+std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
+                                const std::vector<Pose>& section_poses, const SubsampledScans& scans) {
     auto section_begin = section_poses.begin();  // first pose of the current section in `section_poses`
     std::vector<Pose> track(section_begin, section_begin + std::ptrdiff_t(sections.front().end));
     for (std::size_t i = 1; i < sections.size(); ++i) {
@@ -248,15 +244,16 @@ std::vector<Pose> join_section_poses(const std::vector<LogSection>& sections,
 
 }  // namespace
 
-PoseTrack estimate_odometry_poses(const PoseTrack& initial_track, const SubsampledScans& scans,
-                                  const OdometryOptions& options) {
+PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& scans,
+                       const OdometryOptions& options) {
     // The last section can be up to twice as long as the previous sections.
     std::vector<LogSection> stretches{{0, scans.size()}};
-    for (std::size_t begin = kStretch; begin + kStretch <= scans.size(); begin += kStretch) {
+    for (std::size_t begin = kPosesPerSection; begin + kPosesPerSection <= scans.size();
+         begin += kPosesPerSection) {
         stretches.back().end = begin;
-        stretches.push_back({begin - kOverlap, scans.size()});
+        stretches.push_back({begin - kSectionOverlap, scans.size()});
     }
-    const ProcessGroup::PartRange share = options.group.get_range_of_process(stretches.size());
+    const ProcessGroup::PartRange share = options.group.part_range(stretches.size());
     std::size_t n = 0;
     for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
     const std::thread::id caller = std::this_thread::get_id();
@@ -270,16 +267,15 @@ PoseTrack estimate_odometry_poses(const PoseTrack& initial_track, const Subsampl
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
     parallel_for(static_cast<int>(parts.size()), [&](int index) {
-        parts[std::size_t(index)] = estimate_section_poses(
-            initial_track, scans, options, stretches[share.begin + std::size_t(index)], proceed);
+        parts[std::size_t(index)] = track_section(initial_track, scans, options,
+                                                  stretches[share.begin + std::size_t(index)], proceed);
     });
     if (ended) return initial_track;
     std::vector<Pose> section_poses;
     for (const std::vector<Pose>& part : parts)
         section_poses.insert(section_poses.end(), part.begin(), part.end());
     return {initial_track.time_s,
-            join_section_poses(stretches, options.group.gather_from_all_processes(std::move(section_poses)),
-                               scans)};
+            join_sections(stretches, options.group.gather(std::move(section_poses)), scans)};
 }
 
 }  // namespace relidar

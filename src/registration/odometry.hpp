@@ -28,7 +28,7 @@ struct OdometryOptions {
 /// that cannot be aligned gets its predicted pose.
 /// @return estimated poses, identical in all processes of `options.group`;
 /// `initial_track` if the callback `options.proceed` returned false
-PoseTrack estimate_odometry_poses(const PoseTrack& initial_track, const SubsampledScans& scans,
-                                  const OdometryOptions& options);
+PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& scans,
+                       const OdometryOptions& options);
 
 }  // namespace relidar

@@ -12,11 +12,11 @@ namespace {
 
 // Edge length in metres of grid cells; one point of the scan per cell is used. The cells
 // are small, because only one pose is estimated and speed does not matter.
-constexpr double kThin_m = 0.1;
+constexpr double kThinningCell_m = 0.1;
 // Scale of the robust kernel: a point that is farther than this from the rendered surface
 // has a weight below 1/4.
-constexpr double kScale_m = 0.05;
-constexpr double kPosePriorWeight = 1e-4;  // see SinglePoseEquations::solve_for_pose_step()
+constexpr double kKernelScale_m = 0.05;
+constexpr double kPosePriorWeight = 1e-4;  // see SinglePoseEquations::solve_step()
 constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMaxAlignmentSteps = 8;
 
@@ -27,19 +27,18 @@ struct SelectedFrameRays {
     std::vector<SubsampledPoint> points;
 };
 
-std::vector<SelectedFrameRays> select_rays_of_frames_at_pose(const LidarSequence& sequence,
-                                                             std::size_t pose_index,
-                                                             const RegistrationOptions& options) {
+std::vector<SelectedFrameRays> rays_at_pose(const Log& sequence, std::size_t pose_index,
+                                            const RegistrationOptions& options) {
     std::vector<SelectedFrameRays> frames;
     for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
         if (sequence.frames[std::size_t(i)].time_s != sequence.world_from_vehicle.time_s[pose_index])
             continue;
-        SelectedFrameRays f{i, select_one_return_per_cell(sequence, i, options, kThin_m), {}};
+        SelectedFrameRays f{i, select_returns(sequence, i, options, kThinningCell_m), {}};
         if (f.rays.empty()) continue;
         f.points.resize(f.rays.size());
-        parallel_for_in_blocks(f.rays.size(), [&](std::size_t index) {
-            f.points[index] = make_subsampled_point(sequence, sequence.world_from_vehicle, pose_index,
-                                                    f.position, f.rays[index]);
+        parallel_blocks(f.rays.size(), [&](std::size_t index) {
+            f.points[index] =
+                make_point(sequence, sequence.world_from_vehicle, pose_index, f.position, f.rays[index]);
         });
         frames.push_back(std::move(f));
     }
@@ -48,13 +47,12 @@ std::vector<SelectedFrameRays> select_rays_of_frames_at_pose(const LidarSequence
 
 }  // namespace
 
-ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t pose_index,
-                                    const SceneRayCaster& scene_view, const RegistrationOptions& options) {
+ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const SceneRayCaster& scene_view,
+                         const RegistrationOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose_index];
     ScanAlignment result{before, 0.0, 0.0, false};
-    const std::vector<SelectedFrameRays> frames =
-        select_rays_of_frames_at_pose(sequence, pose_index, options);
+    const std::vector<SelectedFrameRays> frames = rays_at_pose(sequence, pose_index, options);
     std::size_t n = 0;
     for (const SelectedFrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
@@ -65,22 +63,20 @@ ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t p
             const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
             equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& part, std::size_t k) {
                 if (surfaces[k].normal == glm::dvec3(0.0)) return;
-                part.add_plane_residual(
-                    compute_plane_residual(transform_point_to_world(track, f.points[k]),
-                                           {surfaces[k].point_m, surfaces[k].normal}, kScale_m),
-                    get_interpolation_weight_of_pose(f.points[k], pose_index));
+                part.add_residual(make_residual(point_to_world(track, f.points[k]),
+                                                {surfaces[k].point_m, surfaces[k].normal}, kKernelScale_m),
+                                  weight_of_pose(f.points[k], pose_index));
             });
         }
-        result.on_surfaces = double(equations.count_points_on_planes()) / double(n);
+        result.on_surfaces = double(equations.count_on_planes()) / double(n);
         if (equations.empty()) return result;
         const Twist step =
-            equations.solve_for_pose_step(kPosePriorWeight, compute_twist(before, track.pose[pose_index]));
+            equations.solve_step(kPosePriorWeight, compute_twist(before, track.pose[pose_index]));
         track.pose[pose_index] = apply_twist(track.pose[pose_index], step);
-        step_m = compute_pose_change_size_m(step);
+        step_m = twist_size_m(step);
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
-    if (!PlanePoseAdjustment::has_enough_points_on_planes(result.on_surfaces, n) ||
-        moved_m > options.largest_m)
+    if (!PlanePoseAdjustment::has_enough_planes(result.on_surfaces, n) || moved_m > options.largest_m)
         return result;
     result.world_from_vehicle = track.pose[pose_index];
     result.moved_m = moved_m;

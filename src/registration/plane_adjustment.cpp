@@ -15,31 +15,30 @@ namespace {
 constexpr int kChunks = 64;
 // Number of optimisation rounds in which the grid cells for fitting planes shrink, and
 // number of further rounds with the smallest cells.
-constexpr int kShrinking = 8, kLastRounds = 2;
-constexpr double kShift = 0.37;  // Shift of the cell grid from one round to the next, in cells.
+constexpr int kShrinkingRounds = 8, kLastRounds = 2;
+constexpr double kGridShift_cells = 0.37;  // Shift of the cell grid from one round to the next, in cells.
 // Weight of a term that pulls pose corrections to zero, relative to the mean weight of
 // the points. The term matters only in directions that the points do not determine.
 constexpr double kAdjustmentPrior = 1e-4;
-constexpr std::size_t kFewestPlaced = 30;
+constexpr std::size_t kMinPlacedPoints = 30;
 // The registration of a scan failed if less than this share of its points lies on planes.
-constexpr double kFewestOnPlanes = 0.05;
+constexpr double kMinShareOnPlanes = 0.05;
 
-std::vector<WorldPointWithOrigin> transform_points_to_world(const PoseTrack& track,
-                                                            const std::vector<SubsampledPoint>& points) {
+std::vector<WorldPointWithOrigin> points_to_world(const PoseTrack& track,
+                                                  const std::vector<SubsampledPoint>& points) {
     std::vector<WorldPointWithOrigin> placed(points.size());
-    parallel_for_in_blocks(points.size(), [&](std::size_t index) {
-        placed[index] = transform_point_to_world(track, points[index]);
-    });
+    parallel_blocks(points.size(),
+                    [&](std::size_t index) { placed[index] = point_to_world(track, points[index]); });
     return placed;
 }
 
-Twist get_twist_from_stacked_vector(const Eigen::VectorXd& stacked_twists, std::size_t pose_index) {
+Twist twist_of_pose(const Eigen::VectorXd& stacked_twists, std::size_t pose_index) {
     Twist twist;
     for (std::size_t i = 0; i < 6; ++i) twist[i] = stacked_twists[Eigen::Index(6 * pose_index + i)];
     return twist;
 }
 
-Eigen::VectorXd compute_twists_between_tracks(const PoseTrack& first_track, const PoseTrack& second_track) {
+Eigen::VectorXd stack_twists(const PoseTrack& first_track, const PoseTrack& second_track) {
     Eigen::VectorXd result(6 * Eigen::Index(first_track.pose.size()));
     for (std::size_t k = 0; k < first_track.pose.size(); ++k) {
         const Twist twist = compute_twist(first_track.pose[k], second_track.pose[k]);
@@ -49,14 +48,15 @@ Eigen::VectorXd compute_twists_between_tracks(const PoseTrack& first_track, cons
 }
 
 /// Fits a plane in each cell that contains points from at least two sweeps.
-std::vector<std::optional<LocalPlane>> fit_plane_in_each_cell(
-    const PointCellGrid& cells, const std::vector<SubsampledPoint>& points,
-    const std::vector<WorldPointWithOrigin>& world_points, const RegistrationRound& round) {
+std::vector<std::optional<LocalPlane>> fit_cell_planes(const PointCellGrid& cells,
+                                                       const std::vector<SubsampledPoint>& points,
+                                                       const std::vector<WorldPointWithOrigin>& world_points,
+                                                       const RegistrationRound& round) {
     std::vector<std::optional<LocalPlane>> planes(cells.size());
-    parallel_for_in_blocks(cells.size(), [&](std::size_t c) {
-        const std::span<const std::uint32_t> members = cells.get_point_indices_in_cell(c);
+    parallel_blocks(cells.size(), [&](std::size_t c) {
+        const std::span<const std::uint32_t> members = cells.points_in_cell(c);
         if (points[members.front()].pose != points[members.back()].pose)
-            planes[c] = fit_plane_robustly(world_points, members, round.cell_m, round.scale_m);
+            planes[c] = fit_plane(world_points, members, round.cell_m, round.scale_m);
     });
     return planes;
 }
@@ -71,75 +71,72 @@ const LocalPlane* PlaneMap::find_plane_at(const glm::dvec3& point_m) const {
 PlanePoseAdjustment::PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
                                          std::vector<SubsampledPoint> points, std::vector<bool> gauge)
     : initial_track_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
-    remove_mean_pose_correction();
+    centre_poses();
     start_ = track_;
 }
 
-std::vector<RegistrationRound> PlanePoseAdjustment::adjust_poses_in_rounds(
+std::vector<RegistrationRound> PlanePoseAdjustment::adjust_poses(
     const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
     const std::function<bool(double finished_fraction)>& should_continue) {
-    constexpr int kRounds = kShrinking + kLastRounds;
+    constexpr int kRounds = kShrinkingRounds + kLastRounds;
     std::vector<RegistrationRound> rounds;
     for (int i = 0; i < kRounds && should_continue(i / double(kRounds)); ++i)
-        rounds.push_back(
-            adjust_poses_in_one_round(interpolate_round_settings(first_round_settings, last_round_settings,
-                                                                 std::min(1.0, i / double(kShrinking - 1))),
-                                      kShift * i));
+        rounds.push_back(run_round(blend_rounds(first_round_settings, last_round_settings,
+                                                std::min(1.0, i / double(kShrinkingRounds - 1))),
+                                   kGridShift_cells * i));
     return rounds;
 }
 
-PlaneMap PlanePoseAdjustment::fit_planes_to_all_points(const RegistrationRound& round_settings) const {
-    const std::vector<WorldPointWithOrigin> placed = transform_points_to_world(track_, points_);
+PlaneMap PlanePoseAdjustment::fit_planes(const RegistrationRound& round_settings) const {
+    const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     PlaneMap map{PointCellGrid(placed, round_settings.cell_m, 0.0), {}};
-    map.planes = fit_plane_in_each_cell(map.cells, points_, placed, round_settings);
+    map.planes = fit_cell_planes(map.cells, points_, placed, round_settings);
     return map;
 }
 
-RegistrationRound PlanePoseAdjustment::adjust_poses_in_one_round(RegistrationRound round_settings,
-                                                                 double grid_shift_cells) {
-    const std::vector<WorldPointWithOrigin> placed = transform_points_to_world(track_, points_);
+RegistrationRound PlanePoseAdjustment::run_round(RegistrationRound round_settings, double grid_shift_cells) {
+    const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PointCellGrid cells(placed, round_settings.cell_m, grid_shift_cells);
     const std::vector<std::optional<LocalPlane>> planes =
-        fit_plane_in_each_cell(cells, points_, placed, round_settings);
+        fit_cell_planes(cells, points_, placed, round_settings);
     std::vector<PoseEquations> parts(kChunks, PoseEquations(track_.pose.size()));
     const std::size_t chunk_size = cells.size() / kChunks + 1;
-    parallel_for_ranges(cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
+    parallel_ranges(cells.size(), chunk_size, [&](std::size_t begin, std::size_t end) {
         for (std::size_t c = begin; c < end; ++c)
             if (planes[c])
-                parts[begin / chunk_size].add_plane_residuals_of_cell(
-                    points_, placed, cells.get_point_indices_in_cell(c), *planes[c], round_settings.scale_m);
+                parts[begin / chunk_size].add_cell(points_, placed, cells.points_in_cell(c), *planes[c],
+                                                   round_settings.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add_equations(std::move(parts[c]));
-    if (prior_) add_correction_prior(parts[0]);
+    if (prior_) add_prior(parts[0]);
     const PoseTrack before = track_;
-    const Eigen::VectorXd step = parts[0].solve_for_all_pose_steps(
-        track_, compute_twists_between_tracks(start_, track_), kAdjustmentPrior);
+    const Eigen::VectorXd step = parts[0].solve_steps(track_, stack_twists(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
-        track_.pose[k] = apply_twist(track_.pose[k], get_twist_from_stacked_vector(step, k));
-    remove_mean_pose_correction();
+        track_.pose[k] = apply_twist(track_.pose[k], twist_of_pose(step, k));
+    centre_poses();
     round_settings.planes = parts[0].n_planes();
-    round_settings.residual_m = parts[0].compute_rms_residual_m();
+    round_settings.residual_m = parts[0].rms_residual_m();
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
         round_settings.step_m = std::max(
             round_settings.step_m, glm::length(track_.pose[k].translation - before.pose[k].translation));
     return round_settings;
 }
 
-void PlanePoseAdjustment::add_correction_prior(PoseEquations& equations) const {
+void PlanePoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;
-    const Eigen::VectorXd correction = compute_twists_between_tracks(start_, track_);
+    const Eigen::VectorXd correction = stack_twists(start_, track_);
     const auto of_pose = [&](std::size_t index) -> Vector6 {
         return correction.segment<6>(6 * Eigen::Index(index));
     };
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
-        equations.add_zero_correction_prior(k, prior_->pull, of_pose(k));
+        equations.add_zero_prior(k, prior_->pull, of_pose(k));
         if (k + 1 == track_.pose.size()) break;
         const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
-        equations.add_correction_smoothness_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+        equations.add_smooth_prior(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
     }
 }
 
-void PlanePoseAdjustment::remove_mean_pose_correction() {
+void PlanePoseAdjustment::centre_poses() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
     for (int i = 0; i < 3; ++i) {
@@ -158,7 +155,7 @@ void PlanePoseAdjustment::remove_mean_pose_correction() {
     }
 }
 
-std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_nearest_selected_poses(
+std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_neighbours(
     std::size_t pose_index, const std::vector<bool>& is_selected) {
     std::size_t before = pose_index, after = pose_index;
     for (std::size_t k = pose_index; k-- > 0 && before == pose_index;)
@@ -168,54 +165,51 @@ std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_nearest_selected_p
     return {before, after};
 }
 
-double PlanePoseAdjustment::compute_time_fraction(std::size_t before_index, std::size_t pose_index,
-                                                  std::size_t after_index) const {
+double PlanePoseAdjustment::time_fraction(std::size_t before_index, std::size_t pose_index,
+                                          std::size_t after_index) const {
     const std::vector<double>& t = initial_track_.time_s;
     return (t[pose_index] - t[before_index]) / (t[after_index] - t[before_index]);
 }
 
-void PlanePoseAdjustment::interpolate_corrections(const std::vector<bool>& is_correction_known) {
-    const Eigen::VectorXd corrections = compute_twists_between_tracks(start_, track_);
+void PlanePoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_known) {
+    const Eigen::VectorXd corrections = stack_twists(start_, track_);
     for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
         if (is_correction_known[k]) continue;
-        auto [before, after] = find_nearest_selected_poses(k, is_correction_known);
+        auto [before, after] = find_neighbours(k, is_correction_known);
         if (before == k && after == k) continue;  // no known pose exists
         if (before == k) before = after;
         if (after == k) after = before;
-        const double s = before == after ? 0.0 : compute_time_fraction(before, k, after);
-        Twist twist = get_twist_from_stacked_vector(corrections, before);
-        for (std::size_t i = 0; i < 6; ++i)
-            twist[i] += s * (get_twist_from_stacked_vector(corrections, after)[i] - twist[i]);
+        const double s = before == after ? 0.0 : time_fraction(before, k, after);
+        Twist twist = twist_of_pose(corrections, before);
+        for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (twist_of_pose(corrections, after)[i] - twist[i]);
         track_.pose[k] = apply_twist(start_.pose[k], twist);
     }
 }
 
-double PlanePoseAdjustment::compute_fraction_on_planes(const PlaneMap& map,
-                                                       std::span<const SubsampledPoint> points,
-                                                       double kernel_scale_m) const {
+double PlanePoseAdjustment::share_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+                                            double kernel_scale_m) const {
     std::size_t n_placed = 0;
     for (const SubsampledPoint& point : points) {
-        const WorldPointWithOrigin placed = transform_point_to_world(track_, point);
+        const WorldPointWithOrigin placed = point_to_world(track_, point);
         const LocalPlane* plane = map.find_plane_at(placed.point_m);
-        n_placed += plane && compute_plane_residual(placed, *plane, kernel_scale_m).is_on_plane();
+        n_placed += plane && make_residual(placed, *plane, kernel_scale_m).is_on_plane();
     }
     return points.empty() ? 0.0 : double(n_placed) / double(points.size());
 }
 
-bool PlanePoseAdjustment::has_enough_points_on_planes(double fraction_on_planes, std::size_t n_points) {
-    return fraction_on_planes >= kFewestOnPlanes &&
-           fraction_on_planes * double(n_points) >= double(kFewestPlaced);
+bool PlanePoseAdjustment::has_enough_planes(double fraction_on_planes, std::size_t n_points) {
+    return fraction_on_planes >= kMinShareOnPlanes &&
+           fraction_on_planes * double(n_points) >= double(kMinPlacedPoints);
 }
 
-double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose_index,
-                                                                const std::vector<bool>& is_neighbour) const {
-    const auto [before, after] = find_nearest_selected_poses(pose_index, is_neighbour);
+double PlanePoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<bool>& is_neighbour) const {
+    const auto [before, after] = find_neighbours(pose_index, is_neighbour);
     if (before == pose_index || after == pose_index) return 0.0;
     const auto correction = [&](std::size_t index) {
         return track_.pose[index].translation - initial_track_.pose[index].translation;
     };
     const glm::dvec3 between =
-        glm::mix(correction(before), correction(after), compute_time_fraction(before, pose_index, after));
+        glm::mix(correction(before), correction(after), time_fraction(before, pose_index, after));
     // The initial track can jump between this pose and one neighbour. Their corrections
     // then differ, although both are right.
     double least = glm::distance(correction(pose_index), between);
@@ -224,9 +218,10 @@ double PlanePoseAdjustment::compute_deviation_from_neighbours_m(std::size_t pose
     return least;
 }
 
-std::vector<std::size_t> PlanePoseAdjustment::interpolate_and_list_unregistered_poses(
-    const PlaneMap& map, const std::vector<bool>& pose_has_points, double kernel_scale_m,
-    double max_deviation_m) {
+std::vector<std::size_t> PlanePoseAdjustment::interpolate_lost(const PlaneMap& map,
+                                                               const std::vector<bool>& pose_has_points,
+                                                               double kernel_scale_m,
+                                                               double max_deviation_m) {
     std::vector<std::span<const SubsampledPoint>> scans(pose_has_points.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
@@ -234,35 +229,33 @@ std::vector<std::size_t> PlanePoseAdjustment::interpolate_and_list_unregistered_
     }
     std::vector<double> shares(scans.size());
     parallel_for(static_cast<int>(scans.size()), [&](int k) {
-        shares[std::size_t(k)] = compute_fraction_on_planes(map, scans[std::size_t(k)], kernel_scale_m);
+        shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], kernel_scale_m);
     });
     std::vector<std::size_t> lost;
     std::vector<bool> is_registered = pose_has_points;
     for (std::size_t k = 0; k < is_registered.size(); ++k) {
-        if (!pose_has_points[k] ||
-            (has_enough_points_on_planes(shares[k], scans[k].size()) &&
-             compute_deviation_from_neighbours_m(k, pose_has_points) <= max_deviation_m))
+        if (!pose_has_points[k] || (has_enough_planes(shares[k], scans[k].size()) &&
+                                    deviation_m(k, pose_has_points) <= max_deviation_m))
             continue;
         lost.push_back(k);
         is_registered[k] = false;
     }
-    interpolate_corrections(is_registered);
+    fill_corrections(is_registered);
     return lost;
 }
 
-void PlanePoseAdjustment::align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
-                                               const std::vector<SubsampledPoint>& points,
-                                               double kernel_scale_m) {
+void PlanePoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index,
+                                     const std::vector<SubsampledPoint>& points, double kernel_scale_m) {
     const SinglePoseEquations equations =
         sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
-            const WorldPointWithOrigin placed = transform_point_to_world(track_, points[i]);
+            const WorldPointWithOrigin placed = point_to_world(track_, points[i]);
             if (const LocalPlane* plane = map.find_plane_at(placed.point_m))
-                part.add_plane_residual(compute_plane_residual(placed, *plane, kernel_scale_m),
-                                        get_interpolation_weight_of_pose(points[i], pose_index));
+                part.add_residual(make_residual(placed, *plane, kernel_scale_m),
+                                  weight_of_pose(points[i], pose_index));
         });
     if (!equations.empty())
         track_.pose[pose_index] =
-            apply_twist(track_.pose[pose_index], equations.solve_for_pose_step(kAdjustmentPrior));
+            apply_twist(track_.pose[pose_index], equations.solve_step(kAdjustmentPrior));
 }
 
 }  // namespace relidar

@@ -44,11 +44,11 @@ public:
     /// kernel decrease from `first_round_settings` to `last_round_settings`.
     /// @return statistics of each round; fewer rounds if the callback `should_continue`
     /// returned false
-    std::vector<RegistrationRound> adjust_poses_in_rounds(
+    std::vector<RegistrationRound> adjust_poses(
         const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
         const std::function<bool(double finished_fraction)>& should_continue);
-    void set_pose_correction_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
-    PlaneMap fit_planes_to_all_points(const RegistrationRound& round_settings) const;
+    void set_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
+    PlaneMap fit_planes(const RegistrationRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
     /// Replaces poses without points and poses whose registration failed by
@@ -56,24 +56,21 @@ public:
     /// differs from both neighbours by more than `max_deviation_m`.
     /// @param pose_has_points  [poses]
     /// @return indices of the failed poses
-    std::vector<std::size_t> interpolate_and_list_unregistered_poses(const PlaneMap& map,
-                                                                     const std::vector<bool>& pose_has_points,
-                                                                     double kernel_scale_m,
-                                                                     double max_deviation_m);
+    std::vector<std::size_t> interpolate_lost(const PlaneMap& map, const std::vector<bool>& pose_has_points,
+                                              double scale_m, double max_deviation_m);
     /// Moves one pose by a Gauss-Newton step towards fixed planes.
-    void align_pose_to_planes(const PlaneMap& map, std::size_t pose_index,
-                              const std::vector<SubsampledPoint>& points, double kernel_scale_m);
+    void align_pose(const PlaneMap& map, std::size_t pose_index, const std::vector<SubsampledPoint>& points,
+                    double scale_m);
     /// Returns true if enough points of a scan lie on planes to determine its pose.
-    static bool has_enough_points_on_planes(double fraction_on_planes, std::size_t n_points);
+    static bool has_enough_planes(double fraction_on_planes, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
-    double compute_fraction_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
-                                      double kernel_scale_m) const;
+    double share_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+                           double scale_m) const;
     /// Returns the smallest difference between the correction of a pose and those of the
     /// earlier neighbour, the later one, and the interpolation between both, in metres,
     /// or 0 if one neighbour is missing.
     /// @param is_neighbour  [poses] true for the poses that are used as neighbours
-    double compute_deviation_from_neighbours_m(std::size_t pose_index,
-                                               const std::vector<bool>& is_neighbour) const;
+    double deviation_m(std::size_t pose_index, const std::vector<bool>& is_neighbour) const;
     void set_pose(std::size_t pose_index, const Pose& new_pose) { track_.pose[pose_index] = new_pose; }
 
 private:
@@ -82,15 +79,14 @@ private:
     std::vector<bool> gauge_;
     std::optional<PoseCorrectionPrior> prior_;
 
-    RegistrationRound adjust_poses_in_one_round(RegistrationRound round_settings, double grid_shift_cells);
-    void add_correction_prior(PoseEquations& equations) const;
-    void remove_mean_pose_correction();
-    void interpolate_corrections(const std::vector<bool>& is_correction_known);
+    RegistrationRound run_round(RegistrationRound round_settings, double grid_shift_cells);
+    void add_prior(PoseEquations& equations) const;
+    void centre_poses();
+    void fill_corrections(const std::vector<bool>& is_correction_known);
     /// Returns `pose_index` for a side on which no pose is selected.
-    static std::pair<std::size_t, std::size_t> find_nearest_selected_poses(
-        std::size_t pose_index, const std::vector<bool>& is_selected);
-    double compute_time_fraction(std::size_t before_index, std::size_t pose_index,
-                                 std::size_t after_index) const;
+    static std::pair<std::size_t, std::size_t> find_neighbours(std::size_t pose_index,
+                                                               const std::vector<bool>& is_selected);
+    double time_fraction(std::size_t before_index, std::size_t pose_index, std::size_t after_index) const;
 };
 
 }  // namespace relidar

@@ -16,9 +16,8 @@ namespace relidar {
 
 /// Interpolates cell size and scale geometrically between the first round (0) and the
 /// last.
-inline RegistrationRound interpolate_round_settings(const RegistrationRound& first_round_settings,
-                                                    const RegistrationRound& last_round_settings,
-                                                    double fraction) {
+inline RegistrationRound blend_rounds(const RegistrationRound& first_round_settings,
+                                      const RegistrationRound& last_round_settings, double fraction) {
     return {first_round_settings.cell_m *
                 std::pow(last_round_settings.cell_m / first_round_settings.cell_m, fraction),
             first_round_settings.scale_m *
@@ -33,13 +32,13 @@ struct LocalPlane {
 
 /// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1
 /// + r^2 / s^2) (Geman and McClure 1985).
-double compute_robust_weight(double residual_m, double kernel_scale_m);
+double robust_weight(double residual_m, double kernel_scale_m);
 
 /// Fits a plane by iteratively reweighted least squares. Returns nothing if the points
 /// are not spread over a surface, or if too many are far from the plane.
-std::optional<LocalPlane> fit_plane_robustly(const std::vector<WorldPointWithOrigin>& points,
-                                             std::span<const std::uint32_t> point_indices, double cell_size_m,
-                                             double kernel_scale_m);
+std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& points,
+                                    std::span<const std::uint32_t> point_indices, double cell_size_m,
+                                    double kernel_scale_m);
 
 /// Sorts points into the cells of a grid.
 class PointCellGrid {
@@ -50,7 +49,7 @@ public:
 
     std::size_t size() const { return first_.size() - 1; }
     /// Returns the indices of a cell's points, ascending.
-    std::span<const std::uint32_t> get_point_indices_in_cell(std::size_t cell_index) const {
+    std::span<const std::uint32_t> points_in_cell(std::size_t cell_index) const {
         return {order_.data() + first_[cell_index], first_[cell_index + 1] - first_[cell_index]};
     }
     /// Returns nothing if the cell of the point is empty.
@@ -62,9 +61,7 @@ private:
     std::vector<std::size_t> first_;    ///< [cells + 1] index into order_
     std::vector<std::uint32_t> order_;  ///< [points] indices of the points, sorted by cell
 
-    std::uint64_t compute_cell_key(const glm::dvec3& point_m) const {
-        return compute_grid_cell_key(point_m + shift_m_, cell_m_);
-    }
+    std::uint64_t cell_key(const glm::dvec3& point_m) const { return grid_key(point_m + shift_m_, cell_m_); }
 };
 
 }  // namespace relidar

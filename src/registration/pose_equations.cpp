@@ -16,41 +16,38 @@ namespace relidar {
 namespace {
 
 // Usually 20 to 30 are enough, even for long logs.
-constexpr int kMostIterations = 100;
-// Sums over planes run in parallel: at most kParts sums over at least kPlanesOfPart
+constexpr int kMaxIterations = 100;
+// Sums over planes run in parallel: at most kMaxPlaneParts sums over at least kMinPlanesPerPart
 // planes.
-constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
+constexpr std::size_t kMaxPlaneParts = 64, kMinPlanesPerPart = 256;
 // The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
 // its initial value. Later Gauss-Newton steps correct the remaining error.
-constexpr double kTolerance = 1e-4;
+constexpr double kSolverTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& vector) { return {vector.x, vector.y, vector.z}; }
 
 /// Returns the two poses between which a point was measured and their weights.
-std::array<std::pair<std::size_t, double>, 2> get_poses_and_weights_of_point(const SubsampledPoint& point) {
+std::array<std::pair<std::size_t, double>, 2> poses_of_point(const SubsampledPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
 /// by offset and two tilts of the plane
-Eigen::Vector3d differentiate_residual_by_plane_parameters(const WorldPointWithOrigin& point,
-                                                           const LocalPlane& plane) {
+Eigen::Vector3d plane_jacobian(const WorldPointWithOrigin& point, const LocalPlane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
 }
 
 }  // namespace
 
-PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const LocalPlane& plane,
-                                     double kernel_scale_m) {
+PlaneResidual make_residual(const WorldPointWithOrigin& point, const LocalPlane& plane, double scale_m) {
     PlaneResidual row;
     row.residual_m = glm::dot(plane.normal, point.point_m - plane.point_m);
-    row.weight = compute_robust_weight(row.residual_m, kernel_scale_m);
+    row.weight = robust_weight(row.residual_m, scale_m);
     row.j << to_eigen(plane.normal), to_eigen(glm::cross(point.point_m - point.vehicle_m, plane.normal));
     return row;
 }
 
-void SinglePoseEquations::add_plane_residual(const PlaneResidual& plane_residual,
-                                             double pose_motion_fraction) {
+void SinglePoseEquations::add_residual(const PlaneResidual& plane_residual, double pose_motion_fraction) {
     stiffness_ += plane_residual.weight * pose_motion_fraction * pose_motion_fraction * plane_residual.j *
                   plane_residual.j.transpose();
     gradient_ += plane_residual.weight * pose_motion_fraction * plane_residual.residual_m * plane_residual.j;
@@ -64,7 +61,7 @@ SinglePoseEquations& SinglePoseEquations::operator+=(const SinglePoseEquations& 
     return *this;
 }
 
-Twist SinglePoseEquations::solve_for_pose_step(double prior_weight, const Twist& current_correction) const {
+Twist SinglePoseEquations::solve_step(double prior_weight, const Twist& current_correction) const {
     Matrix6 stiffness = stiffness_;
     Vector6 gradient = gradient_;
     const double pulls[] = {prior_weight * stiffness_.diagonal().head<3>().mean(),
@@ -78,12 +75,12 @@ Twist SinglePoseEquations::solve_for_pose_step(double prior_weight, const Twist&
     return {x[0], x[1], x[2], x[3], x[4], x[5]};
 }
 
-double compute_pose_change_size_m(const Twist& pose_change) {
+double twist_size_m(const Twist& pose_change) {
     return glm::length(glm::dvec3(pose_change[0], pose_change[1], pose_change[2])) +
            10.0 * glm::length(glm::dvec3(pose_change[3], pose_change[4], pose_change[5]));
 }
 
-Matrix6 make_twist_transfer_matrix(const glm::dvec3& offset_m) {
+Matrix6 twist_transfer(const glm::dvec3& offset_m) {
     Matrix6 m = Matrix6::Identity();
     m.topRightCorner<3, 3>() << 0.0, offset_m.z, -offset_m.y, -offset_m.z, 0.0, offset_m.x, offset_m.y,
         -offset_m.x, 0.0;
@@ -95,9 +92,8 @@ PoseEquations::PoseEquations(std::size_t n_poses)
       next_(n_poses, Matrix6::Zero()),
       gradient_(Eigen::VectorXd::Zero(6 * Eigen::Index(n_poses))) {}
 
-void PoseEquations::add_plane_residual_of_point(const SubsampledPoint& point,
-                                                const PlaneResidual& plane_residual) {
-    const auto [a, b] = get_poses_and_weights_of_point(point);
+void PoseEquations::add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual) {
+    const auto [a, b] = poses_of_point(point);
     const Matrix6 square = plane_residual.weight * plane_residual.j * plane_residual.j.transpose();
     for (const auto& [pose, share] : {a, b}) {
         if (share == 0.0) continue;
@@ -110,10 +106,10 @@ void PoseEquations::add_plane_residual_of_point(const SubsampledPoint& point,
     weight_ += plane_residual.weight;
 }
 
-void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
-                                                const std::vector<WorldPointWithOrigin>& world_points,
-                                                std::span<const std::uint32_t> point_indices,
-                                                const LocalPlane& plane, double kernel_scale_m) {
+void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
+                             const std::vector<WorldPointWithOrigin>& world_points,
+                             std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
+                             double scale_m) {
     const std::size_t begin = couplings_.size();
     // Searches backwards, because points are almost sorted by pose.
     const auto coupling = [&](std::size_t pose) -> PlanePoseCoupling& {
@@ -128,8 +124,8 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : point_indices) {
-        const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
-        const Eigen::Vector3d b = differentiate_residual_by_plane_parameters(world_points[i], plane);
+        const PlaneResidual row = make_residual(world_points[i], plane, scale_m);
+        const Eigen::Vector3d b = plane_jacobian(world_points[i], plane);
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
     }
@@ -139,11 +135,10 @@ void PoseEquations::add_plane_residuals_of_cell(const std::vector<SubsampledPoin
         return root.matrixL().solve(b);
     };
     for (const std::uint32_t i : point_indices) {
-        const PlaneResidual row = compute_plane_residual(world_points[i], plane, kernel_scale_m);
-        add_plane_residual_of_point(points[i], row);
-        const Eigen::Vector3d b =
-            whitened(differentiate_residual_by_plane_parameters(world_points[i], plane));
-        for (const auto& [pose, share] : get_poses_and_weights_of_point(points[i]))
+        const PlaneResidual row = make_residual(world_points[i], plane, scale_m);
+        add_point(points[i], row);
+        const Eigen::Vector3d b = whitened(plane_jacobian(world_points[i], plane));
+        for (const auto& [pose, share] : poses_of_point(points[i]))
             if (share != 0.0) coupling(pose).c += (share * row.weight * row.j * b.transpose()).cast<float>();
     }
     for (std::size_t k = begin; k < couplings_.size(); ++k)
@@ -167,14 +162,14 @@ void PoseEquations::add_equations(PoseEquations&& other) {
     other = PoseEquations(0);  // frees the memory of `other`
 }
 
-void PoseEquations::add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
-                                              const Vector6& current_correction) {
+void PoseEquations::add_zero_prior(std::size_t pose_index, const Vector6& weights,
+                                   const Vector6& current_correction) {
     diagonal_[pose_index].diagonal() += weights;
     gradient_.segment<6>(6 * Eigen::Index(pose_index)) += weights.cwiseProduct(current_correction);
 }
 
-void PoseEquations::add_correction_smoothness_prior(std::size_t pose_index, const Vector6& weights,
-                                                    const Vector6& correction_difference) {
+void PoseEquations::add_smooth_prior(std::size_t pose_index, const Vector6& weights,
+                                     const Vector6& correction_difference) {
     diagonal_[pose_index].diagonal() += weights;
     diagonal_[pose_index + 1].diagonal() += weights;
     next_[pose_index].diagonal() -= weights;
@@ -182,7 +177,7 @@ void PoseEquations::add_correction_smoothness_prior(std::size_t pose_index, cons
     gradient_.segment<6>(6 * Eigen::Index(pose_index + 1)) += weights.cwiseProduct(correction_difference);
 }
 
-Eigen::VectorXd PoseEquations::multiply_normal_matrix_by(const Eigen::VectorXd& x) const {
+Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
     Eigen::VectorXd y = Eigen::VectorXd::Zero(x.size());
     const auto block = [](auto& vector, std::size_t pose) {
         return vector.template segment<6>(6 * Eigen::Index(pose));
@@ -194,8 +189,9 @@ Eigen::VectorXd PoseEquations::multiply_normal_matrix_by(const Eigen::VectorXd& 
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
     if (n_planes_ == 0) return y;
-    y -= parallel_sum_over_ranges(
-        n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
+    y -= parallel_sum(
+        n_planes_, std::max(kMinPlanesPerPart, n_planes_ / kMaxPlaneParts + 1),
+        [&](std::size_t first, std::size_t last) {
             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
             for (std::size_t plane = first; plane < last; ++plane) {
                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
@@ -217,20 +213,20 @@ public:
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
         : n_(equations.diagonal_.size()) {
         for (std::size_t k = 0; k < n_; ++k)
-            carry_.push_back(make_twist_transfer_matrix(track.pose[k].translation -
-                                                        track.pose[k / kGroup * kGroup].translation));
+            carry_.push_back(twist_transfer(track.pose[k].translation -
+                                            track.pose[k / kPosesPerGroup * kPosesPerGroup].translation));
         for (std::size_t k = 0; k < n_; ++k) {
-            get_or_add_matrix_block(k / kGroup, k / kGroup) +=
+            find_block(k / kPosesPerGroup, k / kPosesPerGroup) +=
                 carry_[k].transpose() * (equations.diagonal_[k] + Matrix6(pull.asDiagonal())) * carry_[k];
             if (k + 1 < n_) {
                 const Matrix6 pair_matrix = carry_[k].transpose() * equations.next_[k] * carry_[k + 1];
-                get_or_add_matrix_block(k / kGroup, (k + 1) / kGroup) += pair_matrix;
-                get_or_add_matrix_block((k + 1) / kGroup, k / kGroup) += pair_matrix.transpose();
+                find_block(k / kPosesPerGroup, (k + 1) / kPosesPerGroup) += pair_matrix;
+                find_block((k + 1) / kPosesPerGroup, k / kPosesPerGroup) += pair_matrix.transpose();
             }
         }
         std::size_t begin = 0;
         for (const std::size_t end : equations.plane_end_) {
-            add_plane_couplings(std::span(equations.couplings_).subspan(begin, end - begin));
+            add_couplings(std::span(equations.couplings_).subspan(begin, end - begin));
             begin = end;
         }
         factorise_matrix();
@@ -238,21 +234,20 @@ public:
 
     /// Solves for one rigid motion per group of poses, and adds it to each of its poses
     /// in `pose_steps`. `right_hand_side`: 6 values per pose
-    void solve_and_add_pose_group_motions(const Eigen::VectorXd& right_hand_side,
-                                          Eigen::VectorXd& pose_steps) const {
+    void add_group_motions(const Eigen::VectorXd& right_hand_side, Eigen::VectorXd& pose_steps) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
         for (std::size_t k = 0; k < n_; ++k)
-            sums.segment<6>(6 * Eigen::Index(k / kGroup)) +=
+            sums.segment<6>(6 * Eigen::Index(k / kPosesPerGroup)) +=
                 carry_[k].transpose() * right_hand_side.segment<6>(6 * Eigen::Index(k));
         const Eigen::VectorXd motion = solver_.solve(sums);
         for (std::size_t k = 0; k < n_; ++k)
             pose_steps.segment<6>(6 * Eigen::Index(k)) +=
-                carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kGroup));
+                carry_[k] * motion.segment<6>(6 * Eigen::Index(k / kPosesPerGroup));
     }
 
 private:
-    static constexpr std::size_t kGroup = 8;
+    static constexpr std::size_t kPosesPerGroup = 8;
 
     const std::size_t n_;
     // [poses] converts the twist (6 values) of the group to the twist of one pose
@@ -260,15 +255,15 @@ private:
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
-    std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }
-    Matrix6& get_or_add_matrix_block(std::size_t row, std::size_t column) {
+    std::size_t n_groups() const { return (n_ + kPosesPerGroup - 1) / kPosesPerGroup; }
+    Matrix6& find_block(std::size_t row, std::size_t column) {
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
     }
 
-    void add_plane_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
+    void add_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
         std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
         for (const PoseEquations::PlanePoseCoupling& coupling : couplings) {
-            const std::size_t group = coupling.pose / kGroup;
+            const std::size_t group = coupling.pose / kPosesPerGroup;
             auto group_entry =
                 std::find_if(groups.begin(), groups.end(), [&](const auto& g) { return g.first == group; });
             if (group_entry == groups.end())
@@ -276,7 +271,7 @@ private:
             group_entry->second += carry_[coupling.pose].transpose() * coupling.c.cast<double>();
         }
         for (const auto& [row, a] : groups)
-            for (const auto& [column, b] : groups) get_or_add_matrix_block(row, column) -= a * b.transpose();
+            for (const auto& [column, b] : groups) find_block(row, column) -= a * b.transpose();
     }
 
     void factorise_matrix() {
@@ -291,9 +286,8 @@ private:
     }
 };
 
-Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
-                                                        const Eigen::VectorXd& current_corrections,
-                                                        double prior_weight) const {
+Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
+                                           double prior_weight) const {
     const std::size_t n = diagonal_.size();
     Vector6 mean = Vector6::Zero();
     for (const Matrix6& d : diagonal_) mean += d.diagonal() / double(n);
@@ -306,7 +300,7 @@ Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k)
             z.segment<6>(6 * Eigen::Index(k)) = inverse[k].solve(r.segment<6>(6 * Eigen::Index(k)));
-        groups.solve_and_add_pose_group_motions(r, z);
+        groups.add_group_motions(r, z);
         return z;
     };
     const Eigen::VectorXd pulls = pull.replicate(Eigen::Index(n), 1);
@@ -314,8 +308,8 @@ Eigen::VectorXd PoseEquations::solve_for_all_pose_steps(const PoseTrack& track,
                     r = -gradient_ - pulls.cwiseProduct(current_corrections), z = preconditioned(r), p = z;
     const double start = r.dot(z);
     double rz = start;
-    for (int i = 0; i < kMostIterations && rz > kTolerance * kTolerance * start && rz > 0.0; ++i) {
-        const Eigen::VectorXd q = multiply_normal_matrix_by(p) + pulls.cwiseProduct(p);
+    for (int i = 0; i < kMaxIterations && rz > kSolverTolerance * kSolverTolerance * start && rz > 0.0; ++i) {
+        const Eigen::VectorXd q = multiply(p) + pulls.cwiseProduct(p);
         const double step = rz / p.dot(q);
         x += step * p;
         r -= step * q;

@@ -30,8 +30,7 @@ struct PlaneResidual {
     Vector6 j;
     bool is_on_plane() const { return weight > 0.25; }
 };
-PlaneResidual compute_plane_residual(const WorldPointWithOrigin& point, const LocalPlane& plane,
-                                     double kernel_scale_m);
+PlaneResidual make_residual(const WorldPointWithOrigin& point, const LocalPlane& plane, double scale_m);
 
 /// Gauss-Newton equations for one pose, while planes and other poses are fixed. Also
 /// counts the points that lie on planes.
@@ -40,15 +39,15 @@ public:
     /// Adds the distance of a point from its plane.
     /// @param pose_motion_fraction  motion of the point / motion of the pose; below 1 if
     /// the point's position is interpolated between this pose and another pose
-    void add_plane_residual(const PlaneResidual& plane_residual, double pose_motion_fraction = 1.0);
+    void add_residual(const PlaneResidual& plane_residual, double pose_motion_fraction = 1.0);
     SinglePoseEquations& operator+=(const SinglePoseEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
-    std::size_t count_points_on_planes() const { return n_on_planes_; }
+    std::size_t count_on_planes() const { return n_on_planes_; }
     /// Solves the equations for the next Gauss-Newton step of the pose.
     /// @param prior_weight  weight of a term that pulls the total correction of the pose
     /// to zero, relative to the mean weight of the points
     /// @param current_correction  total correction of the pose so far
-    Twist solve_for_pose_step(double prior_weight, const Twist& current_correction = {}) const;
+    Twist solve_step(double prior_weight, const Twist& current_correction = {}) const;
 
 private:
     Matrix6 stiffness_ = Matrix6::Zero();
@@ -62,7 +61,7 @@ private:
 template <class AddPoint>
 SinglePoseEquations sum_point_equations(std::size_t n_points, const AddPoint& add_point) {
     constexpr std::size_t kPointsOfPart = 512;
-    return parallel_sum_over_ranges(n_points, kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+    return parallel_sum(n_points, kPointsOfPart, [&](std::size_t begin, std::size_t end) {
         SinglePoseEquations part;
         for (std::size_t i = begin; i < end; ++i) add_point(part, i);
         return part;
@@ -71,12 +70,12 @@ SinglePoseEquations sum_point_equations(std::size_t n_points, const AddPoint& ad
 
 /// Returns the size of a pose change in metres: the distance by which points ten metres
 /// away move.
-double compute_pose_change_size_m(const Twist& pose_change);
+double twist_size_m(const Twist& pose_change);
 
 /// Returns the 6x6 matrix that converts the twist (v, w) of a rigid body to another
 /// reference point. The result is (v + w x `offset_m`, w).
 /// @param offset_m  second point minus first point
-Matrix6 make_twist_transfer_matrix(const glm::dvec3& offset_m);
+Matrix6 twist_transfer(const glm::dvec3& offset_m);
 
 /// Normal equations for all poses, summed over the cells of a grid. Partial sums are
 /// added in the order of the cells, so that threads do not change the result.
@@ -84,31 +83,28 @@ class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
-    void add_plane_residual_of_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
+    void add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
     /// Adds the distances of the points of a grid cell from its plane. A Schur complement
     /// eliminates the changes of the plane (offset and two tilts).
-    void add_plane_residuals_of_cell(const std::vector<SubsampledPoint>& points,
-                                     const std::vector<WorldPointWithOrigin>& world_points,
-                                     std::span<const std::uint32_t> point_indices, const LocalPlane& plane,
-                                     double kernel_scale_m);
+    void add_cell(const std::vector<SubsampledPoint>& points,
+                  const std::vector<WorldPointWithOrigin>& world_points,
+                  std::span<const std::uint32_t> point_indices, const LocalPlane& plane, double scale_m);
     void add_equations(PoseEquations&& other);
-    void add_zero_correction_prior(std::size_t pose_index, const Vector6& weights,
-                                   const Vector6& current_correction);
+    void add_zero_prior(std::size_t pose_index, const Vector6& weights, const Vector6& current_correction);
     /// Adds a term that pulls the corrections of a pose and the next pose towards each
     /// other. `correction_difference`: second minus first correction
-    void add_correction_smoothness_prior(std::size_t pose_index, const Vector6& weights,
-                                         const Vector6& correction_difference);
+    void add_smooth_prior(std::size_t pose_index, const Vector6& weights,
+                          const Vector6& correction_difference);
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
     /// motions of groups of eight poses, so that long logs need no more iterations.
     /// @param prior_weight  weight of the prior that pulls `current_corrections` to
     /// zero, as a share of the mean diagonal
-    Eigen::VectorXd solve_for_all_pose_steps(const PoseTrack& track,
-                                             const Eigen::VectorXd& current_corrections,
-                                             double prior_weight) const;
+    Eigen::VectorXd solve_steps(const PoseTrack& track, const Eigen::VectorXd& current_corrections,
+                                double prior_weight) const;
 
     std::size_t n_planes() const { return n_planes_; }
-    double compute_rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
+    double rms_residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
     /// Coupling c = C L^-T of a plane with one pose. C: 6x3 block of the normal matrix.
@@ -125,7 +121,7 @@ private:
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
-    Eigen::VectorXd multiply_normal_matrix_by(const Eigen::VectorXd& input_vector) const;
+    Eigen::VectorXd multiply(const Eigen::VectorXd& input_vector) const;
     friend class PoseGroupEquations;
 };
 

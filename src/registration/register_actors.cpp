@@ -16,18 +16,18 @@ namespace relidar {
 namespace {
 
 // Shorter boxes are not corrected. Most are pedestrians, whose shape changes.
-constexpr double kSmallest_m = 1.2;
+constexpr double kMinObjectSize_m = 1.2;
 // Lower points of a box can belong to the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
 // The corrected track replaces the labelled track only if the share of the points on
 // planes grows by at least this value.
-constexpr double kGain = 0.02;
+constexpr double kMinShareGain = 0.02;
 // Larger corrections of a pose are rejected as errors of the registration.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
-constexpr double kStanding_m = 3.0;  // a box that moves farther than this is not standing
-constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
+constexpr double kMaxStandingMotion_m = 3.0;  // a box that moves farther than this is not standing
+constexpr int kPosesPerSide = 3;  // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
 /// Points of an object, in the frame of its labelled box.
@@ -38,28 +38,25 @@ struct BoxFramePoints {
 
 /// Collects the training returns inside each labelled box.
 /// @return [boxes] points sorted by pose of the box, then by frame and ray
-std::vector<BoxFramePoints> collect_points_in_boxes(const LidarSequence& sequence,
-                                                    const std::vector<int>& train_frame_indices,
-                                                    const std::vector<BoxTrack*>& actor_boxes) {
-    std::vector<std::vector<std::vector<SubsampledPoint>>> of_frame(
-        train_frame_indices.size());  // [frames][boxes]
-    parallel_for(static_cast<int>(train_frame_indices.size()), [&](int index) {
-        const LidarFrame& frame = sequence.frames[std::size_t(train_frame_indices[std::size_t(index)])];
+std::vector<BoxFramePoints> collect_in_boxes(const Log& sequence, const std::vector<int>& train_frames,
+                                             const std::vector<BoxTrack*>& actor_boxes) {
+    std::vector<std::vector<std::vector<SubsampledPoint>>> of_frame(train_frames.size());  // [frames][boxes]
+    parallel_for(static_cast<int>(train_frames.size()), [&](int index) {
+        const Frame& frame = sequence.frames[std::size_t(train_frames[std::size_t(index)])];
         of_frame[std::size_t(index)].resize(actor_boxes.size());
         std::vector<std::size_t> present;
         for (std::size_t b = 0; b < actor_boxes.size(); ++b)
-            if (actor_boxes[b]->is_observed_at_time(frame.time_s)) present.push_back(b);
+            if (actor_boxes[b]->is_observed(frame.time_s)) present.push_back(b);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size() && !present.empty(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldReturn measured = compute_world_return(sequence, frame, ray);
+            const WorldReturn measured = locate_return(sequence, frame, ray);
             for (const std::size_t b : present) {
                 const BoxTrack& box = *actor_boxes[b];
                 if (!box.contains_point(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
                 const glm::dvec3 local_m =
-                    inverse(box.world_from_box.interpolate_pose(measured.time_s)) * measured.point_m;
+                    inverse(box.world_from_box.pose_at(measured.time_s)) * measured.point_m;
                 if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
-                const TrackInterpolation at =
-                    box.world_from_box.find_poses_before_and_after_time(measured.time_s);
+                const TrackInterpolation at = box.world_from_box.find_segment(measured.time_s);
                 of_frame[std::size_t(index)][b].push_back(
                     {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
                      static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
@@ -81,15 +78,14 @@ std::vector<BoxFramePoints> collect_points_in_boxes(const LidarSequence& sequenc
 /// Fits a parabola over time to poses near `pose_index`: up to three before it and three
 /// after it. Uses only poses with points, at most one second away. Returns the pose on
 /// the parabola at the time of `pose_index`, or nothing if one side has no such pose.
-std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
-                                                     const std::vector<bool>& pose_has_points,
-                                                     std::size_t pose_index) {
+std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>& pose_has_points,
+                                 std::size_t pose_index) {
     const double time_s = track.time_s[pose_index];
     std::vector<std::size_t> used;
     for (const int step : {-1, 1}) {
         int n = 0;
         for (auto k = std::ptrdiff_t(pose_index) + step;
-             k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kNeighbours; k += step) {
+             k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kPosesPerSide; k += step) {
             if (std::abs(track.time_s[std::size_t(k)] - time_s) > kLongestGap_s) break;
             if (pose_has_points[std::size_t(k)]) {
                 used.push_back(std::size_t(k));
@@ -113,16 +109,15 @@ std::optional<Pose> interpolate_pose_from_neighbours(const PoseTrack& track,
     return apply_twist(reference, twist);
 }
 
-double compute_fraction_of_actor_points_on_planes(const PlanePoseAdjustment& adjustment,
-                                                  const std::vector<SubsampledPoint>& points) {
-    return adjustment.compute_fraction_on_planes(adjustment.fit_planes_to_all_points(kLastActorRound), points,
-                                                 kLastActorRound.scale_m);
+double actor_share(const PlanePoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
+    return adjustment.share_on_planes(adjustment.fit_planes(kLastActorRound), points,
+                                      kLastActorRound.scale_m);
 }
 
 /// Prepares the optimisation of the poses of a labelled box, in the frame of the box. A
 /// prior keeps the corrections small and smooth.
-PlanePoseAdjustment make_actor_pose_adjustment(const BoxTrack& box, std::vector<SubsampledPoint> points,
-                                               const std::vector<bool>& pose_has_points) {
+PlanePoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint> points,
+                                    const std::vector<bool>& pose_has_points) {
     const std::vector<double>& time_s = box.world_from_box.time_s;
     const PoseTrack identity{time_s, std::vector<Pose>(time_s.size())};
     PlanePoseAdjustment adjustment(identity, identity, std::move(points), pose_has_points);
@@ -134,41 +129,38 @@ PlanePoseAdjustment make_actor_pose_adjustment(const BoxTrack& box, std::vector<
     PoseCorrectionPrior prior;
     prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
     prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
-    adjustment.set_pose_correction_prior(prior);
+    adjustment.set_prior(prior);
     return adjustment;
 }
 
 /// Returns true if the points of an actor fit a fixed box about as well as a moving box.
-bool is_stationary_actor(const BoxTrack& box, const BoxFramePoints& actor_points,
-                         const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
+bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
+                   const std::vector<bool>& pose_has_points, double moving_box_fraction_on_planes) {
     const PoseTrack& track = box.world_from_box;
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
-        if (glm::distance(pose.translation, middle.translation) > kStanding_m) return false;
+        if (glm::distance(pose.translation, middle.translation) > kMaxStandingMotion_m) return false;
     std::vector<SubsampledPoint> still = actor_points.points;
     for (SubsampledPoint& point : still)
-        point.point_m = glm::vec3(inverse(middle) * transform_point_to_world(track, point).point_m);
-    const PlanePoseAdjustment adjustment = make_actor_pose_adjustment(box, still, pose_has_points);
-    return compute_fraction_of_actor_points_on_planes(adjustment, still) >=
-           moving_box_fraction_on_planes - kGain;
+        point.point_m = glm::vec3(inverse(middle) * point_to_world(track, point).point_m);
+    const PlanePoseAdjustment adjustment = make_adjustment(box, still, pose_has_points);
+    return actor_share(adjustment, still) >= moving_box_fraction_on_planes - kMinShareGain;
 }
 
 /// Corrects the track of a box, so that its points from all frames lie on common planes.
 /// Keeps the labelled track if the corrected track does not fit the points better.
-void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& actor_points,
-                                        ActorRegistrationResult& result,
-                                        std::vector<double>& moved_distances_m) {
+void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegistrationResult& result,
+                  std::vector<double>& moved_distances_m) {
     std::vector<bool> has_points(actor_points.n_of_pose.size());
     for (std::size_t k = 0; k < has_points.size(); ++k)
         has_points[k] = actor_points.n_of_pose[k] >= kFewestPosePoints;
     if (actor_points.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlanePoseAdjustment adjustment = make_actor_pose_adjustment(box, actor_points.points, has_points);
-    const double labelled_share = compute_fraction_of_actor_points_on_planes(adjustment, actor_points.points);
-    adjustment.adjust_poses_in_rounds(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share =
-        compute_fraction_of_actor_points_on_planes(adjustment, actor_points.points);
+    PlanePoseAdjustment adjustment = make_adjustment(box, actor_points.points, has_points);
+    const double labelled_share = actor_share(adjustment, actor_points.points);
+    adjustment.adjust_poses(kFirstActorRound, kLastActorRound, [](double) { return true; });
+    const double registered_share = actor_share(adjustment, actor_points.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);
@@ -178,13 +170,13 @@ void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& act
             return;
         if (has_points[k]) lengths_m.push_back(length_m);
     }
-    if (is_stationary_actor(box, actor_points, has_points, std::max(labelled_share, registered_share))) {
+    if (is_stationary(box, actor_points, has_points, std::max(labelled_share, registered_share))) {
         std::vector<Pose>& poses = box.world_from_box.pose;
         std::fill(poses.begin(), poses.end(), Pose(poses[poses.size() / 2]));
         ++result.n_standing;
         return;
     }
-    if (registered_share < labelled_share + kGain) return;
+    if (registered_share < labelled_share + kMinShareGain) return;
     PoseTrack& track = box.world_from_box;
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(adjustment.track().pose[k]);
@@ -192,27 +184,26 @@ void refine_actor_track_by_registration(BoxTrack& box, const BoxFramePoints& act
     }
     const PoseTrack registered = track;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
-        if (!has_points[k])
-            track.pose[k] =
-                interpolate_pose_from_neighbours(registered, has_points, k).value_or(track.pose[k]);
+        if (!has_points[k]) track.pose[k] = fit_parabola(registered, has_points, k).value_or(track.pose[k]);
     ++result.n_registered;
     moved_distances_m.push_back(lengths_m.empty() ? 0.0 : compute_median(lengths_m));
 }
 
 }  // namespace
 
-ActorRegistrationResult register_actors(LidarSequence& sequence, const std::vector<int>& train_frame_indices,
-                                        const ProgressReporter& progress) {
+ActorRegistrationResult register_actors(Log& sequence, const std::vector<int>& train_frames,
+                                        const Progress& progress) {
     ActorRegistrationResult result;
     std::vector<double> moved_m;
     std::vector<BoxTrack*> boxes;
     for (BoxTrack& box : sequence.boxes)
-        if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kSmallest_m) boxes.push_back(&box);
-    const std::vector<BoxFramePoints> actors = collect_points_in_boxes(sequence, train_frame_indices, boxes);
+        if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kMinObjectSize_m)
+            boxes.push_back(&box);
+    const std::vector<BoxFramePoints> actors = collect_in_boxes(sequence, train_frames, boxes);
     result.n_actors = boxes.size();
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         if (progress) progress("registering actors", double(i) / double(boxes.size()));
-        refine_actor_track_by_registration(*boxes[i], actors[i], result, moved_m);
+        refine_track(*boxes[i], actors[i], result, moved_m);
     }
     result.moved_m = moved_m.empty() ? 0.0 : compute_median(std::move(moved_m));
     return result;

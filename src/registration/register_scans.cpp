@@ -18,42 +18,39 @@ namespace {
 
 // A grid keeps one point of a scan per cell. Largest and smallest cell size: cells of 0.5
 // m keep 12 thousand points of a 64-beam scan, cells of 0.1 m nearly all.
-constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
+constexpr double kMaxThinningCell_m = 0.5, kMinThinningCell_m = 0.1;
 // The points of a plane usually come from about this many scans. If the log has fewer
 // scans, each scan keeps more points (smaller thinning cells).
-constexpr double kScansOnACell = 24.0;
-constexpr RegistrationRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
+constexpr double kScansPerCell = 24.0;
+constexpr RegistrationRound kFinalRound{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
 // The same of the finest map of odometry, which is less accurate than the optimisation of
 // all poses together. So the scale is larger.
-constexpr RegistrationRound kLastFollowed{0.5, 0.1};
-constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
+constexpr RegistrationRound kFinalOdometryRound{0.5, 0.1};
+constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and steps per level for held-out scans
 
 /// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
 /// @return indices of the scans that could not be aligned
-std::vector<std::size_t> align_test_sweeps_to_training_planes(PlanePoseAdjustment& adjustment,
-                                                              const std::vector<bool>& is_test_sweep,
-                                                              const std::vector<bool>& is_training_sweep,
-                                                              const SubsampledScans& test_scans,
-                                                              const RegistrationRound& first_round,
-                                                              double max_deviation_m) {
+std::vector<std::size_t> align_test_sweeps(PlanePoseAdjustment& adjustment,
+                                           const std::vector<bool>& is_test_sweep,
+                                           const std::vector<bool>& is_training_sweep,
+                                           const SubsampledScans& test_scans,
+                                           const RegistrationRound& first_round, double max_deviation_m) {
     std::vector<std::size_t> lost;
     const std::vector<Pose> as_neighbours = adjustment.track().pose;
     if (std::ranges::count(is_test_sweep, true) == 0) return lost;
-    for (int level = 0; level < kLevels; ++level) {
+    for (int level = 0; level < kTestLevels; ++level) {
         const RegistrationRound round =
-            interpolate_round_settings(first_round, kLast, level / double(kLevels - 1));
+            blend_rounds(first_round, kFinalRound, level / double(kTestLevels - 1));
         const double scale_m = round.scale_m;
-        const PlaneMap map = adjustment.fit_planes_to_all_points({round.cell_m, kLast.scale_m});
+        const PlaneMap map = adjustment.fit_planes({round.cell_m, kFinalRound.scale_m});
         for (std::size_t k = 0; k < test_scans.size(); ++k) {
             if (!is_test_sweep[k]) continue;
-            for (int step = 0; step < kStepsALevel; ++step)
-                adjustment.align_pose_to_planes(map, k, test_scans[k], scale_m);
-            if (level + 1 < kLevels) continue;
-            const bool is_registered = PlanePoseAdjustment::has_enough_points_on_planes(
-                adjustment.compute_fraction_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
-            if (is_registered &&
-                adjustment.compute_deviation_from_neighbours_m(k, is_training_sweep) <= max_deviation_m)
-                continue;
+            for (int step = 0; step < kStepsPerLevel; ++step)
+                adjustment.align_pose(map, k, test_scans[k], scale_m);
+            if (level + 1 < kTestLevels) continue;
+            const bool is_registered = PlanePoseAdjustment::has_enough_planes(
+                adjustment.share_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
+            if (is_registered && adjustment.deviation_m(k, is_training_sweep) <= max_deviation_m) continue;
             adjustment.set_pose(k, as_neighbours[k]);
             lost.push_back(k);
         }
@@ -62,9 +59,8 @@ std::vector<std::size_t> align_test_sweeps_to_training_planes(PlanePoseAdjustmen
 }
 
 /// Returns for each sweep whether one of the given frames belongs to it.
-std::vector<bool> flag_sweeps_with_any_of_frames(const SweepsToRegister& sweeps,
-                                                 const std::vector<int>& frame_indices,
-                                                 std::size_t n_frames) {
+std::vector<bool> flag_sweeps(const SweepsToRegister& sweeps, const std::vector<int>& frame_indices,
+                              std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : frame_indices) among[std::size_t(position)] = true;
     for (std::size_t k = 0; k < is.size(); ++k)
@@ -74,7 +70,7 @@ std::vector<bool> flag_sweeps_with_any_of_frames(const SweepsToRegister& sweeps,
 }
 
 /// Returns one flag per sweep. Only the flag of the middle selected sweep is true.
-std::vector<bool> keep_middle_selected_sweep(const std::vector<bool>& is_selected) {
+std::vector<bool> keep_middle(const std::vector<bool>& is_selected) {
     std::vector<bool> is(is_selected.size(), false);
     auto to_go = std::ranges::count(is_selected, true) / 2;
     for (std::size_t k = 0; k < is_selected.size(); ++k)
@@ -84,13 +80,12 @@ std::vector<bool> keep_middle_selected_sweep(const std::vector<bool>& is_selecte
 
 /// Returns the share of a scan's points that lie on planes, as the median over sweeps.
 /// @param is_sweep_selected [sweeps] sweeps that are included
-double compute_median_fraction_on_planes(const PlanePoseAdjustment& adjustment, const PlaneMap& map,
-                                         const SubsampledScans& scans,
-                                         const std::vector<bool>& is_sweep_selected) {
+double median_share(const PlanePoseAdjustment& adjustment, const PlaneMap& map, const SubsampledScans& scans,
+                    const std::vector<bool>& is_sweep_selected) {
     std::vector<double> all(scans.size()), shares;
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         all[std::size_t(index)] =
-            adjustment.compute_fraction_on_planes(map, scans[std::size_t(index)], kLast.scale_m);
+            adjustment.share_on_planes(map, scans[std::size_t(index)], kFinalRound.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)
         if (is_sweep_selected[k]) shares.push_back(all[k]);
@@ -99,35 +94,33 @@ double compute_median_fraction_on_planes(const PlanePoseAdjustment& adjustment, 
 
 }  // namespace
 
-RegistrationResult register_scans(const LidarSequence& sequence, const TrainTestSplit& split,
+RegistrationResult register_scans(const Log& sequence, const Split& split,
                                   const RegistrationOptions& options) {
     RegistrationResult result;
     result.world_from_vehicle = sequence.world_from_vehicle;
-    const SweepsToRegister sweeps = group_frames_into_sweeps(sequence);
-    const std::vector<bool> is_train =
-                                flag_sweeps_with_any_of_frames(sweeps, split.train, sequence.frames.size()),
-                            is_test =
-                                flag_sweeps_with_any_of_frames(sweeps, split.test, sequence.frames.size());
+    const SweepsToRegister sweeps = group_sweeps(sequence);
+    const std::vector<bool> is_train = flag_sweeps(sweeps, split.train, sequence.frames.size()),
+                            is_test = flag_sweeps(sweeps, split.test, sequence.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
     // Each scan keeps one point per grid cell of this size.
-    const double thin_m =
-        std::clamp(kThinned_m * std::sqrt(double(n_train) / kScansOnACell), kThinnest_m, kThinned_m);
-    const auto proceed = [&](const char* description) {
-        return [&, description](double done) {
-            if (options.progress) options.progress(description, done);
+    const double thin_m = std::clamp(kMaxThinningCell_m * std::sqrt(double(n_train) / kScansPerCell),
+                                     kMinThinningCell_m, kMaxThinningCell_m);
+    const auto proceed = [&](const char* text) {
+        return [&, text](double done) {
+            if (options.progress) options.progress(text, done);
             return !(result.stopped = options.stop && options.stop());
         };
     };
-    const RegistrationRound first{std::max(2.0 * options.largest_m, kLast.cell_m),
-                                  std::max(0.5 * options.largest_m, kLast.scale_m)};
+    const RegistrationRound first{std::max(2.0 * options.largest_m, kFinalRound.cell_m),
+                                  std::max(0.5 * options.largest_m, kFinalRound.scale_m)};
 
-    const SubsampledScans scans = downsample_selected_sweeps(sequence, sweeps, is_train, options, thin_m);
-    const PoseTrack followed = estimate_odometry_poses(
+    const SubsampledScans scans = thin_sweeps(sequence, sweeps, is_train, options, thin_m);
+    const PoseTrack followed = run_odometry(
         sweeps.track, scans,
-        {first, kLastFollowed, options.use_pose_motion, proceed("tracking the scans"), options.group});
-    if (result.stopped || !options.group.is_first_process()) return result;
-    const LoopClosureResult closed = close_loops(followed, scans, first, kLastFollowed,
+        {first, kFinalOdometryRound, options.use_pose_motion, proceed("tracking the scans"), options.group});
+    if (result.stopped || !options.group.is_first()) return result;
+    const LoopClosureResult closed = close_loops(followed, scans, first, kFinalOdometryRound,
                                                  proceed("detecting loops in the path of the vehicle"));
     if (result.stopped) return result;
     result.n_loop_closures = closed.n_closures;
@@ -137,26 +130,24 @@ RegistrationResult register_scans(const LidarSequence& sequence, const TrainTest
     for (const std::vector<SubsampledPoint>& scan : scans)
         points.insert(points.end(), scan.begin(), scan.end());
     PlanePoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
-                                   options.use_pose_motion ? is_train : keep_middle_selected_sweep(is_train));
-    result.rounds = adjustment.adjust_poses_in_rounds(first, kLast, proceed("registering all scans jointly"));
+                                   options.use_pose_motion ? is_train : keep_middle(is_train));
+    result.rounds = adjustment.adjust_poses(first, kFinalRound, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         fail(
             "cannot register the scans of {}: no two of its {} training scans show the same surface; try "
             "train.refine_poses=none",
             sequence.name, split.train.size());
-    const PlaneMap map = adjustment.fit_planes_to_all_points(kLast);
-    result.on_planes = compute_median_fraction_on_planes(adjustment, map, scans, is_train);
-    result.lost =
-        adjustment.interpolate_and_list_unregistered_poses(map, is_train, kLast.scale_m, options.largest_m);
-    const SubsampledScans held_out = downsample_selected_sweeps(sequence, sweeps, is_test, options, thin_m);
-    const std::vector<std::size_t> lost = align_test_sweeps_to_training_planes(
-        adjustment, is_test, is_train, held_out, first, options.largest_m);
+    const PlaneMap map = adjustment.fit_planes(kFinalRound);
+    result.on_planes = median_share(adjustment, map, scans, is_train);
+    result.lost = adjustment.interpolate_lost(map, is_train, kFinalRound.scale_m, options.largest_m);
+    const SubsampledScans held_out = thin_sweeps(sequence, sweeps, is_test, options, thin_m);
+    const std::vector<std::size_t> lost =
+        align_test_sweeps(adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     for (std::size_t& k : result.lost) k = sweeps.pose[k];
-    result.world_from_vehicle =
-        apply_sweep_corrections_to_track(sequence.world_from_vehicle, sweeps, adjustment.track());
+    result.world_from_vehicle = spread_corrections(sequence.world_from_vehicle, sweeps, adjustment.track());
     result.done = true;
     return result;
 }

@@ -9,18 +9,18 @@
 
 namespace relidar {
 
-SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
+SweepsToRegister group_sweeps(const Log& sequence) {
     const PoseTrack& vehicle_track = sequence.world_from_vehicle;
     std::vector<std::vector<int>> frames(vehicle_track.pose.size());
     std::vector<bool> leads(vehicle_track.pose.size(), false);
     // The LiDAR with the most returns determines the sweeps.
     std::vector<std::size_t> returns(sequence.lidars.size(), 0);
     if (returns.size() > 1)
-        for (const LidarFrame& frame : sequence.frames)
+        for (const Frame& frame : sequence.frames)
             returns[std::size_t(frame.lidar)] += frame.scan.count_returns();
     const int leader = static_cast<int>(std::ranges::max_element(returns) - returns.begin());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
-        const std::size_t pose = sequence.get_vehicle_pose_index_of_frame(sequence.frames[i]);
+        const std::size_t pose = sequence.find_pose_index(sequence.frames[i]);
         frames[pose].push_back(static_cast<int>(i));
         if (sequence.frames[i].lidar == leader) leads[pose] = true;
     }
@@ -35,33 +35,32 @@ SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence) {
     return sweeps;
 }
 
-PoseTrack apply_sweep_corrections_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
-                                           const PoseTrack& corrected_track) {
+PoseTrack spread_corrections(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
+                             const PoseTrack& corrected_track) {
     PoseTrack all = initial_track;
     for (std::size_t pose = 0; pose < all.pose.size(); ++pose) {
         const double t_s = all.time_s[pose];
-        all.pose[pose] = corrected_track.interpolate_pose(t_s) *
-                         (inverse(sweeps.track.interpolate_pose(t_s)) * initial_track.pose[pose]);
+        all.pose[pose] =
+            corrected_track.pose_at(t_s) * (inverse(sweeps.track.pose_at(t_s)) * initial_track.pose[pose]);
         all.pose[pose].rotation = glm::normalize(all.pose[pose].rotation);
     }
     for (std::size_t k = 0; k < sweeps.pose.size(); ++k) all.pose[sweeps.pose[k]] = corrected_track.pose[k];
     return all;
 }
 
-std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequence, int frame_index,
-                                                    const RegistrationOptions& options, double cell_size_m) {
-    const LidarFrame& frame = sequence.frames[std::size_t(frame_index)];
+std::vector<std::size_t> select_returns(const Log& sequence, int frame_index,
+                                        const RegistrationOptions& options, double cell_size_m) {
+    const Frame& frame = sequence.frames[std::size_t(frame_index)];
     const Scan& scan = frame.scan;
     std::unordered_set<std::uint64_t> occupied_cells;
     std::vector<std::size_t> rays;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const std::uint64_t cell =
-            compute_grid_cell_key(scan.compute_return_point_in_sensor_frame(ray), cell_size_m);
+        const std::uint64_t cell = grid_key(scan.return_point(ray), cell_size_m);
         if (occupied_cells.contains(cell)) continue;
-        const WorldReturn world_return = compute_world_return(sequence, frame, ray);
+        const WorldReturn world_return = locate_return(sequence, frame, ray);
         const auto contains_return = [&](const BoxTrack& box) {
-            return box.is_observed_at_time(world_return.time_s) &&
+            return box.is_observed(world_return.time_s) &&
                    box.contains_point(world_return.point_m, world_return.time_s, options.mover_margin_m);
         };
         if (std::any_of(options.movers.begin(), options.movers.end(), contains_return)) continue;
@@ -71,42 +70,41 @@ std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequenc
     return rays;
 }
 
-SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
-                                      std::size_t pose_index, int frame_index, std::size_t ray_index) {
-    const LidarFrame& frame = sequence.frames[std::size_t(frame_index)];
+SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index,
+                           int frame_index, std::size_t ray_index) {
+    const Frame& frame = sequence.frames[std::size_t(frame_index)];
     const RayTable& rays = frame.scan.rays;
-    const TrackInterpolation at =
-        track.find_poses_before_and_after_time(compute_world_return(sequence, frame, ray_index).time_s);
+    const TrackInterpolation at = track.find_segment(locate_return(sequence, frame, ray_index).time_s);
     const glm::vec3 in_sensor_m =
         rays.origin[ray_index] +
-        compute_surface_return(sequence, frame, ray_index).range_m * rays.direction[ray_index];
-    return {glm::vec3(sequence.get_lidar(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
+        surface_return(sequence, frame, ray_index).range_m * rays.direction[ray_index];
+    return {glm::vec3(sequence.lidar_of(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),
             static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
             static_cast<std::uint32_t>(pose_index)};
 }
 
-WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point) {
+WorldPointWithOrigin point_to_world(const PoseTrack& track, const SubsampledPoint& point) {
     const Pose pose = track.pose.size() == 1
                           ? track.pose.front()
                           : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
     return {pose * glm::dvec3(point.point_m), pose.translation};
 }
 
-double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index) {
+double weight_of_pose(const SubsampledPoint& point, std::size_t pose_index) {
     if (point.left == pose_index) return 1.0 - double(point.s);
     return point.left + 1 == pose_index ? double(point.s) : 0.0;
 }
 
-SubsampledScans downsample_selected_sweeps(const LidarSequence& sequence, const SweepsToRegister& sweeps,
-                                           const std::vector<bool>& is_sweep_selected,
-                                           const RegistrationOptions& options, double cell_size_m) {
+SubsampledScans thin_sweeps(const Log& sequence, const SweepsToRegister& sweeps,
+                            const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
+                            double cell_size_m) {
     SubsampledScans scans(is_sweep_selected.size());
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
         const auto sweep = std::size_t(index);
         if (!is_sweep_selected[sweep]) return;
         for (const int position : sweeps.frames[sweep])
-            for (const std::size_t ray : select_one_return_per_cell(sequence, position, options, cell_size_m))
-                scans[sweep].push_back(make_subsampled_point(sequence, sweeps.track, sweep, position, ray));
+            for (const std::size_t ray : select_returns(sequence, position, options, cell_size_m))
+                scans[sweep].push_back(make_point(sequence, sweeps.track, sweep, position, ray));
     });
     return scans;
 }

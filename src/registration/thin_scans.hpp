@@ -15,13 +15,13 @@ namespace relidar {
 /// in the log) are not stored here. The corrections of their poses are interpolated.
 struct SweepsToRegister {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
-    std::vector<std::size_t> pose;         ///< [sweeps] index in LidarSequence::world_from_vehicle, ascending
-    std::vector<std::vector<int>> frames;  ///< [sweeps] indices in LidarSequence::frames
+    std::vector<std::size_t> pose;         ///< [sweeps] index in Log::world_from_vehicle, ascending
+    std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Log::frames
 };
-SweepsToRegister group_frames_into_sweeps(const LidarSequence& sequence);
+SweepsToRegister group_sweeps(const Log& sequence);
 /// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
-PoseTrack apply_sweep_corrections_to_track(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
-                                           const PoseTrack& corrected_track);
+PoseTrack spread_corrections(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
+                             const PoseTrack& corrected_track);
 
 /// A measured point, and the two poses of the track between which it was measured.
 struct SubsampledPoint {
@@ -39,25 +39,25 @@ using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
-WorldPointWithOrigin transform_point_to_world(const PoseTrack& track, const SubsampledPoint& point);
+WorldPointWithOrigin point_to_world(const PoseTrack& track, const SubsampledPoint& point);
 /// The vehicle pose at the firing time of a point is interpolated between two poses of
 /// the track. Returns the weight of pose `pose_index` in this interpolation.
-double get_interpolation_weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
+double weight_of_pose(const SubsampledPoint& point, std::size_t pose_index);
 
 /// Selects returns of a frame, at most one in each cell of size `cell_size_m` in the
 /// sensor frame. Skips returns in moving boxes.
 /// @return indices in the order of the scan
-std::vector<std::size_t> select_one_return_per_cell(const LidarSequence& sequence, int frame_index,
-                                                    const RegistrationOptions& options, double cell_size_m);
+std::vector<std::size_t> select_returns(const Log& sequence, int frame, const RegistrationOptions& options,
+                                        double cell_size_m);
 /// Computes the 3D point of one ray of a frame, corrected by the range offset of its
 /// beam.
 /// @param track poses of the sensor; the pose of the ray is interpolated
 /// @param pose_index index in `track` of the pose of this frame
-SubsampledPoint make_subsampled_point(const LidarSequence& sequence, const PoseTrack& track,
-                                      std::size_t pose_index, int frame_index, std::size_t ray_index);
-/// Applies select_one_return_per_cell() to the selected sweeps.
-SubsampledScans downsample_selected_sweeps(const LidarSequence& sequence, const SweepsToRegister& sweeps,
-                                           const std::vector<bool>& is_sweep_selected,
-                                           const RegistrationOptions& options, double cell_size_m);
+SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index, int frame,
+                           std::size_t ray);
+/// Applies select_returns() to the selected sweeps.
+SubsampledScans thin_sweeps(const Log& sequence, const SweepsToRegister& sweeps,
+                            const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
+                            double cell_size_m);
 
 }  // namespace relidar

@@ -13,44 +13,44 @@ constexpr double kFewestOfVoxel = 6;
 // along the narrower direction of the plane, divided by the cell size.
 constexpr double kVoxelSpread = 0.12;
 // maximum standard deviation of the points along the normal, divided by the cell size
-constexpr double kThickness = 0.1;
+constexpr double kMaxThicknessPerCell = 0.1;
 
 /// Returns the mutex that is locked while a plane is fitted to the points of a cell. All
 /// cells share 64 mutexes, because fits rarely run at the same time.
-std::mutex& get_cell_mutex(const void* cell_address) {
+std::mutex& cell_mutex(const void* cell_address) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell_address) / 64 % mutexes.size()];
 }
 
 }  // namespace
 
-void VoxelPlaneMap::add_point_to_cell(const glm::dvec3& point_m, double travelled_distance_m) {
-    VoxelPlaneCell& cell = cells_[compute_grid_cell_key(point_m, cell_m_)];
-    cell.sums.add_point(point_m - compute_cell_centre(point_m));
+void VoxelPlaneMap::add_point(const glm::dvec3& point_m, double travelled_distance_m) {
+    VoxelPlaneCell& cell = cells_[grid_key(point_m, cell_m_)];
+    cell.sums.add_point(point_m - cell_centre(point_m));
     cell.travelled_m = travelled_distance_m;
 }
 
 const LocalPlane* VoxelPlaneMap::find_plane_at(const glm::dvec3& point_m) const {
-    const auto cell_entry = cells_.find(compute_grid_cell_key(point_m, cell_m_));
+    const auto cell_entry = cells_.find(grid_key(point_m, cell_m_));
     if (cell_entry == cells_.end() || cell_entry->second.sums.n < kFewestOfVoxel) return nullptr;
     const VoxelPlaneCell& cell = cell_entry->second;
-    if (cell.should_refit_plane()) {
-        const std::scoped_lock lock(get_cell_mutex(&cell));
-        if (cell.should_refit_plane()) refit_cell_plane(cell, compute_cell_centre(point_m));
+    if (cell.is_outdated()) {
+        const std::scoped_lock lock(cell_mutex(&cell));
+        if (cell.is_outdated()) refit_plane(cell, cell_centre(point_m));
     }
     return cell.plane ? &*cell.plane : nullptr;
 }
 
-void VoxelPlaneMap::refit_cell_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const {
+void VoxelPlaneMap::refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const {
     const PlaneFit f = cell.sums.fit_plane();
     const bool is_plane = f.variance[1] >= std::pow(kVoxelSpread * cell_m_, 2) &&
-                          f.variance[0] <= std::pow(kThickness * cell_m_, 2);
+                          f.variance[0] <= std::pow(kMaxThicknessPerCell * cell_m_, 2);
     cell.plane.reset();
     if (is_plane) cell.plane = LocalPlane{cell_centre_m + f.mean, f.axes[0], f.axes[1], f.axes[2]};
     cell.n_fitted.store(cell.sums.n, std::memory_order_release);
 }
 
-void VoxelPlaneMap::remove_cells_before(double min_travelled_distance_m) {
+void VoxelPlaneMap::remove_before(double min_travelled_distance_m) {
     std::erase_if(cells_,
                   [&](const auto& entry) { return entry.second.travelled_m < min_travelled_distance_m; });
 }

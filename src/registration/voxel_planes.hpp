@@ -18,13 +18,13 @@ public:
     explicit VoxelPlaneMap(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
-    void add_point_to_cell(const glm::dvec3& point_m, double travelled_distance_m);
+    void add_point(const glm::dvec3& point_m, double travelled_distance_m);
     /// Returns the plane of the cell that contains a point, or null if its points do not
     /// form a plane. Several threads can call this function at the same time.
     const LocalPlane* find_plane_at(const glm::dvec3& point_m) const;
     /// Removes the cells that were last observed before the sensor had driven
     /// `min_travelled_distance_m`.
-    void remove_cells_before(double min_travelled_distance_m);
+    void remove_before(double min_travelled_distance_m);
 
 private:
     struct VoxelPlaneCell {
@@ -35,18 +35,18 @@ private:
         mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<LocalPlane> plane;
 
-        bool should_refit_plane() const {
-            constexpr double kRefit = 1.1;  // growth of the number of points
-            return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
+        bool is_outdated() const {
+            constexpr double kRefitGrowth = 1.1;  // growth of the number of points
+            return sums.n >= kRefitGrowth * n_fitted.load(std::memory_order_acquire);
         }
     };
     double cell_m_;
     std::unordered_map<std::uint64_t, VoxelPlaneCell> cells_;
 
-    glm::dvec3 compute_cell_centre(const glm::dvec3& point_m) const {
+    glm::dvec3 cell_centre(const glm::dvec3& point_m) const {
         return (glm::floor(point_m / cell_m_) + 0.5) * cell_m_;
     }
-    void refit_cell_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const;
+    void refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const;
 };
 
 }  // namespace relidar

@@ -10,13 +10,13 @@ namespace relidar {
 namespace {
 
 // Assumed maximum difference between the azimuth of a beam and of the rotating head.
-constexpr double kBeside_rad = 0.17;
+constexpr double kMaxBeamOffset_rad = 0.17;
 // The azimuths that a box covers are widened on each side by this share of their half
 // width, because the sensor and the box move during the scan.
-constexpr double kBesideShare = 0.25;
+constexpr double kWideningShare = 0.25;
 // The time span of a motion is lengthened by this share, because real LiDAR heads deviate
 // from the nominal firing times.
-constexpr double kBeyond = 0.02;
+constexpr double kLengtheningShare = 0.02;
 // Assumed maximum difference between a firing time and the time of a sweep, if unknown.
 constexpr double kUnknownSweep_s = 0.1;
 constexpr double kVelocityStep_s = 0.005;
@@ -27,10 +27,10 @@ struct TimeSpan {
 };
 
 /// Returns the time interval in which a LiDAR fires the rays of a sweep.
-TimeSpan compute_sweep_time_span(const LidarSequence& sequence, const SweepTiming& sweep) {
+TimeSpan sweep_span(const Log& sequence, const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     if (!sequence.rolling_shutter) return {sweep.time_s, sweep.time_s};
-    const double period_s = lidar.get_sweep_period_s();
+    const double period_s = lidar.sweep_period_s();
     if (period_s > 0.0) {
         const double first_s = sweep.time_s + (sweep.start ? sweep.start->time_s : -0.5 * period_s);
         return {first_s, first_s + period_s};
@@ -43,9 +43,9 @@ TimeSpan compute_sweep_time_span(const LidarSequence& sequence, const SweepTimin
 }
 
 /// Returns 0 if the LiDAR does not scan the azimuths in order.
-double compute_seconds_per_radian(const Lidar& lidar) {
+double seconds_per_rad(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
-    const ScanPatternSummary summary = summarise_scan_pattern(*lidar.pattern);
+    const ScanPatternSummary summary = summarise_pattern(*lidar.pattern);
     const std::optional<AzimuthSweep>& sweep = summary.sweep;
     return sweep && sweep->columns > 1 ? summary.period_s / std::abs(sweep->last_rad - sweep->first_rad)
                                        : 0.0;
@@ -53,7 +53,7 @@ double compute_seconds_per_radian(const Lidar& lidar) {
 
 /// Returns half the azimuth angle that a box covers in the view of the sensor. Returns pi
 /// if the sensor is inside or above the box.
-double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
+double half_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     const glm::dvec3& centre = sensor_from_box.translation;
     if (std::hypot(centre.x, centre.y) <= glm::length(half_size_m)) return kPi;
     const double azimuth = std::atan2(centre.y, centre.x);
@@ -68,45 +68,42 @@ double compute_half_azimuth_width_rad(const Pose& sensor_from_box, const glm::dv
 
 /// Returns the time interval in which the head faces a box. Returns the time of the full
 /// sweep if the interval is unknown or extends beyond the sweep.
-TimeSpan compute_time_span_when_lidar_faces_box(const LidarSequence& sequence,
-                                                const PoseTrack& world_from_box,
-                                                const glm::dvec3& half_size_m, const SweepTiming& sweep) {
-    const TimeSpan all = compute_sweep_time_span(sequence, sweep);
+TimeSpan facing_span(const Log& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
+                     const SweepTiming& sweep) {
+    const TimeSpan all = sweep_span(sequence, sweep);
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
-    const double s_per_rad = compute_seconds_per_radian(lidar);
+    const double s_per_rad = seconds_per_rad(lidar);
     if (all.last_s <= all.first_s || s_per_rad <= 0.0 || half_size_m == glm::dvec3(0.0)) return all;
     const auto sensor_from_box = [&](double t_s) {
-        return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(t_s, lidar.vehicle_from_sensor)) *
-               world_from_box.interpolate_pose(t_s);
+        return inverse(sequence.world_from_vehicle.mounted_pose_at(t_s, lidar.vehicle_from_sensor)) *
+               world_from_box.pose_at(t_s);
     };
     double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
-        faced_s =
-            compute_time_when_lidar_faces_point_s(sequence, sensor_from_box(faced_s).translation, sweep);
-    const double angle = compute_half_azimuth_width_rad(sensor_from_box(faced_s), half_size_m);
-    const double half_s = ((1.0 + kBesideShare) * angle + kBeside_rad) * s_per_rad;
+        faced_s = facing_time_s(sequence, sensor_from_box(faced_s).translation, sweep);
+    const double angle = half_width_rad(sensor_from_box(faced_s), half_size_m);
+    const double half_s = ((1.0 + kWideningShare) * angle + kMaxBeamOffset_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
     return angle < kPi && span.first_s >= all.first_s && span.last_s <= all.last_s ? span : all;
 }
 
 }  // namespace
 
-InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
-                                       const glm::dvec3& half_size_m, const SweepTiming& sweep) {
-    const TimeSpan span =
-        compute_time_span_when_lidar_faces_box(sequence, world_from_box, half_size_m, sweep);
+InstancePose box_pose_in_sweep(const Log& sequence, const PoseTrack& world_from_box,
+                               const glm::dvec3& half_size_m, const SweepTiming& sweep) {
+    const TimeSpan span = facing_span(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
     // If all rays fire at the same time, the pose of the actor is constant.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
-    const Pose first = world_from_box.interpolate_pose(measured.first_s),
-               last = world_from_box.interpolate_pose(measured.last_s);
+    const Pose first = world_from_box.pose_at(measured.first_s),
+               last = world_from_box.pose_at(measured.last_s);
     const Twist twist = compute_twist(first, last);
     const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);
     const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]),
                             per_s * glm::dvec3(twist[3], twist[4], twist[5]), middle_s - sweep.time_s,
-                            (1.0 + kBeyond) * half_s};
-    if (!moves) return {world_from_box.interpolate_pose(middle_s), true, middle_s, 0.0, motion};
+                            (1.0 + kLengtheningShare) * half_s};
+    if (!moves) return {world_from_box.pose_at(middle_s), true, middle_s, 0.0, motion};
     return {interpolate(first, last, 0.5), true, middle_s, 0.0, motion};
 }
 

@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kLength_m = 160.0, kHalfWidth_m = 12.0, kHeight_m = 9.0;
+constexpr double kStreetLength_m = 160.0, kHalfWidth_m = 12.0, kFacadeHeight_m = 9.0;
 constexpr double kShC0 = 0.28209479177387814;
 const glm::vec3 kSensor_m(0.0f, -2.0f, 1.8f);
 
@@ -25,19 +25,19 @@ class NumpyRandomState {
 public:
     explicit NumpyRandomState(std::uint32_t seed) : generator_(seed) {}
 
-    double sample_uniform_0_to_1() {
+    double draw_uniform() {
         const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
         return (high * 67108864.0 + low) / 9007199254740992.0;
     }
-    double sample_normal_0_1() {
+    double draw_normal() {
         if (has_next_) {
             has_next_ = false;
             return next_;
         }
         double x, y, r2;
         do {
-            x = 2.0 * sample_uniform_0_to_1() - 1.0;
-            y = 2.0 * sample_uniform_0_to_1() - 1.0;
+            x = 2.0 * draw_uniform() - 1.0;
+            y = 2.0 * draw_uniform() - 1.0;
             r2 = x * x + y * y;
         } while (r2 >= 1.0 || r2 == 0.0);
         const double scale = std::sqrt(-2.0 * std::log(r2) / r2);
@@ -61,7 +61,7 @@ struct Rectangle {
 };
 
 /// Adds five faces of a car, whose body begins 0.2 m above the ground.
-void append_car_rectangles(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
+void append_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
     const glm::dvec3 base = centre + glm::dvec3(-0.5 * length, -0.5 * width, 0.2);
@@ -74,71 +74,68 @@ void append_car_rectangles(const glm::dvec3& centre, double intensity, std::vect
 
 /// Returns the rectangles of the ground, the facades and the parked cars. The seed is
 /// fixed, so the layout is always the same.
-std::vector<Rectangle> make_street_rectangles() {
+std::vector<Rectangle> make_rectangles() {
     NumpyRandomState random(1);
-    const double half = kLength_m / 2;
+    const double half = kStreetLength_m / 2;
     std::vector<Rectangle> rectangles{
-        {{-half, -kHalfWidth_m, 0}, {kLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
+        {{-half, -kHalfWidth_m, 0}, {kStreetLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
     for (const int side : {-1, 1}) {
         for (double x = -half; x < half - 1e-9;) {
-            const double width = std::min(8 + 10 * random.sample_uniform_0_to_1(), half - x);
-            const double setback = 1.5 * random.sample_uniform_0_to_1();
-            const double intensity = 0.25 + 0.4 * random.sample_uniform_0_to_1();
-            const bool gap = random.sample_uniform_0_to_1() < 0.1;
+            const double width = std::min(8 + 10 * random.draw_uniform(), half - x);
+            const double setback = 1.5 * random.draw_uniform();
+            const double intensity = 0.25 + 0.4 * random.draw_uniform();
+            const bool gap = random.draw_uniform() < 0.1;
             const double y = side * (kHalfWidth_m - setback);
-            const glm::dvec3 up(0, 0, kHeight_m);
+            const glm::dvec3 up(0, 0, kFacadeHeight_m);
             if (!gap && side > 0) rectangles.push_back({{x, y, 0}, {width, 0, 0}, up, intensity});
             if (!gap && side < 0) rectangles.push_back({{x + width, y, 0}, {-width, 0, 0}, up, intensity});
             x += width;
         }
         for (double x = -half + 3; x < half - 5; x += 6.5) {
-            const bool skip = random.sample_uniform_0_to_1() < 0.3;
-            const double along = random.sample_uniform_0_to_1();
-            const double across = 0.3 * random.sample_uniform_0_to_1();
-            const double intensity = 0.3 + 0.6 * random.sample_uniform_0_to_1();
-            if (!skip) append_car_rectangles({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
+            const bool skip = random.draw_uniform() < 0.3;
+            const double along = random.draw_uniform();
+            const double across = 0.3 * random.draw_uniform();
+            const double intensity = 0.3 + 0.6 * random.draw_uniform();
+            if (!skip) append_car({x + along, side * (7.5 + across), 0.0}, intensity, rectangles);
         }
     }
     return rectangles;
 }
 
 /// Picks a random rectangle for each surfel, with a probability proportional to its area.
-std::vector<std::uint16_t> sample_rectangle_indices_by_area(std::size_t count,
-                                                            const std::vector<Rectangle>& rectangles,
-                                                            NumpyRandomState& random) {
+std::vector<std::uint16_t> sample_rectangles(std::size_t count, const std::vector<Rectangle>& rectangles,
+                                             NumpyRandomState& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
     for (double& c : cumulative) c /= total;
     std::vector<std::uint16_t> index(count);
     for (std::uint16_t& i : index) {
-        const auto at =
-            std::upper_bound(cumulative.begin(), cumulative.end(), random.sample_uniform_0_to_1()) -
-            cumulative.begin();
+        const auto at = std::upper_bound(cumulative.begin(), cumulative.end(), random.draw_uniform()) -
+                        cumulative.begin();
         i = std::uint16_t(std::min<std::ptrdiff_t>(at, std::ptrdiff_t(rectangles.size()) - 1));
     }
     return index;
 }
 
-void sample_surfel_positions_on_rectangles(const std::vector<Rectangle>& rectangles,
-                                           const std::vector<std::uint16_t>& rectangle_index,
-                                           NumpyRandomState& random, Surfels& surfels) {
+void sample_positions(const std::vector<Rectangle>& rectangles,
+                      const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
+                      Surfels& surfels) {
     std::vector<glm::dvec2> along(rectangle_index.size());
     for (glm::dvec2& ab : along) {
-        ab.x = random.sample_uniform_0_to_1();
-        ab.y = random.sample_uniform_0_to_1();
+        ab.x = random.draw_uniform();
+        ab.y = random.draw_uniform();
     }
     for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         const Rectangle& r = rectangles[rectangle_index[i]];
         surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v +
-                                    r.normal * (0.02 * random.sample_normal_0_1()));
+                                    r.normal * (0.02 * random.draw_normal()));
     }
 }
 
 /// Returns the unit quaternion (w, x, y, z) of a rotation matrix with these columns. The
 /// largest component of the quaternion is positive.
-glm::dvec4 make_wxyz_quaternion_from_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis,
-                                          const glm::dvec3& z_axis) {
+glm::dvec4 quaternion_of_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis, const glm::dvec3& z_axis) {
     const double trace = x_axis.x + y_axis.y + z_axis.z;
     const std::array<glm::dvec4, 4> candidates{
         {{1 + trace, y_axis.z - z_axis.y, z_axis.x - x_axis.z, x_axis.y - y_axis.x},
@@ -153,80 +150,79 @@ glm::dvec4 make_wxyz_quaternion_from_axes(const glm::dvec3& x_axis, const glm::d
 
 /// The normals scatter around the normals of the rectangles. The rotation about the
 /// normal is uniform.
-void sample_random_surfel_rotations(const std::vector<Rectangle>& rectangles,
-                                    const std::vector<std::uint16_t>& rectangle_index,
-                                    NumpyRandomState& random, Surfels& surfels) {
+void sample_rotations(const std::vector<Rectangle>& rectangles,
+                      const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
+                      Surfels& surfels) {
     std::vector<glm::dvec3> normal(rectangle_index.size());
     for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         glm::dvec3 noise;
-        for (int axis = 0; axis < 3; ++axis) noise[axis] = random.sample_normal_0_1();
+        for (int axis = 0; axis < 3; ++axis) noise[axis] = random.draw_normal();
         normal[i] = glm::normalize(rectangles[rectangle_index[i]].normal + 0.05 * noise);
     }
     for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
         const glm::dvec3 z = normal[i];
         const glm::dvec3 helper = std::abs(z.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
         const glm::dvec3 x0 = glm::normalize(glm::cross(helper, z)), y0 = glm::cross(z, x0);
-        const double phi = 2.0 * kPi * random.sample_uniform_0_to_1();
+        const double phi = 2.0 * kPi * random.draw_uniform();
         const glm::dvec3 x = std::cos(phi) * x0 + std::sin(phi) * y0;
-        surfels.rotation[i] = glm::vec4(make_wxyz_quaternion_from_axes(x, glm::cross(z, x), z));
+        surfels.rotation[i] = glm::vec4(quaternion_of_axes(x, glm::cross(z, x), z));
     }
 }
 
-void sample_random_scales_and_opacities(bool smaller_scales_for_more_surfels, NumpyRandomState& random,
-                                        Surfels& surfels) {
+void sample_scales(bool smaller_scales_for_more_surfels, NumpyRandomState& random, Surfels& surfels) {
     const double factor =
         smaller_scales_for_more_surfels ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
         for (int axis = 0; axis < 2; ++axis)
-            log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.sample_uniform_0_to_1()) * factor));
+            log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.draw_uniform()) * factor));
     for (float& logit : surfels.opacity_logit) {
-        const double opacity = 0.1 + 0.89 * random.sample_uniform_0_to_1();
+        const double opacity = 0.1 + 0.89 * random.draw_uniform();
         logit = float(std::log(opacity / (1.0 - opacity)));
     }
 }
 
 /// Rounds to multiples of 1/4096 (degree 0) or 1/256 (other degrees), and half to even,
 /// like scene_gen.py.
-void sample_random_spherical_harmonics(const std::vector<Rectangle>& rectangles,
-                                       const std::vector<std::uint16_t>& rectangle_index,
-                                       NumpyRandomState& random, Surfels& surfels) {
+void sample_harmonics(const std::vector<Rectangle>& rectangles,
+                      const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
+                      Surfels& surfels) {
     const auto put_dc = [&](std::size_t surfel, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
         surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
     };
     const std::size_t n = rectangle_index.size();
     for (std::size_t i = 0; i < n; ++i)
-        put_dc(i, 0,
-               std::clamp(rectangles[rectangle_index[i]].intensity + 0.08 * random.sample_normal_0_1(), 0.02,
-                          0.98));
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.sample_normal_0_1());
-    for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.sample_normal_0_1());
+        put_dc(
+            i, 0,
+            std::clamp(rectangles[rectangle_index[i]].intensity + 0.08 * random.draw_normal(), 0.02, 0.98));
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.draw_normal());
+    for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.draw_normal());
     for (std::size_t i = 0; i < n; ++i)
         for (int k = 1; k < kShCoefficients; ++k)
             for (int channel = 0; channel < kShChannels; ++channel) {
                 const double steps =
-                    std::clamp(std::nearbyint(0.05 * random.sample_normal_0_1() * 256), -127.0, 127.0);
+                    std::clamp(std::nearbyint(0.05 * random.draw_normal() * 256), -127.0, 127.0);
                 surfels.sh[i * kShFloats + std::size_t(channel * kShCoefficients + k)] = float(steps / 256);
             }
 }
 
 }  // namespace
 
-Surfels make_benchmark_street_surfels(std::uint32_t n_surfels, std::uint32_t seed,
-                                      bool smaller_scales_for_more_surfels) {
-    const std::vector<Rectangle> rectangles = make_street_rectangles();
+Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed,
+                            bool smaller_scales_for_more_surfels) {
+    const std::vector<Rectangle> rectangles = make_rectangles();
     NumpyRandomState random(seed);
     Surfels surfels;
     surfels.resize(n_surfels);
-    const std::vector<std::uint16_t> index = sample_rectangle_indices_by_area(n_surfels, rectangles, random);
-    sample_surfel_positions_on_rectangles(rectangles, index, random, surfels);
-    sample_random_surfel_rotations(rectangles, index, random, surfels);
-    sample_random_scales_and_opacities(smaller_scales_for_more_surfels, random, surfels);
-    sample_random_spherical_harmonics(rectangles, index, random, surfels);
+    const std::vector<std::uint16_t> index = sample_rectangles(n_surfels, rectangles, random);
+    sample_positions(rectangles, index, random, surfels);
+    sample_rotations(rectangles, index, random, surfels);
+    sample_scales(smaller_scales_for_more_surfels, random, surfels);
+    sample_harmonics(rectangles, index, random, surfels);
     return surfels;
 }
 
-RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg) {
+RayTable make_street_rays(int rows, int columns, double top_deg, double bottom_deg) {
     if (rows <= 0 || columns <= 0) throw UsageError("make_benchmark_rays: rows and columns must be positive");
     RayTable table;
     table.rows = rows;
@@ -248,10 +244,10 @@ RayTable make_benchmark_rays(int rows, int columns, double top_deg, double botto
     return table;
 }
 
-RayTable make_benchmark_rays(const std::string& sensor_name) {
-    if (sensor_name == "waymo") return make_benchmark_rays(64, 2650, 2.4, -17.6);
-    if (sensor_name == "kitti") return make_benchmark_rays(66, 1030, 2.0, -24.9);
-    throw UsageError("make_benchmark_rays: found \"" + sensor_name + "\", expected waymo or kitti");
+RayTable make_street_rays(const std::string& name) {
+    if (name == "waymo") return make_street_rays(64, 2650, 2.4, -17.6);
+    if (name == "kitti") return make_street_rays(66, 1030, 2.0, -24.9);
+    throw UsageError("make_benchmark_rays: found \"" + name + "\", expected waymo or kitti");
 }
 
 }  // namespace relidar

@@ -13,13 +13,13 @@ namespace relidar {
 /// `smaller_scales_for_more_surfels` is true (benchmark scene B), the surfels become
 /// smaller as `n_surfels` grows. The values equal those of the Python generator up to
 /// rounding in the last digit. The surfels are not sorted in kd-tree order.
-Surfels make_benchmark_street_surfels(std::uint32_t n_surfels, std::uint32_t seed = 20261120,
-                                      bool smaller_scales_for_more_surfels = false);
+Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed = 20261120,
+                            bool smaller_scales_for_more_surfels = false);
 
 /// Returns the LiDAR rays of the street, with their origin at (0, -2, 1.8) m.
-/// `sensor_name` is "waymo" (64 x 2650 rays) or "kitti" (66 x 1030 rays). The second
+/// `name` is "waymo" (64 x 2650 rays) or "kitti" (66 x 1030 rays). The second
 /// overload accepts any number of rays and any vertical field of view.
-RayTable make_benchmark_rays(const std::string& sensor_name);
-RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
+RayTable make_street_rays(const std::string& name);
+RayTable make_street_rays(int rows, int columns, double top_deg, double bottom_deg);
 
 }  // namespace relidar

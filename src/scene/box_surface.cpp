@@ -26,86 +26,83 @@ constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
 /// plane y = 0 does not cut a patch.
-int choose_even_number_of_patches(double length_m) {
+int count_patches(double length_m) {
     return 2 * int(std::clamp(std::round(length_m / (2.0 * kBoxPatch_m)), 1.0, kMostPairs));
 }
 
-int find_patch_index(double coordinate_m, double half_length_m, int n_patches) {
+int patch_index(double coordinate_m, double half_length_m, int n_patches) {
     return std::clamp(int(std::floor((coordinate_m / half_length_m + 1.0) * 0.5 * n_patches)), 0,
                       n_patches - 1);
 }
 
 }  // namespace
 
-const char* get_name(BoxSide side) {
-    constexpr const char* kNames[] = {"front", "rear", "left", "right", "top"};
-    return kNames[static_cast<int>(side)];
+const char* name_of(BoxSide side) {
+    constexpr const char* kSideNames[] = {"front", "rear", "left", "right", "top"};
+    return kSideNames[static_cast<int>(side)];
 }
 
-double get_min_incidence_cosine(BoxSide side) { return side == BoxSide::top ? 0.02 : 0.2; }
+double min_cosine(BoxSide side) { return side == BoxSide::top ? 0.02 : 0.2; }
 
 ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        n_[s] = {choose_even_number_of_patches(size_m[kSideFrames[s].first]),
-                 choose_even_number_of_patches(size_m[kSideFrames[s].second])};
+        n_[s] = {count_patches(size_m[kSideFrames[s].first]), count_patches(size_m[kSideFrames[s].second])};
         observed_patches_[s].assign(std::size_t(n_[s][0]) * std::size_t(n_[s][1]), 0);
     }
 }
 
 /// Returns the patch where a line from the box centre through a point leaves the box.
-std::optional<ObservedBoxSurface::BoxSurfacePatch> ObservedBoxSurface::find_patch_of_point(
+std::optional<ObservedBoxSurface::BoxSurfacePatch> ObservedBoxSurface::find_patch(
     const glm::dvec3& point_m) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
-    const int axis = find_longest_axis(size);
+    const int axis = longest_axis(size);
     if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0))
         return std::nullopt;
     const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + int(share[axis] < 0.0);
     const BoxSideAxes& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / size[axis];
     const BoxSurfacePatch patch{
-        BoxSide(side),
-        find_patch_index(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
-        find_patch_index(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
-    return is_patch_above_ground_margin(patch) ? std::optional(patch) : std::nullopt;
+        BoxSide(side), patch_index(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
+        patch_index(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
+    return is_above_ground(patch) ? std::optional(patch) : std::nullopt;
 }
 
-bool ObservedBoxSurface::is_patch_above_ground_margin(const BoxSurfacePatch& patch) const {
+bool ObservedBoxSurface::is_above_ground(const BoxSurfacePatch& patch) const {
     return patch.side == BoxSide::top || (patch.row + 0.5) / n_[std::size_t(patch.side)][1] > kHiddenHeight;
 }
 
-ObservedBoxSurface::BoxSurfacePatch ObservedBoxSurface::get_mirror_patch(BoxSurfacePatch patch) const {
+ObservedBoxSurface::BoxSurfacePatch ObservedBoxSurface::mirror_patch(BoxSurfacePatch patch) const {
     if (patch.side == BoxSide::left || patch.side == BoxSide::right)
         patch.side = patch.side == BoxSide::left ? BoxSide::right : BoxSide::left;
     else patch.column = n_[std::size_t(patch.side)][0] - 1 - patch.column;
     return patch;
 }
 
-std::size_t ObservedBoxSurface::get_patch_index(const BoxSurfacePatch& patch) const {
+std::size_t ObservedBoxSurface::index_of_patch(const BoxSurfacePatch& patch) const {
     return std::size_t(patch.row) * std::size_t(n_[std::size_t(patch.side)][0]) + std::size_t(patch.column);
 }
 
-bool ObservedBoxSurface::has_observed_patch(const BoxSurfacePatch& patch) const {
-    return observed_patches_[std::size_t(patch.side)][get_patch_index(patch)] != 0;
+bool ObservedBoxSurface::is_patch_set(const BoxSurfacePatch& patch) const {
+    return observed_patches_[std::size_t(patch.side)][index_of_patch(patch)] != 0;
 }
 
-void ObservedBoxSurface::mark_patch_of_point_as_observed(const glm::dvec3& point_m,
-                                                         const glm::dvec3& ray_direction) {
-    const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
+void ObservedBoxSurface::mark_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction) {
+    const std::optional<BoxSurfacePatch> patch = find_patch(point_m);
     if (!patch) return;
     const auto side = std::size_t(patch->side);
     const BoxSideAxes& frame = kSideFrames[side];
-    if (!(-frame.sign * ray_direction[frame.normal] >= get_min_incidence_cosine(patch->side))) return;
-    observed_patches_[side][get_patch_index(*patch)] = 1;
+    if (!(-frame.sign * ray_direction[frame.normal] >= min_cosine(patch->side))) return;
+    observed_patches_[side][index_of_patch(*patch)] = 1;
 }
 
-bool ObservedBoxSurface::is_patch_of_point_observed(const glm::dvec3& point_m) const {
-    const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
-    return patch && has_observed_patch(*patch);
+bool ObservedBoxSurface::is_observed(const glm::dvec3& point_m) const {
+    const std::optional<BoxSurfacePatch> patch = find_patch(point_m);
+    return patch && is_patch_set(*patch);
 }
 
-bool ObservedBoxSurface::is_observed_only_in_mirror_image(const glm::dvec3& point_m) const {
-    const std::optional<BoxSurfacePatch> patch = find_patch_of_point(point_m);
-    return patch && !has_observed_patch(*patch) && has_observed_patch(get_mirror_patch(*patch));
+bool ObservedBoxSurface::is_mirror_observed(const glm::dvec3& point_m) const {
+    const std::optional<BoxSurfacePatch> patch = find_patch(point_m);
+    return patch && !is_patch_set(*patch) && is_patch_set(mirror_patch(*patch));
 }
 
 double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_side,
@@ -120,10 +117,9 @@ double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_sid
         for (int row = 0; row < rows; ++row)
             for (int column = 0; column < columns; ++column) {
                 const BoxSurfacePatch patch{BoxSide(s), column, row};
-                if (!is_patch_above_ground_margin(patch)) continue;
-                const bool held =
-                    has_observed_patch(patch) != only_mirror_image_observed &&
-                    (!only_mirror_image_observed || has_observed_patch(get_mirror_patch(patch)));
+                if (!is_above_ground(patch)) continue;
+                const bool held = is_patch_set(patch) != only_mirror_image_observed &&
+                                  (!only_mirror_image_observed || is_patch_set(mirror_patch(patch)));
                 side_held_m2 += held ? patch_m2 : 0.0;
                 side_m2 += patch_m2;
             }
@@ -133,45 +129,43 @@ double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_sid
     return held_m2 / all_m2;
 }
 
-double ObservedBoxSurface::compute_observed_area_fraction(std::optional<BoxSide> side) const {
+double ObservedBoxSurface::observed_fraction(std::optional<BoxSide> side) const {
     return compute_area_fraction(side, false);
 }
-double ObservedBoxSurface::compute_mirrorable_area_fraction(std::optional<BoxSide> side) const {
+double ObservedBoxSurface::mirrorable_fraction(std::optional<BoxSide> side) const {
     return compute_area_fraction(side, true);
 }
 
-ObservedSideFractions ObservedBoxSurface::compute_covered_fraction_of_each_side() const {
+ObservedSideFractions ObservedBoxSurface::covered_sides() const {
     ObservedSideFractions shares{};
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        shares[s] = float(compute_observed_area_fraction(BoxSide(s)) +
-                          (is_completed ? compute_mirrorable_area_fraction(BoxSide(s)) : 0.0));
+        shares[s] =
+            float(observed_fraction(BoxSide(s)) + (is_completed ? mirrorable_fraction(BoxSide(s)) : 0.0));
     return shares;
 }
 
-std::optional<BoxSide> ObservedBoxSurface::find_box_side_with_mirrored_surfels(
-    const glm::dvec3& point_m) const {
-    const std::optional<BoxSurfacePatch> patch = is_completed ? find_patch_of_point(point_m) : std::nullopt;
-    if (!patch || has_observed_patch(*patch) || !has_observed_patch(get_mirror_patch(*patch)))
-        return std::nullopt;
+std::optional<BoxSide> ObservedBoxSurface::find_mirrored_side(const glm::dvec3& point_m) const {
+    const std::optional<BoxSurfacePatch> patch = is_completed ? find_patch(point_m) : std::nullopt;
+    if (!patch || is_patch_set(*patch) || !is_patch_set(mirror_patch(*patch))) return std::nullopt;
     return patch->side;
 }
 
-double ObservedBoxSurface::compute_left_right_asymmetry_m(const std::vector<glm::vec3>& points_m) const {
+double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) const {
     struct Mean {
         double sum_m = 0.0;
         int n = 0;
     };
     std::map<std::array<int, 3>, Mean> outward;
     for (const glm::vec3& point_m : points_m) {
-        const std::optional<BoxSurfacePatch> patch = find_patch_of_point(glm::dvec3(point_m));
-        if (!patch || !has_observed_patch(*patch)) continue;
+        const std::optional<BoxSurfacePatch> patch = find_patch(glm::dvec3(point_m));
+        if (!patch || !is_patch_set(*patch)) continue;
         Mean& mean = outward[{int(patch->side), patch->column, patch->row}];
         mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
         ++mean.n;
     }
     std::vector<double> differences_m;
     for (const auto& [key, here] : outward) {
-        const BoxSurfacePatch other = get_mirror_patch({BoxSide(key[0]), key[1], key[2]});
+        const BoxSurfacePatch other = mirror_patch({BoxSide(key[0]), key[1], key[2]});
         const auto there = outward.find({int(other.side), other.column, other.row});
         if (there != outward.end() && key < there->first)
             differences_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
@@ -179,24 +173,24 @@ double ObservedBoxSurface::compute_left_right_asymmetry_m(const std::vector<glm:
     return differences_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(differences_m));
 }
 
-std::string ObservedBoxSurface::format_observed_patches(BoxSide side) const {
+std::string ObservedBoxSurface::format_patches(BoxSide side) const {
     std::string text;
     for (const char observed_flag : observed_patches_[std::size_t(side)]) text += observed_flag ? '1' : '0';
     return text;
 }
 
-bool ObservedBoxSurface::try_parse_and_set_observed_patches(BoxSide side, const std::string& text) {
+bool ObservedBoxSurface::parse_patches(BoxSide side, const std::string& text) {
     std::vector<char>& patches = observed_patches_[std::size_t(side)];
     if (text.size() != patches.size() || text.find_first_not_of("01") != std::string::npos) return false;
     std::ranges::transform(text, patches.begin(), [](char character) { return char(character == '1'); });
     return true;
 }
 
-std::string format_unobserved_sides(const ObservedSideFractions& observed_fractions) {
+std::string list_unseen_sides(const ObservedSideFractions& observed_fractions) {
     std::string names;
     for (std::size_t s = 0; s < kBoxSides; ++s)
         if (observed_fractions[s] < kUnseenSide)
-            names += (names.empty() ? "" : ", ") + std::string(get_name(BoxSide(s)));
+            names += (names.empty() ? "" : ", ") + std::string(name_of(BoxSide(s)));
     return names;
 }
 

@@ -23,9 +23,9 @@ namespace {
 // maximum distance between points of the same surface
 constexpr double kSameSurface_m = 0.07;
 // minimum share of the frames that have a point at a static position
-constexpr double kResting = 0.75;
+constexpr double kMinStaticShare = 0.75;
 // maximum number of frames that are searched for this share
-constexpr std::size_t kCompared = 64;
+constexpr std::size_t kMaxComparedFrames = 64;
 // Minimum number of surfels of a frame, because an equal share can be too small.
 constexpr std::size_t kInFrame = 200;
 // An actor in fewer frames, or that walks less, is modelled as rigid.
@@ -51,9 +51,9 @@ struct FrameSamples {
 };
 using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
-SamplesByFrame group_samples_by_frame(const std::vector<LidarSample>& samples) {
+SamplesByFrame group_by_frame(const std::vector<LidarSample>& samples) {
     SamplesByFrame frames;
-    for (auto& [frame, of_frame] : group_sample_indices_by_frame(samples))
+    for (auto& [frame, of_frame] : group_samples(samples))
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
     for (std::size_t k = 0; k < frames.size(); ++k) {
         const std::size_t before = k > 0 ? k - 1 : 0, after = std::min(k + 1, frames.size() - 1);
@@ -66,19 +66,18 @@ SamplesByFrame group_samples_by_frame(const std::vector<LidarSample>& samples) {
 
 /// Estimates how the surface around a sample moves, in metres per frame: the shift that
 /// moves the points around the sample onto those of two earlier and two later frames.
-glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::size_t frame_index,
-                                           const std::vector<LidarSample>& samples,
-                                           const LidarSample& sample) {
-    constexpr float kFarthest_m = 0.3f, kHighest_m = 0.08f, kStep_m = 0.04f;
-    constexpr double kPatch_m = 0.12, kFar_m = 0.15;
-    constexpr std::size_t kOfPatch = 6;
+glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame_index,
+                         const std::vector<LidarSample>& samples, const LidarSample& sample) {
+    constexpr float kMaxShift_m = 0.3f, kMaxShiftUp_m = 0.08f, kShiftStep_m = 0.04f;
+    constexpr double kPatchRadius_m = 0.12, kMaxMatchDistance_m = 0.15;
+    constexpr std::size_t kMaxPatchPoints = 6;
     const FrameSamples& here = *frames[frame_index];
     const std::vector<std::uint32_t> patch =
-        here.index.find_samples_within_radius(sample.position, kPatch_m, kOfPatch);
+        here.index.find_in_radius(sample.position, kPatchRadius_m, kMaxPatchPoints);
     glm::vec3 best(0.0f);
     double least = std::numeric_limits<double>::infinity();
-    for (float x = -kFarthest_m; x < kFarthest_m + 0.5f * kStep_m; x += kStep_m)
-        for (float z = -kHighest_m; z < kHighest_m + 0.5f * kStep_m; z += kStep_m) {
+    for (float x = -kMaxShift_m; x < kMaxShift_m + 0.5f * kShiftStep_m; x += kShiftStep_m)
+        for (float z = -kMaxShiftUp_m; z < kMaxShiftUp_m + 0.5f * kShiftStep_m; z += kShiftStep_m) {
             const glm::vec3 shift(x, 0.0f, z);
             // A small cost selects the smallest of several equally good shifts.
             double sum = 1e-3 * double(glm::length(shift));
@@ -87,8 +86,8 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
                 const auto n_frames = float((frames[f]->walked_m - here.walked_m) / here.spacing_m);
                 if (f == frame_index || std::abs(n_frames) > 3.0f) continue;
                 for (const std::uint32_t i : patch)
-                    sum += frames[f]->index.compute_nearest_distance_m(samples[i].position + n_frames * shift,
-                                                                       kFar_m);
+                    sum += frames[f]->index.nearest_m(samples[i].position + n_frames * shift,
+                                                      kMaxMatchDistance_m);
             }
             if (sum < least) {
                 least = sum;
@@ -99,10 +98,10 @@ glm::vec3 estimate_surface_shift_per_frame(const SamplesByFrame& frames, std::si
 }
 
 /// Replaces each shift by the median of the shifts at the nearest samples, per axis.
-std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& samples,
-                                               const std::vector<glm::vec3>& shifts) {
-    constexpr double kAround_m = 0.15;
-    constexpr std::size_t kMost = 9;
+std::vector<glm::vec3> smooth_shifts(const std::vector<LidarSample>& samples,
+                                     const std::vector<glm::vec3>& shifts) {
+    constexpr double kSmoothingRadius_m = 0.15;
+    constexpr std::size_t kMaxSmoothed = 9;
     std::vector<std::uint32_t> all(samples.size());
     std::iota(all.begin(), all.end(), 0u);
     const SampleIndex index(samples, all);
@@ -111,7 +110,7 @@ std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& s
         for (int axis = 0; axis < 3; ++axis) {
             std::vector<float> values;
             for (const std::uint32_t j :
-                 index.find_samples_within_radius(samples[i].position, kAround_m, kMost))
+                 index.find_in_radius(samples[i].position, kSmoothingRadius_m, kMaxSmoothed))
                 values.push_back(shifts[j][axis]);
             if (!values.empty()) medians[i][axis] = compute_median(std::move(values));
         }
@@ -119,26 +118,24 @@ std::vector<glm::vec3> smooth_shifts_by_median(const std::vector<LidarSample>& s
 }
 
 /// Makes one surfel for each sample, with the gait of the sample.
-Surfels make_surfels_with_gait(const std::vector<LidarSample>& samples,
-                               const std::vector<GaitPhaseWindow>& gaits,
-                               const SceneInitialisationOptions& options, double incidence_coefficient) {
+Surfels make_gait_surfels(const std::vector<LidarSample>& samples, const std::vector<GaitPhaseWindow>& gaits,
+                          const InitOptions& options, double incidence_coefficient) {
     std::vector<std::uint32_t> order;
-    Surfels surfels = make_surfels_from_points(samples, options, incidence_coefficient, {}, &order);
-    surfels.add_motionless_gait();
+    Surfels surfels = make_surfels(samples, options, incidence_coefficient, {}, &order);
+    surfels.add_still_gait();
     for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gaits[order[i]];
     return surfels;
 }
 
 /// Returns true for each sample near which most frames have a point.
-std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, const SamplesByFrame& frames) {
+std::vector<char> mark_static(const std::vector<LidarSample>& samples, const SamplesByFrame& frames) {
     std::vector<char> is_static(samples.size());
-    const std::size_t step = frames.size() / kCompared + 1;
-    parallel_for_in_blocks(samples.size(), [&](std::size_t index) {
+    const std::size_t step = frames.size() / kMaxComparedFrames + 1;
+    parallel_blocks(samples.size(), [&](std::size_t index) {
         std::size_t n_frames_with_point = 0, n_frames = 0;
         for (std::size_t k = 0; k < frames.size(); k += step, ++n_frames)
-            n_frames_with_point +=
-                frames[k]->index.compute_nearest_distance_m(samples[index].position, 1.0) < kSameSurface_m;
-        is_static[index] = double(n_frames_with_point) >= kResting * double(n_frames);
+            n_frames_with_point += frames[k]->index.nearest_m(samples[index].position, 1.0) < kSameSurface_m;
+        is_static[index] = double(n_frames_with_point) >= kMinStaticShare * double(n_frames);
     });
     return is_static;
 }
@@ -146,31 +143,29 @@ std::vector<char> mark_static_samples(const std::vector<LidarSample>& samples, c
 /// Makes surfels with the shape of an actor in one frame. Their opacity is a Gaussian of
 /// the walked distance with the standard deviation `FrameSamples::spacing_m`.
 /// @param changing_samples samples of this frame where the shape of the actor changes
-Surfels make_actor_surfels_of_frame(const SamplesByFrame& samples_by_frame, std::size_t frame_index,
-                                    const std::vector<LidarSample>& samples,
-                                    const std::vector<LidarSample>& changing_samples, double gait_period_m,
-                                    const SceneInitialisationOptions& options, double incidence_coefficient) {
+Surfels make_frame_surfels(const SamplesByFrame& samples_by_frame, std::size_t frame_index,
+                           const std::vector<LidarSample>& samples,
+                           const std::vector<LidarSample>& changing_samples, double gait_period_m,
+                           const InitOptions& options, double incidence_coefficient) {
     const FrameSamples& frame = *samples_by_frame[frame_index];
     std::vector<glm::vec3> shifts(changing_samples.size());
-    parallel_for_in_blocks(changing_samples.size(), [&](std::size_t i) {
-        shifts[i] =
-            estimate_surface_shift_per_frame(samples_by_frame, frame_index, samples, changing_samples[i]);
+    parallel_blocks(changing_samples.size(), [&](std::size_t i) {
+        shifts[i] = estimate_shift(samples_by_frame, frame_index, samples, changing_samples[i]);
     });
     std::vector<GaitPhaseWindow> gait;
-    for (const glm::vec3& shift : smooth_shifts_by_median(changing_samples, shifts))
+    for (const glm::vec3& shift : smooth_shifts(changing_samples, shifts))
         gait.push_back({float(frame.walked_m / gait_period_m),
                         float(gait_period_m / (2.0 * kPi * frame.spacing_m)),
                         float(gait_period_m / (2.0 * kPi * frame.spacing_m)) * shift});
-    return make_surfels_with_gait(changing_samples, gait, options, incidence_coefficient);
+    return make_gait_surfels(changing_samples, gait, options, incidence_coefficient);
 }
 
 }  // namespace
 
-DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSample>& samples,
-                                                      const SceneInitialisationOptions& options,
-                                                      double incidence_coefficient, std::size_t max_surfels,
-                                                      const ProgressReporter& progress) {
-    const SamplesByFrame frames = group_samples_by_frame(samples);
+DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, const InitOptions& options,
+                                     double incidence_coefficient, std::size_t max_surfels,
+                                     const Progress& progress) {
+    const SamplesByFrame frames = group_by_frame(samples);
     if (frames.size() < kFewestChanging)
         return {{},
                 0.0,
@@ -182,14 +177,14 @@ DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSam
             {}, 0.0, fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
     DeformingActorSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
-    const std::vector<char> rests = mark_static_samples(samples, frames);
+    const std::vector<char> rests = mark_static(samples, frames);
     std::vector<LidarSample> resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);
     if (!resting.empty()) {
-        resting = select_one_sample_per_voxel(resting, max_surfels / 2);
-        actor.surfels = make_surfels_with_gait(resting, std::vector<GaitPhaseWindow>(resting.size()), options,
-                                               incidence_coefficient);
+        resting = thin_samples(resting, max_surfels / 2);
+        actor.surfels = make_gait_surfels(resting, std::vector<GaitPhaseWindow>(resting.size()), options,
+                                          incidence_coefficient);
     }
     const std::size_t most_in_frame =
         std::max((max_surfels - actor.surfels.size()) / frames.size(), kInFrame);
@@ -199,11 +194,11 @@ DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSam
         for (const std::uint32_t i : frames[k]->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;
-        changing = select_one_sample_per_voxel(changing, most_in_frame);
-        actor.surfels.append_surfels(make_actor_surfels_of_frame(frames, k, samples, changing, actor.period_m,
-                                                                 options, incidence_coefficient));
+        changing = thin_samples(changing, most_in_frame);
+        actor.surfels.append_surfels(
+            make_frame_surfels(frames, k, samples, changing, actor.period_m, options, incidence_coefficient));
     }
-    actor.surfels = actor.surfels.reorder(compute_kd_tree_order(actor.surfels.mean));
+    actor.surfels = actor.surfels.reorder(kd_tree_order(actor.surfels.mean));
     return actor;
 }
 

@@ -26,9 +26,8 @@ struct DeformingActorSurfels {
 /// @param max_surfels  maximum number of surfels; each frame may still have 200 surfels
 /// @return no surfels and period 0 with fewer than three frames, or if the actor walks
 /// less than half a metre
-DeformingActorSurfels make_surfels_of_deforming_actor(const std::vector<LidarSample>& samples,
-                                                      const SceneInitialisationOptions& options,
-                                                      double incidence_coefficient, std::size_t max_surfels,
-                                                      const ProgressReporter& progress = {});
+DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, const InitOptions& options,
+                                     double incidence_coefficient, std::size_t max_surfels,
+                                     const Progress& progress = {});
 
 }  // namespace relidar

@@ -21,7 +21,7 @@ static_assert(sizeof(shared::SurfelRecord) == 64 && sizeof(shared::InstanceEntry
 
 namespace {
 
-std::vector<SpecialisationConstant> make_activation_kernel_constants(bool stage_sh_in_shared_memory) {
+std::vector<SpecialisationConstant> make_constants(bool stage_sh_in_shared_memory) {
     std::vector<SpecialisationConstant> all{
         {SpecialisationConstantId::STAGED, stage_sh_in_shared_memory ? 1u : 0u}};
     // Limits a workgroup to 64 threads, so that it needs only 4.4 kB of shared memory.
@@ -67,8 +67,7 @@ struct InstanceGradientRows {
     }
 };
 
-std::vector<shared::ModelEntry> make_model_table(const Scene& scene,
-                                                 const InstanceGradientRows& gradient_rows) {
+std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& gradient_rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
         const SurfelModel& model = scene.models[i];
@@ -93,7 +92,7 @@ struct DeviceScene::Impl {
     Array<shared::SurfelRecord> records;
     Array<shared::InstanceEntry> instances;
     std::vector<InstancePose> poses;
-    float alpha_min = ImageFormationModel{}.alpha_min;
+    float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
     /// List of the surfels that have a gradient. Not used by kernels that keep spherical
@@ -101,16 +100,16 @@ struct DeviceScene::Impl {
     std::optional<TouchedSurfelList> list;
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
-        : layout(copy_scene_without_surfels(scene)),
+        : layout(strip_surfels(scene)),
           placements(scene, static_cast<std::uint32_t>(scene.surfels.size())),
-          models(device, make_model_table(scene, placements), "model table"),
+          models(device, make_models(scene, placements), "model table"),
           more_rows(device, placements.more, "gradient rows of further instances"),
           parameters(device, static_cast<std::uint32_t>(scene.surfels.size()), "surfel",
-                     scene.surfels.get_parameter_set()),
+                     scene.surfels.parameters_used()),
           records(device, scene.surfels.size(), "surfel records"),
           instances(device, scene.instances.size(), "instance table"),
-          activate(device, "scene/activate", make_activation_kernel_constants(stage_harmonics)),
-          activate_vjp(device, "scene/activate_vjp", make_activation_kernel_constants(stage_harmonics)) {
+          activate(device, "scene/activate", make_constants(stage_harmonics)),
+          activate_vjp(device, "scene/activate_vjp", make_constants(stage_harmonics)) {
         if (!stage_harmonics) list.emplace(device);
     }
 
@@ -118,8 +117,7 @@ struct DeviceScene::Impl {
 
     /// Each entry has the transform from world to model, the motion, and the range of
     /// surfels, which is empty for an absent instance.
-    std::vector<shared::InstanceEntry> store_poses_and_make_instance_table(
-        const std::vector<InstancePose>& instance_poses) {
+    std::vector<shared::InstanceEntry> make_instances(const std::vector<InstancePose>& instance_poses) {
         if (instance_poses.size() != layout.instances.size())
             fail("cannot place the instances: found {} poses, expected {}, one for each instance",
                  instance_poses.size(), layout.instances.size());
@@ -147,19 +145,18 @@ struct DeviceScene::Impl {
 
     /// Uploads the view origin in the frame of each model (of its first instance).
     /// @return [models] device array that only the next submission can read
-    Address<glm::vec3> upload_view_origin_per_model(Stream& stream,
-                                                    const glm::vec3& view_origin_world_m) const {
+    Address<glm::vec3> upload_origins(Stream& stream, const glm::vec3& view_origin_world_m) const {
         std::vector<glm::vec3> origins;
         for (const std::int64_t i : placements.first_instance)
             origins.push_back(i < 0 ? view_origin_world_m
                                     : glm::vec3(inverse(poses[static_cast<std::size_t>(i)].world_from_model) *
                                                 glm::dvec3(view_origin_world_m)));
-        return stream.impl().stage_host_values_for_kernels(origins);
+        return stream.impl().stage_values(origins);
     }
 
     /// Uploads the phase of the walking motion of each model (of its first instance).
     /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models.
-    Address<float> upload_gait_phase_per_model(Stream& stream) const {
+    Address<float> upload_phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
         for (std::size_t m = 0; m < layout.models.size(); ++m) {
@@ -168,52 +165,47 @@ struct DeviceScene::Impl {
             all.push_back(layout.models[m].stride_m > 0.0f ? static_cast<float>(turns - std::floor(turns))
                                                            : -1.0f);
         }
-        return stream.impl().stage_host_values_for_kernels(all);
+        return stream.impl().stage_values(all);
     }
 };
 
 DeviceScene::DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics) {
-    require_valid_scene_layout(scene);
-    impl_ = std::make_unique<Impl>(device, scene,
-                                   stage_harmonics.value_or(should_coalesce_memory_access(device)));
+    check_layout(scene);
+    impl_ = std::make_unique<Impl>(device, scene, stage_harmonics.value_or(should_coalesce(device)));
     impl_->parameters.upload(scene.surfels);
-    upload_instance_poses_and_wait(std::vector<Pose>(scene.instances.size()));
+    upload_poses(std::vector<Pose>(scene.instances.size()));
 }
 
 DeviceScene::~DeviceScene() = default;
 
-void DeviceScene::upload_instance_poses_and_wait(const std::vector<Pose>& world_from_instance) {
+void DeviceScene::upload_poses(const std::vector<Pose>& world_from_instance) {
     std::vector<InstancePose> placed;
     for (const Pose& pose : world_from_instance) placed.push_back({pose});
-    upload_instance_poses_and_wait(placed);
+    upload_poses(placed);
 }
 
-void DeviceScene::upload_instance_poses_and_wait(const std::vector<InstancePose>& instance_poses) {
-    impl_->instances.upload(impl_->store_poses_and_make_instance_table(instance_poses));
+void DeviceScene::upload_poses(const std::vector<InstancePose>& instance_poses) {
+    impl_->instances.upload(impl_->make_instances(instance_poses));
 }
 
-void DeviceScene::record_upload_of_instance_poses(Stream& stream,
-                                                  const std::vector<InstancePose>& instance_poses) {
-    const std::vector<shared::InstanceEntry> entries =
-        impl_->store_poses_and_make_instance_table(instance_poses);
-    stream.impl().record_buffer_write(impl_->instances.buffer(), entries.data(),
-                                      entries.size() * sizeof(entries[0]));
+void DeviceScene::stage_poses(Stream& stream, const std::vector<InstancePose>& instance_poses) {
+    const std::vector<shared::InstanceEntry> entries = impl_->make_instances(instance_poses);
+    stream.impl().record_write(impl_->instances.buffer(), entries.data(),
+                               entries.size() * sizeof(entries[0]));
 }
 
-void DeviceScene::record_activation_of_surfel_parameters(Stream& stream, const ImageFormationModel& model,
-                                                         const glm::vec3& view_origin_m) {
+void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
     if (primitive() != model.primitive)
         fail<UsageError>("found image.primitive={}, expected {}, the primitive of the trained scene",
-                         get_primitive_properties(model.primitive).name,
-                         get_primitive_properties(primitive()).name);
+                         properties_of(model.primitive).name, properties_of(primitive()).name);
     run(stream, impl_->activate, size(),
-        {.surfels = get_surfel_pointers(impl_->parameters),
+        {.surfels = surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
-         .view_origins = impl_->upload_view_origin_per_model(stream, view_origin_m),
-         .phases = impl_->upload_gait_phase_per_model(stream).cast_content_tag<shared::GaitPhases>(),
+         .view_origins = impl_->upload_origins(stream, view_origin_m),
+         .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
          .n_models = impl_->count_models(),
@@ -221,30 +213,25 @@ void DeviceScene::record_activation_of_surfel_parameters(Stream& stream, const I
          .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
 }
 
-bool DeviceScene::can_skip_surfels_without_gradient() const { return impl_->list.has_value(); }
+bool DeviceScene::can_skip_surfels() const { return impl_->list.has_value(); }
 
-void DeviceScene::record_activation_backpropagation(Stream& stream, const ImageFormationModel& model,
-                                                    const glm::vec3& view_origin_m,
-                                                    const ActivationGradients& gradients) {
+void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
+                               const ActivationGradients& gradients) {
     if (size() == 0) return;
-    const bool listed =
-        gradients.touched_is_marked && can_skip_surfels_without_gradient() && !gradients.zero_untouched;
-    if (listed) impl_->list->record_compaction_of_touched_rows(stream, gradients.touched->address(), size());
-    run(stream, impl_->activate_vjp,
-        listed ? impl_->list->choose_thread_count_for_touched_rows(size()) : size(),
-        {.surfels = get_surfel_pointers(impl_->parameters),
+    const bool listed = gradients.touched_is_marked && can_skip_surfels() && !gradients.zero_untouched;
+    if (listed) impl_->list->compact(stream, gradients.touched->address(), size());
+    run(stream, impl_->activate_vjp, listed ? impl_->list->choose_threads(size()) : size(),
+        {.surfels = surfel_pointers(impl_->parameters),
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
-         .view_origins = impl_->upload_view_origin_per_model(stream, view_origin_m),
-         .phases = impl_->upload_gait_phase_per_model(stream).cast_content_tag<shared::GaitPhases>(),
-         .d_surfels = get_surfel_pointers(*gradients.d_surfels),
+         .view_origins = impl_->upload_origins(stream, view_origin_m),
+         .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
+         .d_surfels = surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),
-         .rows =
-             listed ? impl_->list->get_touched_rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
-         .n_listed = listed ? impl_->list->get_touched_count_address()
-                            : Address<std::uint32_t, shared::TouchedCount>{},
-         .d_view = get_device_address_or_null(gradients.d_view),
+         .rows = listed ? impl_->list->rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
+         .n_listed = listed ? impl_->list->count_address() : Address<std::uint32_t, shared::TouchedCount>{},
+         .d_view = address_or_null(gradients.d_view),
          .n_surfels = size(),
          .n_models = impl_->count_models(),
          .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
@@ -265,11 +252,11 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     impl_->parameters.n = n;
     // The table of rows keeps its size, because the number of instances does not change.
     impl_->placements = InstanceGradientRows(impl_->layout, n);
-    impl_->models.upload(make_model_table(impl_->layout, impl_->placements));
+    impl_->models.upload(make_models(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);
 }
 
-bool DeviceScene::would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const {
+bool DeviceScene::moves_gait(const std::vector<InstancePose>& instance_poses) const {
     if (!impl_->parameters.bends) return false;
     for (std::size_t i = 0; i < std::min(instance_poses.size(), impl_->poses.size()); ++i) {
         const bool bends = impl_->layout.models[impl_->layout.instances[i].model].stride_m > 0.0f;
@@ -279,19 +266,19 @@ bool DeviceScene::would_change_gait_phases(const std::vector<InstancePose>& inst
     return false;
 }
 
-const std::vector<InstancePose>& DeviceScene::get_instance_poses() const { return impl_->poses; }
-const Scene& DeviceScene::get_scene_layout() const { return impl_->layout; }
-SurfelArrays& DeviceScene::get_surfel_parameters() { return impl_->parameters; }
-const SurfelArrays& DeviceScene::get_surfel_parameters() const { return impl_->parameters; }
-const Array<shared::SurfelRecord>& DeviceScene::get_surfel_records() const { return impl_->records; }
-const Array<shared::ModelEntry>& DeviceScene::get_model_table() const { return impl_->models; }
-const Array<shared::InstanceEntry>& DeviceScene::get_instance_table() const { return impl_->instances; }
+const std::vector<InstancePose>& DeviceScene::poses() const { return impl_->poses; }
+const Scene& DeviceScene::layout() const { return impl_->layout; }
+SurfelArrays& DeviceScene::surfel_parameters() { return impl_->parameters; }
+const SurfelArrays& DeviceScene::surfel_parameters() const { return impl_->parameters; }
+const Array<shared::SurfelRecord>& DeviceScene::surfel_records() const { return impl_->records; }
+const Array<shared::ModelEntry>& DeviceScene::model_table() const { return impl_->models; }
+const Array<shared::InstanceEntry>& DeviceScene::instance_table() const { return impl_->instances; }
 float DeviceScene::alpha_min() const { return impl_->alpha_min; }
 PrimitiveType DeviceScene::primitive() const { return impl_->parameters.primitive; }
 std::uint32_t DeviceScene::size() const { return impl_->parameters.n; }
-std::uint32_t DeviceScene::get_first_gradient_row_of_instance(std::size_t instance_index) const {
+std::uint32_t DeviceScene::first_gradient_row(std::size_t instance_index) const {
     return impl_->placements.first_row[instance_index];
 }
-std::uint32_t DeviceScene::count_gradient_rows() const { return impl_->placements.n_rows; }
+std::uint32_t DeviceScene::count_rows() const { return impl_->placements.n_rows; }
 
 }  // namespace relidar

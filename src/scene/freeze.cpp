@@ -15,7 +15,7 @@ namespace {
 using ShBasis = std::array<double, kShCoefficients>;
 
 /// The same as shaders/scene/gaussian/sh.glsl, up to degree 3 in double precision.
-ShBasis evaluate_spherical_harmonics(const glm::dvec3& direction) {
+ShBasis evaluate_sh(const glm::dvec3& direction) {
     const double x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
     return {root(0.25),
@@ -42,20 +42,19 @@ using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficien
 /// frame. Element (i, j) is the integral of Y_i(R d) Y_j(d) over all directions d. A
 /// weighted sum over four heights z (Gauss-Legendre) with eight azimuths each is exact,
 /// because the integrands have degree 6.
-ShRotation make_harmonics_rotation_matrix(const glm::dquat& world_from_model) {
+ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
     // height and weight
-    constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
-                                                             {-0.3399810435848563, 0.6521451548625461},
-                                                             {0.3399810435848563, 0.6521451548625461},
-                                                             {0.8611363115940526, 0.3478548451374538}}};
+    constexpr std::array<std::array<double, 2>, 4> kGaussNodes{{{-0.8611363115940526, 0.3478548451374538},
+                                                                {-0.3399810435848563, 0.6521451548625461},
+                                                                {0.3399810435848563, 0.6521451548625461},
+                                                                {0.8611363115940526, 0.3478548451374538}}};
     constexpr int kAzimuths = 8;
     ShRotation rotation_matrix{};
-    for (const auto& [z, weight] : kHeights)
+    for (const auto& [z, weight] : kGaussNodes)
         for (int a = 0; a < kAzimuths; ++a) {
             const double angle = 2.0 * kPi * a / kAzimuths, r = std::sqrt(1.0 - z * z);
             const glm::dvec3 d(r * std::cos(angle), r * std::sin(angle), z);
-            const ShBasis in_model = evaluate_spherical_harmonics(d),
-                          in_world = evaluate_spherical_harmonics(world_from_model * d);
+            const ShBasis in_model = evaluate_sh(d), in_world = evaluate_sh(world_from_model * d);
             for (std::size_t i = 0; i < kShCoefficients; ++i)
                 for (std::size_t j = 0; j < kShCoefficients; ++j)
                     rotation_matrix[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
@@ -63,7 +62,7 @@ ShRotation make_harmonics_rotation_matrix(const glm::dquat& world_from_model) {
     return rotation_matrix;
 }
 
-void rotate_sh_coefficients(const ShRotation& rotation_matrix, float* coefficients) {
+void rotate_sh(const ShRotation& rotation_matrix, float* coefficients) {
     std::array<float, kShCoefficients> rotated_coefficients;
     for (std::size_t i = 0; i < kShCoefficients; ++i) {
         double sum = 0.0;
@@ -75,21 +74,21 @@ void rotate_sh_coefficients(const ShRotation& rotation_matrix, float* coefficien
 }
 
 /// The same as shaders/scene/gaussian/gait.glsl.
-void apply_gait_to_surfel(Surfels& surfels, std::size_t surfel_index, double gait_phase) {
-    const GaitPhaseWindow& gait = surfels.gait[surfel_index];
+void apply_gait(Surfels& surfels, std::size_t surfel, double gait_phase) {
+    const GaitPhaseWindow& gait = surfels.gait[surfel];
     const double angle = 2.0 * kPi * (gait_phase - double(gait.phase)), sharpness = double(gait.sharpness);
-    surfels.mean[surfel_index] =
-        glm::vec3(glm::dvec3(surfels.mean[surfel_index]) + std::sin(angle) * glm::dvec3(gait.swing));
+    surfels.mean[surfel] =
+        glm::vec3(glm::dvec3(surfels.mean[surfel]) + std::sin(angle) * glm::dvec3(gait.swing));
     const double presence = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
     if (presence == 1.0) return;
-    const double opacity = presence / (1.0 + std::exp(-double(surfels.opacity_logit[surfel_index])));
-    constexpr double kFaintest = 1e-30;
-    surfels.opacity_logit[surfel_index] = float(std::log(std::max(opacity, kFaintest) / (1.0 - opacity)));
+    const double opacity = presence / (1.0 + std::exp(-double(surfels.opacity_logit[surfel])));
+    constexpr double kMinOpacity = 1e-30;
+    surfels.opacity_logit[surfel] = float(std::log(std::max(opacity, kMinOpacity) / (1.0 - opacity)));
 }
 
-void transform_surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
-    const ShRotation sh_rotation = make_harmonics_rotation_matrix(world_from_model.rotation);
-    parallel_for_in_blocks(surfels.size(), [&](std::size_t index) {
+void surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
+    const ShRotation sh_rotation = make_sh_rotation(world_from_model.rotation);
+    parallel_blocks(surfels.size(), [&](std::size_t index) {
         surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
         const glm::dquat q(double(surfels.rotation[index].x), double(surfels.rotation[index].y),
                            double(surfels.rotation[index].z), double(surfels.rotation[index].w));
@@ -97,13 +96,13 @@ void transform_surfels_to_world(Surfels& surfels, const Pose& world_from_model) 
         surfels.rotation[index] =
             glm::vec4(world_rotation.w, world_rotation.x, world_rotation.y, world_rotation.z);
         for (std::size_t c = 0; c < kShChannels; ++c)
-            rotate_sh_coefficients(sh_rotation, &surfels.sh[index * kShFloats + c * kShCoefficients]);
+            rotate_sh(sh_rotation, &surfels.sh[index * kShFloats + c * kShCoefficients]);
     });
 }
 
 }  // namespace
 
-Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
+Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
     if (instance_poses.size() != scene.instances.size())
         fail("found {} poses of instances, expected {}", instance_poses.size(), scene.instances.size());
     Surfels all;
@@ -114,11 +113,11 @@ Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<Ins
         Surfels instance_surfels = scene.surfels.slice(model.first, model.count);
         if (model.stride_m > 0.0f && instance_surfels.bends)
             for (std::size_t i = 0; i < instance_surfels.size(); ++i)
-                apply_gait_to_surfel(instance_surfels, i, instance_poses[k].phase);
+                apply_gait(instance_surfels, i, instance_poses[k].phase);
         instance_surfels.gait.clear();
         instance_surfels.bends = false;
         if (!scene.instances[k].track.empty())
-            transform_surfels_to_world(instance_surfels, instance_poses[k].world_from_model);
+            surfels_to_world(instance_surfels, instance_poses[k].world_from_model);
         all.append_surfels(instance_surfels);
     }
     return all;

@@ -47,13 +47,13 @@ struct CellHash {
 };
 
 /// Returns the points of one frame in the world frame outside `excluded_boxes`.
-std::vector<LidarSample> collect_background_samples(const LidarSequence& sequence, const LidarFrame& frame,
-                                                    const std::vector<BoxTrack>& excluded_boxes,
-                                                    const SceneInitialisationOptions& options) {
+std::vector<LidarSample> background_samples(const Log& sequence, const Frame& frame,
+                                            const std::vector<BoxTrack>& excluded_boxes,
+                                            const InitOptions& options) {
     std::vector<LidarSample> samples;
     for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& world_return) {
         const auto is_in = [&](const BoxTrack& box) {
-            return box.is_observed_at_time(world_return.time_s) &&
+            return box.is_observed(world_return.time_s) &&
                    box.contains_point(world_return.point_m, world_return.time_s, kMoverMargin_m);
         };
         if (std::ranges::any_of(excluded_boxes, is_in)) return;
@@ -63,14 +63,13 @@ std::vector<LidarSample> collect_background_samples(const LidarSequence& sequenc
     return samples;
 }
 
-std::vector<glm::vec3> list_sensor_positions(const LidarSequence& sequence,
-                                             const std::vector<int>& frame_indices) {
+std::vector<glm::vec3> frame_positions(const Log& sequence, const std::vector<int>& frame_indices) {
     std::vector<glm::vec3> sensor_positions;
     for (const int position : frame_indices) {
-        const LidarFrame& frame = sequence.frames[std::size_t(position)];
+        const Frame& frame = sequence.frames[std::size_t(position)];
         sensor_positions.emplace_back(
             sequence.world_from_vehicle
-                .interpolate_mounted_pose(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor)
+                .mounted_pose_at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor)
                 .translation);
     }
     return sensor_positions;
@@ -79,10 +78,10 @@ std::vector<glm::vec3> list_sensor_positions(const LidarSequence& sequence,
 /// Returns the voxel that contains a point. Its edge is `voxel_m` * 2^level. The level
 /// rises with the distance to the nearest sensor position if `voxel_growth` is not 0.
 VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensor_positions,
-                          const SceneInitialisationOptions& options) {
+                          const InitOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        const float nearest2 = sensor_positions.compute_nearest_squared_distance(point_m);
+        const float nearest2 = sensor_positions.nearest_distance_sq(point_m);
         const double edge = std::max(options.voxel_m, options.voxel_growth * std::sqrt(double(nearest2)));
         level = std::max(0, static_cast<int>(std::floor(std::log2(edge / options.voxel_m) + 0.5)));
     }
@@ -99,15 +98,15 @@ struct VoxelSample {
 };
 
 // Number of hash tables of voxels, which are filled in parallel.
-constexpr std::size_t kParts = 32;
-using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kParts>;
+constexpr std::size_t kHashParts = 32;
+using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kHashParts>;
 
 /// The voxels whose hash selects this table.
 struct VoxelHashTable {
     std::unordered_map<VoxelCell, std::size_t, CellHash> index;
     std::vector<VoxelSums> voxels;
 
-    void add_sample_to_voxel(const VoxelSample& placed_sample, std::size_t frame_index) {
+    void add_sample(const VoxelSample& placed_sample, std::size_t frame_index) {
         const auto [slot, is_new] = index.try_emplace(placed_sample.cell, voxels.size());
         if (is_new) voxels.push_back({.first = std::uint64_t(frame_index) << 32 | placed_sample.number});
         VoxelSums& v = voxels[slot->second];
@@ -120,32 +119,28 @@ struct VoxelHashTable {
 
 /// Returns the mean sample of each voxel, sorted by the first sample of the voxel. Reads
 /// only a few frames at a time, so that memory does not grow with the number of frames.
-std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequence,
-                                                       const std::vector<int>& train_frame_indices,
-                                                       const SceneInitialisationOptions& options,
-                                                       const ProgressReporter& progress) {
-    constexpr std::size_t kFrames = 16;
-    const std::vector<BoxTrack> separate = list_foreground_boxes(sequence, options);
-    const NearestPointFinder<float> sensors(list_sensor_positions(sequence, train_frame_indices));
-    std::vector<VoxelHashTable> parts(kParts);
-    for (std::size_t begin = 0; begin < train_frame_indices.size(); begin += kFrames) {
+std::vector<LidarSample> average_voxels(const Log& sequence, const std::vector<int>& train_frames,
+                                        const InitOptions& options, const Progress& progress) {
+    constexpr std::size_t kFramesPerBatch = 16;
+    const std::vector<BoxTrack> separate = list_foreground(sequence, options);
+    const NearestPointFinder<float> sensors(frame_positions(sequence, train_frames));
+    std::vector<VoxelHashTable> parts(kHashParts);
+    for (std::size_t begin = 0; begin < train_frames.size(); begin += kFramesPerBatch) {
         if (progress)
-            progress("collecting the points of the background",
-                     double(begin) / double(train_frame_indices.size()));
-        std::vector<VoxelSamplesByPart> frames(std::min(kFrames, train_frame_indices.size() - begin));
+            progress("collecting the points of the background", double(begin) / double(train_frames.size()));
+        std::vector<VoxelSamplesByPart> frames(std::min(kFramesPerBatch, train_frames.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
-            const LidarFrame& frame =
-                sequence.frames[std::size_t(train_frame_indices[begin + std::size_t(index)])];
+            const Frame& frame = sequence.frames[std::size_t(train_frames[begin + std::size_t(index)])];
             std::uint32_t number = 0;
-            for (const LidarSample& s : collect_background_samples(sequence, frame, separate, options)) {
+            for (const LidarSample& s : background_samples(sequence, frame, separate, options)) {
                 const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
-                frames[std::size_t(index)][CellHash{}(cell) % kParts].push_back({s, cell, number++});
+                frames[std::size_t(index)][CellHash{}(cell) % kHashParts].push_back({s, cell, number++});
             }
         });
-        parallel_for(kParts, [&](int part) {
+        parallel_for(kHashParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
                 for (const VoxelSample& placed : frames[i][std::size_t(part)])
-                    parts[std::size_t(part)].add_sample_to_voxel(placed, begin + i);
+                    parts[std::size_t(part)].add_sample(placed, begin + i);
         });
     }
     if (progress) progress("collecting the points of the background", 1.0);
@@ -164,20 +159,16 @@ std::vector<LidarSample> compute_mean_sample_per_voxel(const LidarSequence& sequ
 }
 
 /// Removes samples at positions where other frames observe empty space.
-std::vector<LidarSample> remove_moving_samples(const std::vector<LidarSample>& samples,
-                                               const LidarSequence& sequence,
-                                               const std::vector<int>& train_frame_indices,
-                                               const ProgressReporter& progress) {
-    VisibilityChecker visibility(sequence, train_frame_indices);
+std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, const Log& sequence,
+                                       const std::vector<int>& train_frames, const Progress& progress) {
+    VisibilityChecker visibility(sequence, train_frames);
     std::vector<glm::vec3> points;
     for (const LidarSample& sample : samples) points.push_back(sample.position);
-    visibility.create_range_images_for_points(points);
+    visibility.make_images(points);
     std::vector<char> keep(samples.size());
-    parallel_for_blocks_with_progress(
-        samples.size(), progress, "removing moving points", [&](std::size_t index) {
-            keep[index] =
-                !visibility.count_visibility_votes(samples[index].position).is_empty_space(kGoneShare);
-        });
+    progress_blocks(samples.size(), progress, "removing moving points", [&](std::size_t index) {
+        keep[index] = !visibility.count_votes(samples[index].position).is_empty_space(kGoneShare);
+    });
     std::vector<LidarSample> static_samples;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (keep[i]) static_samples.push_back(samples[i]);
@@ -186,18 +177,17 @@ std::vector<LidarSample> remove_moving_samples(const std::vector<LidarSample>& s
 
 }  // namespace
 
-Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
-                              const SceneInitialisationOptions& options, const ProgressReporter& progress) {
-    std::vector<LidarSample> samples =
-        compute_mean_sample_per_voxel(sequence, train_frame_indices, options, progress);
+Surfels init_background(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+                        const Progress& progress) {
+    std::vector<LidarSample> samples = average_voxels(sequence, train_frames, options, progress);
     if (options.unlabelled_movers != UnlabelledMoverPolicy::background)
-        samples = remove_moving_samples(samples, sequence, train_frame_indices, progress);
+        samples = remove_movers(samples, sequence, train_frames, progress);
     if (samples.empty())
         fail(
-            "cannot initialise the background of {}: its {} training frames have no LiDAR return outside "
-            "the boxes of moving objects, expected at least one",
-            sequence.name, train_frame_indices.size());
-    return make_surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
+            "cannot initialise the background of {}: its {} training frames have no LiDAR return outside the "
+            "boxes of moving objects, expected at least one",
+            sequence.name, train_frames.size());
+    return make_surfels(samples, options, sequence.intensity_response.incidence, progress);
 }
 
 }  // namespace relidar

@@ -19,7 +19,7 @@ std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_
     return static_cast<std::uint32_t>(scene.models.size() - 1);
 }
 
-Scene duplicate_shared_models(Scene scene) {
+Scene unshare_models(Scene scene) {
     std::vector<bool> owned(scene.models.size(), false);
     for (ModelInstance& instance : scene.instances) {
         if (!owned[instance.model]) {
@@ -32,8 +32,7 @@ Scene duplicate_shared_models(Scene scene) {
     return scene;
 }
 
-std::vector<bool> mark_instances_with_names(const Scene& scene,
-                                            const std::vector<std::string>& instance_names) {
+std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& instance_names) {
     std::vector<bool> selected(scene.instances.size(), false);
     std::vector<std::string> part_names{"background", "actors"};
     for (const ModelInstance& instance : scene.instances)
@@ -41,7 +40,7 @@ std::vector<bool> mark_instances_with_names(const Scene& scene,
     for (const std::string& name : instance_names) {
         if (std::find(part_names.begin(), part_names.end(), name) == part_names.end())
             fail<UsageError>("cannot select the part \"{}\" of the scene{} (known parts: {})", name,
-                             format_name_suggestion(name, part_names, "\""), fmt::join(part_names, ", "));
+                             did_you_mean(name, part_names, "\""), fmt::join(part_names, ", "));
         for (std::size_t i = 0; i < selected.size(); ++i) {
             const std::string& track = scene.instances[i].track;
             if (track.empty() ? name == "background" : name == "actors" || name == track) selected[i] = true;

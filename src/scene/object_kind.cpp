@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-constexpr std::string_view kVehicles[] = {
+constexpr std::string_view kVehicleClasses[] = {
     // KITTI, KITTI-360, Waymo
     "car", "van", "truck", "tram", "bus", "trailer", "caravan", "train", "vehicle",
     // Argoverse 2
@@ -22,21 +22,21 @@ constexpr std::string_view kVehicles[] = {
     "vehicle.bus.rigid", "vehicle.emergency.ambulance", "vehicle.emergency.police",
     // TruckScenes, Lyft
     "vehicle.other", "vehicle.ego_trailer", "vehicle.train", "other_vehicle", "emergency_vehicle"};
-constexpr std::string_view kCyclists[] = {"cyclist",       "bicycle",         "motorcycle",
-                                          "rider",         "bicyclist",       "motorcyclist",
-                                          "wheeled_rider", "vehicle.bicycle", "vehicle.motorcycle"};
-constexpr std::string_view kPersons[] = {"pedestrian",
-                                         "person",
-                                         "person (sitting)",
-                                         "person_sitting",
-                                         "official_signaler",
-                                         "human.pedestrian.adult",
-                                         "human.pedestrian.child",
-                                         "human.pedestrian.construction_worker",
-                                         "human.pedestrian.police_officer",
-                                         "human.pedestrian.personal_mobility",
-                                         "human.pedestrian.stroller",
-                                         "human.pedestrian.wheelchair"};
+constexpr std::string_view kCyclistClasses[] = {"cyclist",       "bicycle",         "motorcycle",
+                                                "rider",         "bicyclist",       "motorcyclist",
+                                                "wheeled_rider", "vehicle.bicycle", "vehicle.motorcycle"};
+constexpr std::string_view kPersonClasses[] = {"pedestrian",
+                                               "person",
+                                               "person (sitting)",
+                                               "person_sitting",
+                                               "official_signaler",
+                                               "human.pedestrian.adult",
+                                               "human.pedestrian.child",
+                                               "human.pedestrian.construction_worker",
+                                               "human.pedestrian.police_officer",
+                                               "human.pedestrian.personal_mobility",
+                                               "human.pedestrian.stroller",
+                                               "human.pedestrian.wheelchair"};
 
 bool is_word_in_list(std::span<const std::string_view> words, std::string_view word) {
     return std::ranges::find(words, word) != words.end();
@@ -44,18 +44,18 @@ bool is_word_in_list(std::span<const std::string_view> words, std::string_view w
 
 }  // namespace
 
-ObjectKind parse_object_kind(std::string_view category) {
+ObjectKind parse_kind(std::string_view category) {
     std::string word(category);
     std::ranges::transform(word, word.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
-    if (is_word_in_list(kVehicles, word)) return ObjectKind::vehicle;
-    if (is_word_in_list(kCyclists, word)) return ObjectKind::cyclist;
-    return is_word_in_list(kPersons, word) ? ObjectKind::person : ObjectKind::other;
+    if (is_word_in_list(kVehicleClasses, word)) return ObjectKind::vehicle;
+    if (is_word_in_list(kCyclistClasses, word)) return ObjectKind::cyclist;
+    return is_word_in_list(kPersonClasses, word) ? ObjectKind::person : ObjectKind::other;
 }
 
-const char* get_name(ObjectKind kind) {
-    constexpr const char* kNames[] = {"vehicle", "cyclist", "person", "other"};
-    return kNames[static_cast<int>(kind)];
+const char* name_of(ObjectKind kind) {
+    constexpr const char* kKindNames[] = {"vehicle", "cyclist", "person", "other"};
+    return kKindNames[static_cast<int>(kind)];
 }
 
 }  // namespace relidar

@@ -22,7 +22,7 @@ constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
 /// A gap between scan lines is wider than this multiple of the mean distance to the
 /// nearest points. Gaps between randomly distributed points are narrower.
-constexpr double kGap = 2.5;
+constexpr double kMinGapRatio = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
 struct SampleKdTreeAdapter {
@@ -49,9 +49,9 @@ struct NeighbourPlane {
 /// eigenvalue. If all points lie on one scan line, the normal is the one that faces the
 /// sensor most. If the points form no surface, the normal points to the sensor, because
 /// rays of the next scan would miss a surfel that is edge-on.
-NeighbourPlane fit_plane_to_neighbours(const std::vector<LidarSample>& samples,
-                                       const std::vector<std::size_t>& neighbour_indices,
-                                       const glm::dvec3& view_direction, double max_flatness) {
+NeighbourPlane fit_neighbours(const std::vector<LidarSample>& samples,
+                              const std::vector<std::size_t>& neighbour_indices,
+                              const glm::dvec3& view_direction, double max_flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbour_indices)
         mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
@@ -82,7 +82,7 @@ NeighbourPlane fit_plane_to_neighbours(const std::vector<LidarSample>& samples,
 }
 
 /// Returns a unit vector perpendicular to a normal, rotated about the normal by an angle.
-glm::dvec3 make_perpendicular_direction(const glm::dvec3& normal, double angle_rad) {
+glm::dvec3 perpendicular_at(const glm::dvec3& normal, double angle_rad) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
     const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
     return std::cos(angle_rad) * x + std::sin(angle_rad) * glm::cross(normal, x);
@@ -94,24 +94,23 @@ struct ScanLineGap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
 
-    bool is_neighbouring_scan_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
+    bool is_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
 };
 
 /// @param neighbour_indices indices of points on the surface, sorted by distance; the
 /// first is the point itself
-ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
-                                  const std::vector<std::size_t>& neighbour_indices,
-                                  const glm::dvec3& normal) {
+ScanLineGap measure_gap(const std::vector<LidarSample>& samples,
+                        const std::vector<std::size_t>& neighbour_indices, const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
     // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
     // neighbour on the next scan line.
-    constexpr double kAcross = 0.7071;
-    // Maximum distance of a neighbour from the surface plane: kSlope * distance +
-    // kNoise_m.
-    constexpr double kSlope = 0.1, kNoise_m = 0.05;
-    const glm::dvec3 point(samples[neighbour_indices[0]].position),
-        x = make_perpendicular_direction(normal, 0.0), y = glm::cross(normal, x);
+    constexpr double kMinAcrossCosine = 0.7071;
+    // Maximum distance of a neighbour from the surface plane: kMaxSlope * distance +
+    // kMaxPlaneNoise_m.
+    constexpr double kMaxSlope = 0.1, kMaxPlaneNoise_m = 0.05;
+    const glm::dvec3 point(samples[neighbour_indices[0]].position), x = perpendicular_at(normal, 0.0),
+                                                                    y = glm::cross(normal, x);
     // Doubles each angle, because opposite directions mean the same line.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbour_indices.size(), kOnLine + 1); ++j) {
@@ -120,13 +119,13 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
         even += (u * u - v * v) / length2;
         odd += 2.0 * u * v / length2;
     }
-    ScanLineGap gap{make_perpendicular_direction(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
-    for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_neighbouring_scan_line_missing(); ++j) {
+    ScanLineGap gap{perpendicular_at(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
+    for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_line_missing(); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
         const double length = glm::length(d), across = glm::dot(d, gap.across);
         double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
-        if (on_side == 0.0 && std::abs(across) > kAcross * length &&
-            std::abs(glm::dot(d, normal)) < kSlope * length + kNoise_m)
+        if (on_side == 0.0 && std::abs(across) > kMinAcrossCosine * length &&
+            std::abs(glm::dot(d, normal)) < kMaxSlope * length + kMaxPlaneNoise_m)
             on_side = length;
     }
     return gap;
@@ -136,13 +135,14 @@ ScanLineGap measure_scan_line_gap(const std::vector<LidarSample>& samples,
 /// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
 /// surface. Grazing angles have a lower limit, because their albedo is inaccurate.
 /// @param normal zero if unknown; then the intensity is the same from all directions
-void set_intensity_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
-                             double incidence_coefficient) {
-    constexpr double kGrazing = 0.1;
+void set_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
+                   double incidence_coefficient) {
+    constexpr double kGrazingCosine = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence_coefficient,
-                 albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
+                 albedo = double(sample.intensity) /
+                          (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazingCosine)));
     const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
     sh_coefficients[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh_coefficients[1] = static_cast<float>(-slope.y);
@@ -168,12 +168,12 @@ struct SurfelPlacement {
 /// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses
 /// more samples if all lie on one scan line, because the plane could rotate about this
 /// line, or if there is no sample on the left or right scan line.
-SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<LidarSample>& samples,
-                                           std::size_t sample_index, std::vector<std::size_t> nearest_indices,
-                                           const SceneInitialisationOptions& options) {
-    constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
+SurfelPlacement estimate_surface(const Tree& tree, const std::vector<LidarSample>& samples,
+                                 std::size_t sample_index, std::vector<std::size_t> nearest_indices,
+                                 const InitOptions& options) {
+    constexpr int kMaxWidenings = 2;  // maximum number of repeated searches with more neighbours
     SurfelPlacement placement{
-        fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
+        fit_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return placement;
     const auto widen = [&] {
         std::vector<float> distance2;
@@ -181,63 +181,60 @@ SurfelPlacement estimate_surface_at_sample(const Tree& tree, const std::vector<L
                                        std::min(4 * nearest_indices.size(), samples.size()), distance2);
     };
     const bool is_line = placement.plane.is_line;
-    for (int k = 0; is_line && !placement.plane.is_surface && k < kWider; ++k) {
+    for (int k = 0; is_line && !placement.plane.is_surface && k < kMaxWidenings; ++k) {
         widen();
         const NeighbourPlane wider =
-            fit_plane_to_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
+            fit_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
         // The position of the wider plane is too coarse. The new plane passes through the
         // sample.
         if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
     }
     if (!placement.plane.is_surface) return placement;
-    placement.gap = measure_scan_line_gap(samples, nearest_indices, placement.plane.normal);
-    if (is_line || !placement.gap.is_neighbouring_scan_line_missing()) return placement;
+    placement.gap = measure_gap(samples, nearest_indices, placement.plane.normal);
+    if (is_line || !placement.gap.is_line_missing()) return placement;
     widen();
-    placement.gap = measure_scan_line_gap(samples, nearest_indices, placement.plane.normal);
+    placement.gap = measure_gap(samples, nearest_indices, placement.plane.normal);
     return placement;
 }
 
-void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
-                               const std::vector<LidarSample>& samples, const Tree& tree,
-                               const SceneInitialisationOptions& options, double incidence_coefficient) {
+void set_surfel(Surfels& surfels, std::size_t surfel, const std::vector<LidarSample>& samples,
+                const Tree& tree, const InitOptions& options, double incidence_coefficient) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
-    std::vector<std::size_t> nearest = find_nearest(tree, samples[surfel_index], k, distance2);
+    std::vector<std::size_t> nearest = find_nearest(tree, samples[surfel], k, distance2);
     double distance_sum_m = 0.0;
     std::size_t n_others = 0;
     for (std::size_t j = 1; j < nearest.size() && n_others < kScaleNeighbours; ++j, ++n_others)
         distance_sum_m += std::sqrt(distance2[j]);
     const double spacing = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
-    Random random(hash_integer_pair(options.seed, surfel_index));
+    Random random(hash_pair(options.seed, surfel));
     nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
     // In the order z, y, x. Another order would change the surfels.
     glm::dvec3 random_direction;
-    for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_standard_normal();
+    for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_normal();
     SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};
     if (options.normals && nearest.size() >= 3)
-        placement = estimate_surface_at_sample(tree, samples, surfel_index, std::move(nearest), options);
+        placement = estimate_surface(tree, samples, surfel, std::move(nearest), options);
     const NeighbourPlane& plane = placement.plane;
-    surfels.mean[surfel_index] = samples[surfel_index].position;
+    surfels.mean[surfel] = samples[surfel].position;
     if (options.flatness < 1.0 && plane.is_surface)
-        surfels.mean[surfel_index] -= glm::vec3(
-            glm::dot(glm::dvec3(samples[surfel_index].position) - plane.point, plane.normal) * plane.normal);
-    glm::dvec3 x = make_perpendicular_direction(plane.normal, random.sample_uniform_number(0.0, 2.0 * kPi));
+        surfels.mean[surfel] -= glm::vec3(
+            glm::dot(glm::dvec3(samples[surfel].position) - plane.point, plane.normal) * plane.normal);
+    glm::dvec3 x = perpendicular_at(plane.normal, random.sample_uniform(0.0, 2.0 * kPi));
     const double width = std::max(placement.gap.left_m, placement.gap.right_m),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
-    const bool reaches = !placement.gap.is_neighbouring_scan_line_missing() && width > kGap * spacing &&
-                         width < options.max_gap_m;
+    const bool reaches =
+        !placement.gap.is_line_missing() && width > kMinGapRatio * spacing && width < options.max_gap_m;
     if (reaches) x = placement.gap.across;
     const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(plane.normal, x), plane.normal));
-    surfels.rotation[surfel_index] = {float(q.w), float(q.x), float(q.y), float(q.z)};
+    surfels.rotation[surfel] = {float(q.w), float(q.x), float(q.y), float(q.z)};
     const auto log_scale = [](double m) { return static_cast<float>(std::log(std::max(m, 1e-3))); };
-    surfels.log_scale[surfel_index] = {log_scale(reaches ? width * options.scale_factor : round),
-                                       log_scale(round)};
-    surfels.opacity_logit[surfel_index] =
-        static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
-    float* sh = surfels.sh.data() + surfel_index * kShFloats;
-    set_intensity_harmonics(sh, samples[surfel_index], plane.is_surface ? plane.normal : glm::dvec3(0.0),
-                            incidence_coefficient);
+    surfels.log_scale[surfel] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
+    surfels.opacity_logit[surfel] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
+    float* sh = surfels.sh.data() + surfel * kShFloats;
+    set_harmonics(sh, samples[surfel], plane.is_surface ? plane.normal : glm::dvec3(0.0),
+                  incidence_coefficient);
     const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
                  drop_logit = hit_logit - options.hit_margin;
     sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
@@ -246,31 +243,31 @@ void compute_surfel_parameters(Surfels& surfels, std::size_t surfel_index,
 
 }  // namespace
 
-Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
-                                 const SceneInitialisationOptions& options, double incidence_coefficient,
-                                 const ProgressReporter& progress, std::vector<std::uint32_t>* sample_order) {
+Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options,
+                     double incidence_coefficient, const Progress& progress,
+                     std::vector<std::uint32_t>* sample_order) {
     const SampleKdTreeAdapter cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    parallel_for_blocks_with_progress(samples.size(), progress, "estimating normals", [&](std::size_t index) {
-        compute_surfel_parameters(surfels, index, samples, tree, options, incidence_coefficient);
+    progress_blocks(samples.size(), progress, "estimating normals", [&](std::size_t index) {
+        set_surfel(surfels, index, samples, tree, options, incidence_coefficient);
     });
-    const std::vector<std::uint32_t> sorted = compute_kd_tree_order(surfels.mean);
+    const std::vector<std::uint32_t> sorted = kd_tree_order(surfels.mean);
     if (sample_order) *sample_order = sorted;
     return surfels.reorder(sorted);
 }
 
-std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
-                                                     std::size_t max_count,
-                                                     std::vector<std::uint32_t>* selected_indices) {
+std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, std::size_t max_count,
+                                      std::vector<std::uint32_t>* selected_indices) {
     // The jitter of labelled boxes blurs smaller details.
-    constexpr double kVoxel_m = 0.06;
+    constexpr double kThinningVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
     std::vector<std::uint32_t> first;
     for (std::size_t i = 0; i < samples.size(); ++i) {
-        const glm::ivec3 cell = glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kVoxel_m)) + 512;
+        const glm::ivec3 cell =
+            glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kThinningVoxel_m)) + 512;
         const std::uint64_t key = std::uint64_t(cell.x & 1023) << 20 | std::uint64_t(cell.y & 1023) << 10 |
                                   std::uint64_t(cell.z & 1023);
         if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
@@ -278,8 +275,8 @@ std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSamp
     if (first.size() > max_count) {
         const auto order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
-            return hash_integer_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
-                                     std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
+            return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
+                             std::uint64_t(std::int64_t(p.y * 1e4f + p.z * 1e7f)));
         };
         std::sort(first.begin(), first.end(),
                   [&](std::uint32_t left, std::uint32_t right) { return order(left) < order(right); });

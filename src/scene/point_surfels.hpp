@@ -22,15 +22,15 @@ struct LidarSample {
 /// Calls `work` with each return of a frame (as a WorldReturn), ray by ray.
 /// @param include_second_returns if true, also calls `work` with second returns
 template <class Work>
-void for_each_return(const LidarSequence& sequence, const LidarFrame& frame, bool include_second_returns,
+void for_each_return(const Log& sequence, const Frame& frame, bool include_second_returns,
                      const Work& visit_return) {
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        visit_return(compute_world_return(sequence, frame, ray));
+        visit_return(locate_return(sequence, frame, ray));
         for (std::size_t k = 0; include_second_returns && k < scan.second_returns.size(); ++k)
             if (scan.second_returns[k].range_m[ray] > 0.0f)
-                visit_return(compute_world_return(sequence, frame, ray, k + 1));
+                visit_return(locate_return(sequence, frame, ray, k + 1));
     }
 }
 
@@ -39,16 +39,14 @@ void for_each_return(const LidarSequence& sequence, const LidarFrame& frame, boo
 /// @param samples must not be empty
 /// @param incidence_coefficient strength of this dependence (IntensityResponse)
 /// @param sample_order output [n]: the index of each surfel's sample
-Surfels make_surfels_from_points(const std::vector<LidarSample>& samples,
-                                 const SceneInitialisationOptions& options, double incidence_coefficient,
-                                 const ProgressReporter& progress = {},
-                                 std::vector<std::uint32_t>* sample_order = nullptr);
+Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options,
+                     double incidence_coefficient, const Progress& progress = {},
+                     std::vector<std::uint32_t>* sample_order = nullptr);
 
 /// Returns the first sample of each voxel of an actor, at most `max_count`. The samples
 /// of a voxel are not averaged: labels jitter, so averages would shrink the actor.
 /// @param selected_indices output: indices of the returned samples
-std::vector<LidarSample> select_one_sample_per_voxel(const std::vector<LidarSample>& samples,
-                                                     std::size_t max_count,
-                                                     std::vector<std::uint32_t>* selected_indices = nullptr);
+std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, std::size_t max_count,
+                                      std::vector<std::uint32_t>* selected_indices = nullptr);
 
 }  // namespace relidar

@@ -17,8 +17,7 @@
 
 namespace relidar {
 
-inline std::map<int, std::vector<std::uint32_t>> group_sample_indices_by_frame(
-    const std::vector<LidarSample>& samples) {
+inline std::map<int, std::vector<std::uint32_t>> group_samples(const std::vector<LidarSample>& samples) {
     std::map<int, std::vector<std::uint32_t>> groups;
     for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));
     return groups;
@@ -46,7 +45,7 @@ struct SampleIndex {
           tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
     /// Limited to `max_distance_m`.
-    double compute_nearest_distance_m(const glm::vec3& point_m, double max_distance_m) const {
+    double nearest_m(const glm::vec3& point_m, double max_distance_m) const {
         if (cloud.of.empty()) return max_distance_m;
         std::size_t nearest;
         float distance2;
@@ -54,8 +53,8 @@ struct SampleIndex {
         return std::min(max_distance_m, std::sqrt(double(distance2)));
     }
     /// Returns at most `max_count` indices of samples, sorted by distance.
-    std::vector<std::uint32_t> find_samples_within_radius(const glm::vec3& point_m, double radius_m,
-                                                          std::size_t max_count) const {
+    std::vector<std::uint32_t> find_in_radius(const glm::vec3& point_m, double radius_m,
+                                              std::size_t max_count) const {
         std::vector<std::size_t> tree_indices(max_count);
         std::vector<float> distance2(max_count);
         if (cloud.of.empty()) return {};

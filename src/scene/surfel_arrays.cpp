@@ -15,50 +15,50 @@ namespace relidar {
 
 static_assert(RELIDAR_SH_COEFFICIENTS == kShCoefficients && RELIDAR_SH_FLOATS == kShFloats);
 
-std::vector<std::size_t> SurfelParameterGroup::get_array_shape(std::size_t n_surfels) const {
+std::vector<std::size_t> SurfelParameterGroup::array_shape(std::size_t n_surfels) const {
     if (row[1] > 1) return {n_surfels, row[0], row[1]};
     if (row[0] > 1) return {n_surfels, row[0]};
     return {n_surfels};
 }
 
-SurfelParameterSet read_surfel_parameter_set(const std::string& error_location,
-                                             const std::map<std::string, std::string>& metadata,
-                                             const std::string& primitive_key,
-                                             const std::function<bool(const char*)>& has_array) {
+SurfelParameterSet read_parameter_set(const std::string& where,
+                                      const std::map<std::string, std::string>& metadata,
+                                      const std::string& primitive_key,
+                                      const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = metadata.find(primitive_key);
-    if (text == metadata.end()) fail("{}: the metadata key \"{}\" is missing", error_location, primitive_key);
+    if (text == metadata.end()) fail("{}: the metadata key \"{}\" is missing", where, primitive_key);
     for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
-    fail("{}: {}: found \"{}\", expected one of {}", error_location, primitive_key,
-         text->second.substr(0, 40), fmt::join(names, ", "));
+    fail("{}: {}: found \"{}\", expected one of {}", where, primitive_key, text->second.substr(0, 40),
+         fmt::join(names, ", "));
 }
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& description,
                            SurfelParameterSet parameter_set)
     : n(count), primitive(parameter_set.primitive), bends(parameter_set.bends) {
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameter_set))
+    for (const SurfelParameterGroup& group : list_groups(parameter_set))
         group.mutable_device(*this) = Array<float>(device, std::size_t(group.count_floats()) * count,
                                                    fmt::format("{} {}", description, group.name));
 }
 
 void SurfelArrays::upload(const Surfels& surfels) {
-    surfels.require_equal_array_lengths();
+    surfels.check_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
-        fail("cannot upload {} to arrays of {}", get_primitive_properties(surfels.primitive).label,
-             get_primitive_properties(primitive).label);
+        fail("cannot upload {} to arrays of {}", properties_of(surfels.primitive).label,
+             properties_of(primitive).label);
     if (surfels.size() > 0 && surfels.bends != bends)
         fail("cannot upload surfels with{} gait to arrays with{} gait", surfels.bends ? "" : "out",
              bends ? "" : "out");
-    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
+    for (const SurfelParameterGroup& group : list_groups(parameters_used()))
         group.mutable_device(*this).upload(group.values(surfels));
 }
 
 Surfels SurfelArrays::download() const {
     Surfels s;
-    s.resize(n, get_parameter_set());
-    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set())) {
+    s.resize(n, parameters_used());
+    for (const SurfelParameterGroup& group : list_groups(parameters_used())) {
         const std::span<float> values = group.mutable_values(s);
         if (n > 0) group.device(*this).buffer().download(values.data(), values.size_bytes());
     }
@@ -67,23 +67,22 @@ Surfels SurfelArrays::download() const {
 
 std::uint32_t SurfelArrays::capacity() const {
     std::size_t least = std::numeric_limits<std::uint32_t>::max();
-    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
+    for (const SurfelParameterGroup& group : list_groups(parameters_used()))
         least = std::min(least, group.device(*this).size() / group.count_floats());
     return static_cast<std::uint32_t>(least);
 }
 
 void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& description) {
-    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
+    for (const SurfelParameterGroup& group : list_groups(parameters_used()))
         group.mutable_device(*this).reserve(device, std::size_t(group.count_floats()) * count,
                                             fmt::format("{} {}", description, group.name));
 }
 
-void SurfelArrays::record_zero_fill(Stream& stream) {
-    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set()))
-        stream.fill(group.device(*this));
+void SurfelArrays::fill_zero(Stream& stream) {
+    for (const SurfelParameterGroup& group : list_groups(parameters_used())) stream.fill(group.device(*this));
 }
 
-shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays) {
+shared::SurfelPointers surfel_pointers(const SurfelArrays& arrays) {
     return {.mean = arrays.mean.address(),
             .rotation = arrays.rotation.address(),
             .log_scale = arrays.log_scale.address(),

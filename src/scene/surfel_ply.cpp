@@ -19,18 +19,18 @@
 
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
-#include "base/geometry/cell_key.hpp"
 #include "base/codecs/file_io.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "base/geometry/cell_key.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kColours = 3;
-constexpr std::uint32_t kRest = kShCoefficients - 1;
+constexpr std::uint32_t kColourChannels = 3;
+constexpr std::uint32_t kRestCoefficients = kShCoefficients - 1;
 // Logarithm of the thickness of a surfel in metres, which viewers of ellipsoids need.
-const float kFlat = std::log(1e-4f);
+const float kFlatLogScale = std::log(1e-4f);
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 
@@ -46,7 +46,7 @@ struct PlyProperty {
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
-std::vector<PlyProperty> list_ply_properties(SurfelParameterSet parameter_set) {
+std::vector<PlyProperty> list_properties(SurfelParameterSet parameter_set) {
     std::vector<PlyProperty> list;
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
                          std::uint32_t first) {
@@ -56,13 +56,13 @@ std::vector<PlyProperty> list_ply_properties(SurfelParameterSet parameter_set) {
     for (std::uint32_t k = 0; k < 3; ++k) list.push_back({std::string(1, "xyz"[k]), &kMean, k});
     for (std::uint32_t k = 0; k < 3; ++k)
         list.push_back({std::string("n") + "xyz"[k], nullptr, k, false, PlyProperty::normal});
-    for (std::uint32_t c = 0; c < kColours; ++c) list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
-    for (std::uint32_t k = 0; k < kColours * kRest; ++k)
-        list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRest + 1, k < kRest});
+    for (std::uint32_t c = 0; c < kColourChannels; ++c)
+        list.push_back({fmt::format("f_dc_{}", c), &kSh, 0, c == 0});
+    for (std::uint32_t k = 0; k < kColourChannels * kRestCoefficients; ++k)
+        list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRestCoefficients + 1, k < kRestCoefficients});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (get_primitive_properties(parameter_set.primitive).third_scale)
-        list.push_back({"scale_2", &kLogScaleW});
+    if (properties_of(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, PlyProperty::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
@@ -73,7 +73,7 @@ std::vector<PlyProperty> list_ply_properties(SurfelParameterSet parameter_set) {
 }
 
 /// Returns zero if the quaternion is zero or not a number.
-glm::vec3 compute_normal_from_quaternion(const glm::vec4& wxyz) {
+glm::vec3 quaternion_normal(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
     const glm::vec4 q = wxyz / length;
@@ -81,17 +81,15 @@ glm::vec3 compute_normal_from_quaternion(const glm::vec4& wxyz) {
             1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
-float get_property_value(const PlyProperty& property, const Surfels& surfels, std::size_t surfel_index,
-                         std::size_t model_index) {
+float property_value(const PlyProperty& property, const Surfels& surfels, std::size_t surfel,
+                     std::size_t model_index) {
     switch (property.kind) {
         case PlyProperty::parameter:
-            return property.group->values(
-                surfels)[surfel_index * property.group->count_floats() + property.index];
+            return property.group->values(surfels)[surfel * property.group->count_floats() + property.index];
         case PlyProperty::normal:
-            return compute_normal_from_quaternion(
-                surfels.rotation[surfel_index])[static_cast<int>(property.index)];
+            return quaternion_normal(surfels.rotation[surfel])[static_cast<int>(property.index)];
         case PlyProperty::thickness:
-            return kFlat;
+            return kFlatLogScale;
         case PlyProperty::model:
             return float(model_index);
     }
@@ -109,7 +107,7 @@ struct PlyRecordLayout {
     std::vector<Field> fields;
 };
 
-std::size_t get_ply_type_size_bytes(const std::string& type_name) {
+std::size_t type_bytes(const std::string& type_name) {
     for (const char* t : {"char", "uchar", "int8", "uint8"})
         if (type_name == t) return 1;
     for (const char* t : {"short", "ushort", "int16", "uint16"})
@@ -119,7 +117,7 @@ std::size_t get_ply_type_size_bytes(const std::string& type_name) {
     for (const char* t : {"double", "float64"})
         if (type_name == t) return 8;
     fail("found a property of type \"{}\", expected a number type (lists are not supported)",
-         shorten_for_error_message(type_name));
+         quote(type_name));
 }
 
 PlyRecordLayout parse_ply_header(const std::string& header) {
@@ -136,26 +134,24 @@ PlyRecordLayout parse_ply_header(const std::string& header) {
         if (what == "format") {
             has_format = true;
             if (first != "binary_little_endian")
-                fail("found format {}, expected binary_little_endian", shorten_for_error_message(first));
+                fail("found format {}, expected binary_little_endian", quote(first));
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
-                fail("found the PLY element {}, expected only one element, vertex",
-                     shorten_for_error_message(first));
+                fail("found the PLY element {}, expected only one element, vertex", quote(first));
             has_vertex = true;
             const char* const end = second.data() + second.size();
             const auto [stop, error] = std::from_chars(second.data(), end, layout.count);
             if (error != std::errc() || stop != end || layout.count > kMaxSurfels)
-                fail("found \"element vertex {}\", expected a count of at most {}",
-                     shorten_for_error_message(second), kMaxSurfels);
+                fail("found \"element vertex {}\", expected a count of at most {}", quote(second),
+                     kMaxSurfels);
         } else if (what == "property") {
             if (!has_vertex)
-                fail("the PLY property {} comes before the element vertex, expected after it",
-                     shorten_for_error_message(second));
+                fail("the PLY property {} comes before the element vertex, expected after it", quote(second));
             if (std::ranges::find(layout.fields, second, &PlyRecordLayout::Field::name) !=
                 layout.fields.end())
-                fail("property {} occurs twice, expected it once", shorten_for_error_message(second));
+                fail("property {} occurs twice, expected it once", quote(second));
             layout.fields.push_back({second, first == "float" || first == "float32", layout.stride});
-            layout.stride += get_ply_type_size_bytes(first);
+            layout.stride += type_bytes(first);
         }
     }
     if (!has_format || !has_vertex)
@@ -170,13 +166,13 @@ struct PlyColumns {
     std::vector<PlyProperty> missing;
 };
 
-PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
+PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
     PlyColumns columns;
     // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0.
     const auto n = std::ranges::count_if(
         layout.fields, [](const PlyRecordLayout::Field& f) { return f.name.starts_with("f_rest_"); });
-    const std::uint32_t n_rest = n == 9 || n == 24 ? std::uint32_t(n / kColours) : kRest;
-    for (const PlyProperty& p : list_ply_properties(parameter_set)) {
+    const std::uint32_t n_rest = n == 9 || n == 24 ? std::uint32_t(n / kColourChannels) : kRestCoefficients;
+    for (const PlyProperty& p : list_properties(parameter_set)) {
         if (!p.read) continue;
         const auto it = std::ranges::find(layout.fields, p.name, &PlyRecordLayout::Field::name);
         if (it == layout.fields.end() || (p.name.starts_with("f_rest_") && p.index > n_rest)) {
@@ -191,15 +187,14 @@ PlyColumns find_ply_properties(const PlyRecordLayout& layout, SurfelParameterSet
 }
 
 /// @throws DataError if properties are missing that no other surfels can supply
-void require_restorable(const PlyColumns& columns, const Scene& run_scene, SurfelParameterSet parameter_set) {
+void check_restorable(const PlyColumns& columns, const Scene& run_scene, SurfelParameterSet parameter_set) {
     for (const PlyProperty& p : columns.missing)
         if (p.group == &kMean || columns.missing.front().kind == PlyProperty::model ||
-            run_scene.surfels.size() == 0 || run_scene.surfels.get_parameter_set() != parameter_set)
+            run_scene.surfels.size() == 0 || run_scene.surfels.parameters_used() != parameter_set)
             fail("property {} is missing, expected all properties that `relidar export` writes", p.name);
 }
 
-void require_valid_property_value(float value, const PlyProperty& property, std::size_t vertex_index,
-                                  std::size_t n_models) {
+void check_value(float value, const PlyProperty& property, std::size_t vertex_index, std::size_t n_models) {
     if (!std::isfinite(value))
         fail("vertex {}: {} is {}, expected a finite number", vertex_index, property.name, value);
     if (property.kind == PlyProperty::model &&
@@ -208,7 +203,7 @@ void require_valid_property_value(float value, const PlyProperty& property, std:
              n_models);
 }
 
-std::vector<std::uint32_t> list_model_of_each_surfel(const Scene& scene) {
+std::vector<std::uint32_t> list_models(const Scene& scene) {
     std::vector<std::uint32_t> model(scene.surfels.size());
     for (std::size_t k = 0; k < scene.models.size(); ++k)
         std::fill_n(model.begin() + scene.models[k].first, scene.models[k].count, std::uint32_t(k));
@@ -221,7 +216,7 @@ public:
     /// @param run_model  model of each surfel of the run
     SurfelMatcher(const Surfels& run_surfels, const std::vector<std::uint32_t>& run_model)
         : run_(run_surfels), run_model_(run_model), used_(run_surfels.size()) {
-        for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(get_cell_key(run_.mean[i]), i);
+        for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(key_of(run_.mean[i]), i);
     }
 
     /// Of several surfels at the position, returns the most similar one that has not been
@@ -232,9 +227,9 @@ public:
         bool has_twin = false;         // true if a surfel of another model fits equally well
         std::set<std::uint64_t> keys;  // of the cells that the sphere of matching positions touches
         for (int corner = 0; corner < 8; ++corner)
-            keys.insert(get_cell_key(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1,
-                                                                                   corner & 2 ? 1 : -1,
-                                                                                   corner & 4 ? 1 : -1)));
+            keys.insert(
+                key_of(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1,
+                                                                     corner & 4 ? 1 : -1)));
         for (const std::uint64_t key : keys) {
             const auto [first, last] = cells_.equal_range(key);
             for (auto cell = first; cell != last; ++cell) {
@@ -262,8 +257,8 @@ public:
 private:
     // Editors may round positions. Neighbouring surfels are farther apart.
     static constexpr float kSamePosition_m = 1e-3f, kNone = std::numeric_limits<float>::infinity();
-    static std::uint64_t get_cell_key(const glm::vec3& mean_m) {
-        return compute_grid_cell_key(glm::clamp(glm::dvec3(mean_m), -1e6, 1e6), 0.05);
+    static std::uint64_t key_of(const glm::vec3& mean_m) {
+        return grid_key(glm::clamp(glm::dvec3(mean_m), -1e6, 1e6), 0.05);
     }
     const Surfels& run_;
     const std::vector<std::uint32_t>& run_model_;
@@ -274,9 +269,9 @@ private:
 
 /// Copies the missing properties from the surfels of the run at the same positions.
 /// @return a note about the surfels that were matched
-std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32_t>& model,
-                                       const PlyColumns& columns, const Scene& run_scene) {
-    const std::vector<std::uint32_t> run_model = list_model_of_each_surfel(run_scene);
+std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model, const PlyColumns& columns,
+                            const Scene& run_scene) {
+    const std::vector<std::uint32_t> run_model = list_models(run_scene);
     SurfelMatcher matcher(run_scene.surfels, run_model);
     std::size_t n_moved = 0, first_moved = 0;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -296,9 +291,9 @@ std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32
         for (const glm::vec3& mean : run_scene.surfels.mean)
             nearest_m = std::min(nearest_m, glm::distance(mean, at));
         fail(
-            "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the "
-            "run (vertex {} is {:.3g} m from the nearest one); expected surfels that were not moved, "
-            "or all properties that `relidar export` writes",
+            "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the run "
+            "(vertex {} is {:.3g} m from the nearest one); expected surfels that were not moved, or all "
+            "properties that `relidar export` writes",
             columns.missing.front().name, n_moved, surfels.size(), first_moved, nearest_m);
     }
     if (columns.missing.back().kind == PlyProperty::model && matcher.count_twins() > 0 &&
@@ -315,14 +310,14 @@ std::string restore_missing_properties(Surfels& surfels, std::vector<std::uint32
 }
 
 /// Sorts the surfels by model. Keeps the order of the file within each model.
-Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& model_per_surfel,
-                             const Scene& scene_layout) {
+Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& model_per_surfel,
+                     const Scene& scene_layout) {
     std::vector<std::uint32_t> order(model_per_surfel.size());
     std::iota(order.begin(), order.end(), 0u);
     std::stable_sort(order.begin(), order.end(), [&](std::uint32_t first, std::uint32_t second) {
         return model_per_surfel[first] < model_per_surfel[second];
     });
-    Scene scene = copy_scene_without_surfels(scene_layout);
+    Scene scene = strip_surfels(scene_layout);
     scene.surfels = surfels.reorder(order);
     std::uint32_t first = 0;
     for (std::size_t k = 0; k < scene.models.size(); ++k) {
@@ -335,8 +330,8 @@ Scene group_surfels_by_model(const Surfels& surfels, const std::vector<std::uint
     return scene;
 }
 
-Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& scene_layout,
-                        SurfelParameterSet parameter_set, std::string& note) {
+Scene parse_ply(const std::vector<std::byte>& file_bytes, const Scene& scene_layout,
+                SurfelParameterSet parameter_set, std::string& note) {
     const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
                             std::min(file_bytes.size(), kMaxPlyHeader));
     const std::size_t end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
@@ -344,8 +339,8 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
     if (end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
-    const PlyColumns columns = find_ply_properties(layout, parameter_set);
-    require_restorable(columns, scene_layout, parameter_set);
+    const PlyColumns columns = find_columns(layout, parameter_set);
+    check_restorable(columns, scene_layout, parameter_set);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         fail("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count,
              layout.stride);
@@ -358,24 +353,23 @@ Scene parse_ply_surfels(const std::vector<std::byte>& file_bytes, const Scene& s
             float value;
             std::memcpy(&value, file_bytes.data() + data + i * layout.stride + columns.offset[k],
                         sizeof value);
-            require_valid_property_value(value, property, i, scene_layout.models.size());
+            check_value(value, property, i, scene_layout.models.size());
             if (property.kind == PlyProperty::model) model[i] = static_cast<std::uint32_t>(value);
             else
                 property.group->mutable_values(surfels)[i * property.group->count_floats() + property.index] =
                     value;
         }
-    if (!columns.missing.empty()) note = restore_missing_properties(surfels, model, columns, scene_layout);
-    return group_surfels_by_model(surfels, model, scene_layout);
+    if (!columns.missing.empty()) note = restore_columns(surfels, model, columns, scene_layout);
+    return group_by_model(surfels, model, scene_layout);
 }
 
-std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyProperty>& properties,
-                                 const char* frame_name, const FileMetadata& notes = {}) {
+std::string make_header(const Surfels& surfels, const std::vector<PlyProperty>& properties,
+                        const char* frame_name, const FileMetadata& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
-    const PrimitiveProperties& kind = get_primitive_properties(surfels.primitive);
+    const PrimitiveProperties& kind = properties_of(surfels.primitive);
     text += fmt::format("{}: metres, {}{}\n", kind.label, frame_name,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
-    for (const auto& note : notes)
-        text += fmt::format("comment {}\n", codecs::format_metadata_line(note));
+    for (const auto& note : notes) text += fmt::format("comment {}\n", codecs::metadata_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
     for (const PlyProperty& p : properties) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
@@ -385,15 +379,15 @@ std::string make_ply_header_text(const Surfels& surfels, const std::vector<PlyPr
 void write_file(const std::filesystem::path& path, const Surfels& surfels,
                 const std::vector<SurfelModel>& models, const std::vector<PlyProperty>& properties,
                 const std::string& header) {
-    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        surfels.require_equal_array_lengths();
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        surfels.check_lengths();
         codecs::OutputFile file(temporary);
         file.write(header);
         std::vector<float> record(properties.size());
         for (std::size_t model = 0; model < models.size(); ++model)
             for (std::size_t i = models[model].first, end = i + models[model].count; i < end; ++i) {
                 for (std::size_t k = 0; k < properties.size(); ++k)
-                    record[k] = get_property_value(properties[k], surfels, i, model);
+                    record[k] = property_value(properties[k], surfels, i, model);
                 file.write(record.data(), record.size() * sizeof(float));
             }
         file.close();
@@ -402,19 +396,19 @@ void write_file(const std::filesystem::path& path, const Surfels& surfels,
 
 }  // namespace
 
-void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
-    require_valid_scene_layout(scene);
-    const std::vector<PlyProperty> list = list_ply_properties(scene.surfels.get_parameter_set());
+void write_surfels(const std::filesystem::path& path, const Scene& scene) {
+    check_layout(scene);
+    const std::vector<PlyProperty> list = list_properties(scene.surfels.parameters_used());
     write_file(path, scene.surfels, scene.models, list,
-               make_ply_header_text(scene.surfels, list, "frame of each model"));
+               make_header(scene.surfels, list, "frame of each model"));
 }
 
-void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
-                      const FileMetadata& header_comments) {
-    std::vector<PlyProperty> list = list_ply_properties(surfels.get_parameter_set());
+void write_surfels(const std::filesystem::path& path, const Surfels& surfels,
+                   const FileMetadata& header_comments) {
+    std::vector<PlyProperty> list = list_properties(surfels.parameters_used());
     list.pop_back();  // the model
     write_file(path, surfels, {{"", 0, static_cast<std::uint32_t>(surfels.size())}}, list,
-               make_ply_header_text(surfels, list, "world", header_comments));
+               make_header(surfels, list, "world", header_comments));
 }
 
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive,
@@ -424,7 +418,7 @@ Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layo
     try {
         const bool walks = std::ranges::any_of(
             scene_layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
-        return parse_ply_surfels(file, scene_layout, {primitive, walks}, note ? *note : ignored_note);
+        return parse_ply(file, scene_layout, {primitive, walks}, note ? *note : ignored_note);
     } catch (const DataError& error) {
         fail("cannot read PLY '{}': {}", path.string(), error.what());
     }

@@ -15,19 +15,18 @@
 namespace relidar {
 namespace {
 
-constexpr bool are_primitives_in_order() {
+constexpr bool are_sorted() {
     for (std::size_t i = 0; i < kPrimitives.size(); ++i)
         if (kPrimitives[i].primitive != static_cast<PrimitiveType>(i)) return false;
     return true;
 }
-static_assert(are_primitives_in_order(),
-              "kPrimitives must list the primitives in the order of PrimitiveType");
+static_assert(are_sorted(), "kPrimitives must list the primitives in the order of PrimitiveType");
 
 /// Returns true if surfels with this parameter set have the parameters of `group`.
-bool has_parameter_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {
+bool has_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {
     switch (group.of) {
         case SurfelParameterGroup::SceneRequirement::third_scale:
-            return get_primitive_properties(parameter_set.primitive).third_scale;
+            return properties_of(parameter_set.primitive).third_scale;
         case SurfelParameterGroup::SceneRequirement::bends:
             return parameter_set.bends;
         default:
@@ -41,31 +40,31 @@ void Surfels::resize(std::size_t count, SurfelParameterSet parameter_set) {
     primitive = parameter_set.primitive;
     bends = parameter_set.bends;
     for (const SurfelParameterGroup& group : kParameterGroups)
-        group.resize(*this, has_parameter_group(parameter_set, group) ? count * group.count_floats() : 0);
+        group.resize(*this, has_group(parameter_set, group) ? count * group.count_floats() : 0);
 }
 
-void Surfels::add_motionless_gait() {
+void Surfels::add_still_gait() {
     bends = true;
     gait.resize(size());
 }
 
-void Surfels::require_equal_array_lengths() const {
+void Surfels::check_lengths() const {
     for (const SurfelParameterGroup& group : kParameterGroups) {
-        const bool is_there = has_parameter_group(get_parameter_set(), group);
+        const bool is_there = has_group(parameters_used(), group);
         const std::size_t n_values = group.values(*this).size(),
                           n_expected_values = is_there ? size() * group.count_floats() : 0;
         if (n_values != n_expected_values)
             fail("cannot use {} {}: the array {} has {} values, expected {}", size(),
-                 get_primitive_properties(primitive).label, group.name, n_values, n_expected_values);
+                 properties_of(primitive).label, group.name, n_values, n_expected_values);
     }
 }
 
 void Surfels::append_surfels(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
         fail("cannot join {} with {}, expected runs with the same setting image.primitive",
-             get_primitive_properties(primitive).label, get_primitive_properties(other.primitive).label);
+             properties_of(primitive).label, properties_of(other.primitive).label);
     if (other.size() > 0) primitive = other.primitive;
-    if (other.bends) add_motionless_gait();
+    if (other.bends) add_still_gait();
     const std::size_t n = size() + other.size();
     for (const SurfelParameterGroup& group : kParameterGroups) {
         const std::size_t before = group.values(*this).size();
@@ -78,8 +77,8 @@ void Surfels::append_surfels(const Surfels& other) {
 
 Surfels Surfels::reorder(const std::vector<std::uint32_t>& order) const {
     Surfels result;
-    result.resize(order.size(), get_parameter_set());
-    for (const SurfelParameterGroup& group : list_parameter_groups(get_parameter_set())) {
+    result.resize(order.size(), parameters_used());
+    for (const SurfelParameterGroup& group : list_groups(parameters_used())) {
         const std::span<const float> from = group.values(*this);
         const std::span<float> to = group.mutable_values(result);
         const std::size_t n = group.count_floats();
@@ -95,20 +94,20 @@ Surfels Surfels::slice(std::size_t first, std::size_t count) const {
     return reorder(order);
 }
 
-void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double relative_thickness) {
+void convert_surfels(Surfels& surfels, PrimitiveType primitive, double relative_thickness) {
     surfels.primitive = primitive;
     surfels.log_scale_w.clear();
-    if (!get_primitive_properties(primitive).third_scale) return;
+    if (!properties_of(primitive).third_scale) return;
     for (const glm::vec2& s : surfels.log_scale)
         surfels.log_scale_w.push_back(0.5f * (s.x + s.y) + static_cast<float>(std::log(relative_thickness)));
 }
 
-Scene copy_scene_with_new_background(const Scene& scene, const Surfels& background) {
+Scene replace_background(const Scene& scene, const Surfels& background) {
     const std::uint32_t before = scene.models.front().count,
                         n = static_cast<std::uint32_t>(background.size());
-    Scene other = copy_scene_without_surfels(scene);
+    Scene other = strip_surfels(scene);
     other.blocks.clear();
-    other.surfels = background.reorder(compute_kd_tree_order(background.mean));
+    other.surfels = background.reorder(kd_tree_order(background.mean));
     other.models.front().count = n;
     // If `n - before` wraps around (modulo 2^32), the sum wraps back.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
@@ -116,7 +115,7 @@ Scene copy_scene_with_new_background(const Scene& scene, const Surfels& backgrou
     return other;
 }
 
-Scene copy_scene_without_surfels(const Scene& scene) {
+Scene strip_surfels(const Scene& scene) {
     return {{}, scene.models, scene.instances, scene.sensor_drop, scene.blocks};
 }
 
@@ -126,7 +125,7 @@ std::size_t count_surfels(const Scene& scene) {
     return n;
 }
 
-Scene make_background_scene(Surfels surfels) {
+Scene wrap_background(Surfels surfels) {
     Scene scene;
     scene.models.push_back({"background", 0, static_cast<std::uint32_t>(surfels.size())});
     scene.instances.push_back({0, ""});
@@ -134,7 +133,7 @@ Scene make_background_scene(Surfels surfels) {
     return scene;
 }
 
-std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points) {
+std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points) {
     std::vector<std::uint32_t> order(points.size());
     std::iota(order.begin(), order.end(), 0u);
     std::vector<std::pair<std::size_t, std::size_t>> ranges{{0, order.size()}};
@@ -148,7 +147,7 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
             high = glm::max(high, points[order[i]]);
         }
         const glm::vec3 size = high - low;
-        const int axis = find_longest_axis(size);
+        const int axis = longest_axis(size);
         const std::size_t middle = (first + last) / 2;
         std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(first),
                          order.begin() + static_cast<std::ptrdiff_t>(middle),
@@ -162,7 +161,7 @@ std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& p
     return order;
 }
 
-void require_valid_scene_layout(const Scene& scene) {
+void check_layout(const Scene& scene) {
     std::size_t next = 0;
     for (const SurfelModel& model : scene.models) {
         if (model.first != next)
@@ -177,14 +176,12 @@ void require_valid_scene_layout(const Scene& scene) {
                  scene.models.size());
 }
 
-double compute_actor_model_extent_m(const glm::vec3& half_size_m) {
-    return 8.0 * double(glm::length(half_size_m));
-}
+double actor_extent_m(const glm::vec3& half_size_m) { return 8.0 * double(glm::length(half_size_m)); }
 
-double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index) {
+double model_extent_m(const Scene& scene, std::size_t model_index) {
     if (model_index >= scene.models.size() || scene.models[model_index].count == 0) return 1.0;
     const SurfelModel& range = scene.models[model_index];
-    if (range.half_size_m.x > 0.0f) return compute_actor_model_extent_m(range.half_size_m);
+    if (range.half_size_m.x > 0.0f) return actor_extent_m(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
@@ -196,8 +193,6 @@ double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index
     return 3.0 * *q90;
 }
 
-double compute_robust_background_extent_m(const Scene& scene) {
-    return compute_robust_model_extent_m(scene, 0);
-}
+double scene_extent_m(const Scene& scene) { return model_extent_m(scene, 0); }
 
 }  // namespace relidar

@@ -16,11 +16,11 @@ constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 }  // namespace
 
 bool is_vehicle(const BoxTrack& box) {
-    return parse_object_kind(box.category) == ObjectKind::vehicle ||
+    return parse_kind(box.category) == ObjectKind::vehicle ||
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
-Surfels mirror_left_right(Surfels surfels) {
+Surfels mirror_surfels(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
         if (surfels.bends) surfels.gait[i].swing.y *= -1.0f;
@@ -33,19 +33,19 @@ Surfels mirror_left_right(Surfels surfels) {
     return surfels;
 }
 
-std::size_t replace_unobserved_by_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface) {
+std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface) {
     std::vector<glm::vec3> opaque_m;
     for (std::size_t i = 0; i < surfels.size(); ++i)
         if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
-    if (surface.compute_left_right_asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
+    if (surface.asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
     std::vector<std::uint32_t> remaining_surfels, copied_surfels;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
-        if (!surface.is_observed_only_in_mirror_image(here)) remaining_surfels.push_back(i);
-        if (surface.is_observed_only_in_mirror_image(there)) copied_surfels.push_back(i);
+        if (!surface.is_mirror_observed(here)) remaining_surfels.push_back(i);
+        if (surface.is_mirror_observed(there)) copied_surfels.push_back(i);
     }
     if (copied_surfels.empty()) return 0;
-    const Surfels mirrored_surfels = mirror_left_right(surfels.reorder(copied_surfels));
+    const Surfels mirrored_surfels = mirror_surfels(surfels.reorder(copied_surfels));
     surfels = surfels.reorder(remaining_surfels);
     surfels.append_surfels(mirrored_surfels);
     surface.is_completed = true;

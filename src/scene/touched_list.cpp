@@ -23,8 +23,8 @@ TouchedSurfelList::TouchedSurfelList(Device& device)
                      {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
 TouchedSurfelList::~TouchedSurfelList() = default;
 
-void TouchedSurfelList::record_compaction_of_touched_rows(
-    Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags, std::uint32_t n_rows) {
+void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+                                std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {
         stream.submit_and_wait();  // earlier submissions may still use the old array
@@ -35,15 +35,15 @@ void TouchedSurfelList::record_compaction_of_touched_rows(
         {.touched = touched_flags, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
 }
 
-Address<std::uint32_t, shared::TouchedRows> TouchedSurfelList::get_touched_rows_address() const {
+Address<std::uint32_t, shared::TouchedRows> TouchedSurfelList::rows_address() const {
     return impl_->rows.address();
 }
-Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::get_touched_count_address() const {
+Address<std::uint32_t, shared::TouchedCount> TouchedSurfelList::count_address() const {
     return impl_->count.address();
 }
 
-std::size_t TouchedSurfelList::choose_thread_count_for_touched_rows(std::size_t max_touched_rows) const {
-    const bool is_cpu = !should_coalesce_memory_access(impl_->device);
+std::size_t TouchedSurfelList::choose_threads(std::size_t max_touched_rows) const {
+    const bool is_cpu = !should_coalesce(impl_->device);
     return std::min(max_touched_rows, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }
 

@@ -19,15 +19,15 @@ constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns 
 // Ratio (columns of a range image per turn) / (rays per turn in a scan row). The 2 x 3
 // cells around a point then contain four or five returns: two rows of 3 / (4/3) rays.
 constexpr double kCellsPerRay = 4.0 / 3.0;
-constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
+constexpr double kBeamMargin_rad = 0.002;  // margin at the outermost beams, about the width of a beam
 constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
 // Number of azimuth sectors of a sweep with one sensor position each.
-constexpr int kSectors = 64;
+constexpr int kAzimuthSectors = 64;
 // A frame finds a point empty if all its returns in this direction are farther behind the
 // point than this multiple of the range error `margin`.
-constexpr double kBehind = 1.5;
+constexpr double kMinBehindMargins = 1.5;
 // Edge length of a square ground tile. All points above one tile use the same frames.
-constexpr double kTile_m = 8.0;
+constexpr double kGroundTile_m = 8.0;
 // Maximum distance between a sensor and the tiles for which its frame is used. Farther
 // away, even a person has only one or two returns.
 constexpr double kMaxTileDistance_m = 40.0;
@@ -36,24 +36,23 @@ constexpr double kMaxTileDistance_m = 40.0;
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
-double compute_elevation_rad(const glm::vec3& direction) {
+double elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
 }
 
 /// Returns the elevations of the rows of a scan, descending. Without rows, returns evenly
 /// spaced elevations over the field of view.
-std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
+std::vector<double> row_elevations_rad(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
         rows.resize(std::size_t(rays.rows));
         for (std::size_t ray = 0; ray < rays.size(); ++ray)
-            rows[ray / std::size_t(rays.columns)] +=
-                compute_elevation_rad(rays.direction[ray]) / rays.columns;
+            rows[ray / std::size_t(rays.columns)] += elevation_rad(rays.direction[ray]) / rays.columns;
     } else {
         double low = 1e9, high = -1e9;
         for (const glm::vec3& d : rays.direction) {
-            low = std::min(low, compute_elevation_rad(d));
-            high = std::max(high, compute_elevation_rad(d));
+            low = std::min(low, elevation_rad(d));
+            high = std::max(high, elevation_rad(d));
         }
         for (int k = 0; k < kEvenRows; ++k) rows.push_back(high + (low - high) * k / (kEvenRows - 1));
     }
@@ -63,7 +62,7 @@ std::vector<double> compute_row_elevations_rad(const RayTable& rays) {
 
 /// Returns the number of columns per turn, a little narrower than the spacing of the
 /// rays.
-int choose_range_image_columns(const RayTable& rays) {
+int choose_columns(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
         const glm::vec3 d =
@@ -77,17 +76,17 @@ int choose_range_image_columns(const RayTable& rays) {
     return static_cast<int>(std::clamp(std::round(columns), double(kFewestColumns), double(kMostColumns)));
 }
 
-glm::dvec3 compute_ground_tile_centre(const glm::dvec3& point_m) {
-    return kTile_m *
-           (glm::floor(glm::dvec3(point_m.x, point_m.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
+glm::dvec3 tile_centre(const glm::dvec3& point_m) {
+    return kGroundTile_m *
+           (glm::floor(glm::dvec3(point_m.x, point_m.y, 0.0) / kGroundTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
 }  // namespace
 
 BeamGrid::BeamGrid(const Scan& scan) {
     if (scan.rays.direction.empty()) return;
-    columns_ = choose_range_image_columns(scan.rays);
-    const std::vector<double> elevations = compute_row_elevations_rad(scan.rays);
+    columns_ = choose_columns(scan.rays);
+    const std::vector<double> elevations = row_elevations_rad(scan.rays);
     const double least_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
         const auto end = std::find_if(first, elevations.end(),
@@ -102,7 +101,8 @@ std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3&
     if (!(range > 0.0) || row_rad_.empty()) return std::nullopt;
     const double elevation = std::asin(std::clamp(point_m.z / range, -1.0, 1.0));
     BeamGridCell cell;
-    cell.is_beyond = elevation > row_rad_.front() + kBeyond_rad || elevation < row_rad_.back() - kBeyond_rad;
+    cell.is_beyond =
+        elevation > row_rad_.front() + kBeamMargin_rad || elevation < row_rad_.back() - kBeamMargin_rad;
     cell.row_below = static_cast<int>(
         std::upper_bound(row_rad_.begin(), row_rad_.end(), elevation, std::greater<>()) - row_rad_.begin());
     const auto off = [&](int row) {
@@ -114,80 +114,79 @@ std::optional<BeamGrid::BeamGridCell> BeamGrid::find_grid_cell(const glm::dvec3&
     return cell;
 }
 
-std::vector<float> BeamGrid::compute_nearest_range_per_cell_m(const Scan& scan) const {
+std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
     std::vector<float> nearest(std::size_t(rows()) * std::size_t(columns_));
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        const glm::vec3 point = scan.compute_return_point_in_sensor_frame(ray);
+        const glm::vec3 point = scan.return_point(ray);
         const std::optional<BeamGridCell> at = find_grid_cell(glm::dvec3(point));
         if (!at) continue;
-        float& here = nearest[get_cell_index(at->row, at->column)];
+        float& here = nearest[cell_index(at->row, at->column)];
         const float range = glm::length(point);
         here = here > 0.0f ? std::min(here, range) : range;
     }
     return nearest;
 }
 
-VisibilityChecker::VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions)
+VisibilityChecker::VisibilityChecker(const Log& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
     // The grid of a LiDAR without a frame in `positions` stays empty and is never read.
     grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
-        const LidarFrame& frame = sequence.frames[std::size_t(position)];
+        const Frame& frame = sequence.frames[std::size_t(position)];
         const std::size_t lidar = std::size_t(frame.lidar);
         if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});
     }
-    select_frames_seeing_each_ground_tile();
+    select_frames();
 }
 
-void VisibilityChecker::request_range_images_near_point(const glm::dvec3& point_m) {
-    const auto tile = tiles_.find(compute_grid_cell_key(compute_ground_tile_centre(point_m), kTile_m));
+void VisibilityChecker::request_images(const glm::dvec3& point_m) {
+    const auto tile = tiles_.find(grid_key(tile_centre(point_m), kGroundTile_m));
     if (tile == tiles_.end() || std::exchange(tile->second.is_requested, true)) return;
     for (const std::uint32_t view : tile->second.views)
         if (views_[view].sensor_from_world.empty()) requested_views_.push_back(view);
 }
 
-void VisibilityChecker::make_requested_range_images() {
+void VisibilityChecker::make_requested() {
     std::sort(requested_views_.begin(), requested_views_.end());
     requested_views_.erase(std::unique(requested_views_.begin(), requested_views_.end()),
                            requested_views_.end());
     parallel_for(static_cast<int>(requested_views_.size()), [&](int index) {
         const std::uint32_t view = requested_views_[std::size_t(index)];
-        make_range_image(views_[view], sequence_.frames[std::size_t(positions_[view])]);
+        make_image(views_[view], sequence_.frames[std::size_t(positions_[view])]);
     });
     requested_views_.clear();
 }
 
-void VisibilityChecker::make_range_image(VisibilityImage& view, const LidarFrame& frame) const {
-    const Pose& mounted = sequence_.get_lidar(frame).vehicle_from_sensor;
-    const int n_sectors = sequence_.rolling_shutter ? kSectors : 1;
+void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) const {
+    const Pose& mounted = sequence_.lidar_of(frame).vehicle_from_sensor;
+    const int n_sectors = sequence_.rolling_shutter ? kAzimuthSectors : 1;
     for (int sector = 0; sector < n_sectors; ++sector) {
         const double azimuth = 2.0 * kPi * ((sector + 0.5) / n_sectors - 0.5);
-        view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.interpolate_mounted_pose(
-            compute_time_when_lidar_faces_point_s(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0},
-                                                  get_sweep_timing_of_frame(frame)),
+        view.sensor_from_world.push_back(inverse(sequence_.world_from_vehicle.mounted_pose_at(
+            facing_time_s(sequence_, {std::cos(azimuth), std::sin(azimuth), 0.0}, timing_of(frame)),
             mounted)));
     }
-    view.range_m = grids_[std::size_t(frame.lidar)].compute_nearest_range_per_cell_m(frame.scan);
+    view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
 
-void VisibilityChecker::select_frames_seeing_each_ground_tile() {
+void VisibilityChecker::select_frames() {
     using ImageDistance = std::pair<double, std::uint32_t>;  // metres, view
     std::unordered_map<std::uint64_t, std::vector<ImageDistance>> all;
     for (std::uint32_t v = 0; v < views_.size(); ++v) {
         const Lidar& lidar = sequence_.lidars[std::size_t(views_[v].lidar)];
-        const double farthest = lidar.sensor.max_range_m + kTile_m;
+        const double farthest = lidar.sensor.max_range_m + kGroundTile_m;
         glm::dvec3 sensor =
-            sequence_.world_from_vehicle.interpolate_mounted_pose(views_[v].time_s, lidar.vehicle_from_sensor)
+            sequence_.world_from_vehicle.mounted_pose_at(views_[v].time_s, lidar.vehicle_from_sensor)
                 .translation;
         sensor.z = 0.0;
-        for (double dx = -farthest; dx <= farthest; dx += kTile_m)
-            for (double dy = -farthest; dy <= farthest; dy += kTile_m) {
-                const glm::dvec3 tile = compute_ground_tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
+        for (double dx = -farthest; dx <= farthest; dx += kGroundTile_m)
+            for (double dy = -farthest; dy <= farthest; dy += kGroundTile_m) {
+                const glm::dvec3 tile = tile_centre(sensor + glm::dvec3(dx, dy, 0.0));
                 if (const double distance = glm::distance(tile, sensor); distance < farthest)
-                    all[compute_grid_cell_key(tile, kTile_m)].push_back({distance, v});
+                    all[grid_key(tile, kGroundTile_m)].push_back({distance, v});
             }
     }
     for (const auto& [key, seen] : all) {
@@ -203,12 +202,12 @@ void VisibilityChecker::select_frames_seeing_each_ground_tile() {
 
 const std::vector<std::uint32_t>& VisibilityChecker::find_views_near(const glm::dvec3& point_m) const {
     static const std::vector<std::uint32_t> none;
-    const auto tile = tiles_.find(compute_grid_cell_key(compute_ground_tile_centre(point_m), kTile_m));
+    const auto tile = tiles_.find(grid_key(tile_centre(point_m), kGroundTile_m));
     return tile == tiles_.end() ? none : tile->second.views;
 }
 
-VisibilityChecker::NeighbourRanges VisibilityChecker::find_surrounding_ranges(
-    const VisibilityImage& view, const glm::dvec3& point_m) const {
+VisibilityChecker::NeighbourRanges VisibilityChecker::ranges_around(const VisibilityImage& view,
+                                                                    const glm::dvec3& point_m) const {
     const int n_sectors = static_cast<int>(view.sensor_from_world.size());
     const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
@@ -220,35 +219,33 @@ VisibilityChecker::NeighbourRanges VisibilityChecker::find_surrounding_ranges(
     result.range_m = glm::length(p);
     for (int r = std::max(at->row_below - 1, 0); r <= std::min(at->row_below, grid.rows() - 1); ++r)
         for (int c = at->column - 1; c <= at->column + 1; ++c)
-            if (const float value =
-                    view.range_m[grid.get_cell_index(r, (c + grid.columns()) % grid.columns())];
+            if (const float value = view.range_m[grid.cell_index(r, (c + grid.columns()) % grid.columns())];
                 value > 0.0f)
                 result.returned_m[result.n++] = value;
     return result;
 }
 
-PointVisibility VisibilityChecker::classify_point_in_view(std::uint32_t view_index,
-                                                          const glm::dvec3& point_m) const {
-    const NeighbourRanges here = find_surrounding_ranges(views_[view_index], point_m);
+PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, const glm::dvec3& point_m) const {
+    const NeighbourRanges here = ranges_around(views_[view_index], point_m);
     if (here.n < kMinReturns) return PointVisibility::unknown;
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
-    if (*nearest > range + kBehind * margin) return PointVisibility::empty;
+    if (*nearest > range + kMinBehindMargins * margin) return PointVisibility::empty;
     return range > *nearest - margin && range < *farthest + margin ? PointVisibility::occupied
                                                                    : PointVisibility::unknown;
 }
 
 bool VisibilityChecker::has_return_at(std::uint32_t view_index, const glm::dvec3& point_m,
                                       double tolerance_m) const {
-    const NeighbourRanges here = find_surrounding_ranges(views_[view_index], point_m);
+    const NeighbourRanges here = ranges_around(views_[view_index], point_m);
     return std::any_of(here.returned_m, here.returned_m + here.n,
                        [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
 }
 
-VisibilityChecker::VisibilityVotes VisibilityChecker::count_visibility_votes(const glm::vec3& point_m) const {
+VisibilityChecker::VisibilityVotes VisibilityChecker::count_votes(const glm::vec3& point_m) const {
     VisibilityVotes votes;
     for (const std::uint32_t view : find_views_near(glm::dvec3(point_m))) {
-        const PointVisibility sight = classify_point_in_view(view, glm::dvec3(point_m));
+        const PointVisibility sight = classify_point(view, glm::dvec3(point_m));
         votes.n_occupied += sight == PointVisibility::occupied;
         votes.n_empty += sight == PointVisibility::empty;
     }

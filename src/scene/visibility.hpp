@@ -33,12 +33,12 @@ public:
     /// Returns nothing if the point is the position of the sensor.
     /// @param point_m [3] sensor frame
     std::optional<BeamGridCell> find_grid_cell(const glm::dvec3& point_m) const;
-    std::size_t get_cell_index(int row, int column) const {
+    std::size_t cell_index(int row, int column) const {
         return std::size_t(row) * std::size_t(columns_) + std::size_t(column);
     }
     /// Returns the range of the nearest return in each cell, [rows * columns] metres, 0
     /// if a cell has no return.
-    std::vector<float> compute_nearest_range_per_cell_m(const Scan& scan) const;
+    std::vector<float> nearest_ranges_m(const Scan& scan) const;
 
 private:
     std::vector<double> row_rad_;  ///< [rows] elevations, descending
@@ -53,14 +53,14 @@ public:
     /// Selects the frames that can observe each tile of the ground. `sequence` is not
     /// copied and must not change.
     /// @param positions indices of the frames to use, in `sequence.frames`
-    VisibilityChecker(const LidarSequence& sequence, const std::vector<int>& positions);
+    VisibilityChecker(const Log& sequence, const std::vector<int>& positions);
 
     /// Creates the range images that these points (world) need. Only these points may be
     /// looked up then.
     template <class Points>
-    void create_range_images_for_points(const Points& points_m) {
-        for (const auto& point_m : points_m) request_range_images_near_point(glm::dvec3(point_m));
-        make_requested_range_images();
+    void make_images(const Points& points_m) {
+        for (const auto& point_m : points_m) request_images(glm::dvec3(point_m));
+        make_requested();
     }
 
     struct VisibilityVotes {
@@ -72,25 +72,25 @@ public:
         }
     };
     /// Counts the frames that have a return, or observe empty space, at a point (world).
-    VisibilityVotes count_visibility_votes(const glm::vec3& point_m) const;
+    VisibilityVotes count_votes(const glm::vec3& point_m) const;
 
     /// Returns the views of a point (world), ascending indices into `positions`.
     const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
     /// Returns what one frame observes at a point (world), with an error of decimetres.
-    PointVisibility classify_point_in_view(std::uint32_t view_index, const glm::dvec3& point_m) const;
+    PointVisibility classify_point(std::uint32_t view_index, const glm::dvec3& point_m) const;
     /// Returns true if a frame has a return in the direction of a point (world) whose
     /// range differs by at most `tolerance_m`.
     bool has_return_at(std::uint32_t view_index, const glm::dvec3& point_m, double tolerance_m) const;
-    double get_view_time_s(std::uint32_t view_index) const { return views_[view_index].time_s; }
+    double view_time_s(std::uint32_t view_index) const { return views_[view_index].time_s; }
 
 private:
     struct VisibilityImage {
         double time_s;
         int lidar;
         /// [azimuth sectors of the sweep] when the LiDAR head faces the middle of the
-        /// sector. Empty until make_range_image() is called.
+        /// sector. Empty until make_image() is called.
         std::vector<Pose> sensor_from_world;
-        /// [rows * columns] see compute_nearest_range_per_cell_m()
+        /// [rows * columns] see nearest_ranges_m()
         std::vector<float> range_m;
     };
     /// Range of a point, and the ranges of the returns in the six cells around it: the
@@ -105,7 +105,7 @@ private:
         std::vector<std::uint32_t> views;
         bool is_requested = false;
     };
-    const LidarSequence& sequence_;
+    const Log& sequence_;
     std::vector<BeamGrid> grids_;  ///< [lidars]
     std::vector<int> positions_;   ///< [views] index of each view's frame in the log
     std::vector<VisibilityImage> views_;
@@ -113,11 +113,11 @@ private:
     /// indices of the views whose images must still be created; can contain duplicates
     std::vector<std::uint32_t> requested_views_;
 
-    void request_range_images_near_point(const glm::dvec3& point_m);
-    void make_requested_range_images();
-    void make_range_image(VisibilityImage& view, const LidarFrame& frame) const;
-    void select_frames_seeing_each_ground_tile();
-    NeighbourRanges find_surrounding_ranges(const VisibilityImage& view, const glm::dvec3& point_m) const;
+    void request_images(const glm::dvec3& point_m);
+    void make_requested();
+    void make_image(VisibilityImage& view, const Frame& frame) const;
+    void select_frames();
+    NeighbourRanges ranges_around(const VisibilityImage& view, const glm::dvec3& point_m) const;
 };
 
 }  // namespace relidar

@@ -23,17 +23,17 @@ struct KernelSetting {
 
 // Each row is compiled separately, with the preset `default` and this one setting. Add a
 // row for each new specialisation constant.
-constexpr KernelSetting kSettings[] = {{"image.sh_direction", "ray"},
-                                       {"image.sh_direction", "surfel"},
-                                       {"image.single_drop_logit", "true"},
-                                       {"train.deterministic", "true"},
-                                       {"train.refine_poses", "sensor,actors"},
-                                       {"render.range", "mode"},
-                                       {"trace.chunk", "16"},
-                                       {"trace.chunk", "64"},
-                                       {"densify.strategy", "adaptive"}};
+constexpr KernelSetting kKernelSettings[] = {{"image.sh_direction", "ray"},
+                                             {"image.sh_direction", "surfel"},
+                                             {"image.single_drop_logit", "true"},
+                                             {"train.deterministic", "true"},
+                                             {"train.refine_poses", "sensor,actors"},
+                                             {"render.range", "mode"},
+                                             {"trace.chunk", "16"},
+                                             {"trace.chunk", "64"},
+                                             {"densify.strategy", "adaptive"}};
 
-Scene make_minimal_scene(const LidarSequence& street, PrimitiveType primitive) {
+Scene minimal_scene(const Log& street, PrimitiveType primitive) {
     Scene scene;
     scene.surfels.resize(2, primitive);
     scene.models = {{"background", 0, 1}, {"actor", 1, 1}};
@@ -41,9 +41,9 @@ Scene make_minimal_scene(const LidarSequence& street, PrimitiveType primitive) {
     return scene;
 }
 
-void compile_training_pipelines(Device& device, const LidarSequence& street, const Config& config) {
-    const Scene scene = make_minimal_scene(street, config.image.primitive);
-    TrainTestSplit split;
+void compile_training(Device& device, const Log& street, const Config& config) {
+    const Scene scene = minimal_scene(street, config.image.primitive);
+    Split split;
     split.train = {0, 1};
     const TrainLoop loop(device, street, split, scene, config);
     const ScanRenderer renderer(device, scene, config, street);
@@ -51,12 +51,12 @@ void compile_training_pipelines(Device& device, const LidarSequence& street, con
 
 /// Compiles all variants of the ray traversal. A running program uses only one of them,
 /// which depends on the type of the device.
-void compile_ray_traversal_variants(Device& device, const LidarSequence& street) {
-    const Config config = make_preset_config("default");
-    const Scene scene = make_minimal_scene(street, config.image.primitive);
+void compile_traversal(Device& device, const Log& street) {
+    const Config config = make_preset("default");
+    const Scene scene = minimal_scene(street, config.image.primitive);
     for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup})
         for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
-            RendererOptions options{.accel = {.proxy = proxy}, .trace = make_training_trace_options(config)};
+            RendererOptions options{.accel = {.proxy = proxy}, .trace = training_options(config)};
             options.trace.traversal_mode = traversal_mode;
             for (const HitSortMethod order : {HitSortMethod::chunks, HitSortMethod::lists}) {
                 options.trace.order = order;
@@ -70,16 +70,16 @@ void compile_ray_traversal_variants(Device& device, const LidarSequence& street)
 
 }  // namespace
 
-void compile_all_pipelines(Device& device, const std::function<void(const std::string&)>& report_progress) {
-    const LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
-    const auto report = [&](const std::string& description) {
-        if (report_progress) report_progress(description);
+void compile_pipelines(Device& device, const std::function<void(const std::string&)>& report_progress) {
+    const Log street = make_street_log({.n_frames = 2, .rows = 2, .columns = 16});
+    const auto report = [&](const std::string& text) {
+        if (report_progress) report_progress(text);
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
         report(preset);
-        compile_training_pipelines(device, street, make_preset_config(preset));
+        compile_training(device, street, make_preset(preset));
     }
-    std::vector<KernelSetting> settings(std::begin(kSettings), std::end(kSettings));
+    std::vector<KernelSetting> settings(std::begin(kKernelSettings), std::end(kKernelSettings));
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
     settings.push_back({"loss." #setting, "0.1"});
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
@@ -87,17 +87,17 @@ void compile_all_pipelines(Device& device, const std::function<void(const std::s
     for (const PrimitiveProperties& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
     for (const KernelSetting& setting : settings) {
         report(std::string(setting.key) + "=" + setting.value);
-        Config config = make_preset_config("default");
-        set_config_value(config, setting.key, setting.value);
-        compile_training_pipelines(device, street, config);
+        Config config = make_preset("default");
+        set_value(config, setting.key, setting.value);
+        compile_training(device, street, config);
     }
     report("kernels of the ray traversal and of sums of gradients");
-    compile_ray_traversal_variants(device, street);
+    compile_traversal(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);
         RayDropNetworkOptions options;
         options.network = network;
-        compile_network_pipelines(device, options);
+        compile_network(device, options);
     }
     report("kernels that add gradients of hits in a fixed order");
     // Compiles the kernels that sort hits. The training loops above did not compile them,

@@ -11,7 +11,6 @@ class Device;
 /// Compiles every pipeline that training and rendering use, which Device::pipelines()
 /// then lists.
 /// @param device  must be opened with DeviceOptions::compile_only
-void compile_all_pipelines(Device& device,
-                           const std::function<void(const std::string&)>& report_progress = {});
+void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress = {});
 
 }  // namespace relidar

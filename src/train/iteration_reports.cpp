@@ -9,22 +9,23 @@
 namespace relidar {
 
 IterationReports::ReportReadbackSlot::ReportReadbackSlot(Device& device)
-    : terms(device, kRows * kLossTerms * sizeof(float), "loss terms"),
+    : terms(device, kMaxLossRows * kLossTerms * sizeof(float), "loss terms"),
       pass_cap(device, sizeof(std::uint32_t), "number of truncated rays"),
       most_hits(device, sizeof(std::uint32_t), "largest number of hits"),
       overfull(device, sizeof(std::uint32_t), "number of rays with more hits than are stored") {}
 
 IterationReports::IterationReports(Device& device)
-    : terms_(device, std::vector<float>(kRows * kLossTerms, 0.0f), "loss terms"), sums_(kLossTerms, 0.0) {
-    while (slots_.size() < kReadbackLag) slots_.emplace_back(device);
+    : terms_(device, std::vector<float>(kMaxLossRows * kLossTerms, 0.0f), "loss terms"),
+      sums_(kLossTerms, 0.0) {
+    while (int(slots_.size()) < kReadbackLag) slots_.emplace_back(device);
 }
 
-void IterationReports::record_copy_of_report_to_host(Stream& stream, const DeviceHitCounters& counts,
-                                                     const std::optional<TrainLogLine>& log_line) {
+void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& counts,
+                                   const std::optional<TrainLogLine>& log_line) {
     if (iterations_.empty()) return;
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
     const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
-        readback.record_copy_to_host(stream, source, n_bytes);
+        readback.record_copy(stream, source, n_bytes);
         stream.fill(source);
     };
     record_and_clear(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
@@ -35,18 +36,18 @@ void IterationReports::record_copy_of_report_to_host(Stream& stream, const Devic
                        counts.stored_hits_per_ray, log_line});
 }
 
-std::optional<IterationReports::IterationGroupReport> IterationReports::take_oldest_report_until_step(
-    Stream& stream, int max_step) {
+std::optional<IterationReports::IterationGroupReport> IterationReports::take_oldest(Stream& stream,
+                                                                                    int max_step) {
     if (closed_.empty() || closed_.front().iterations.back().step > max_step) return std::nullopt;
     const ClosedIterationGroup report = std::move(closed_.front());
     closed_.pop_front();
     const int first_step = report.iterations.front().step, last_step = report.iterations.back().step;
     ReportReadbackSlot& slot = slots_[std::size_t(last_step) % kReadbackLag];
     const auto count = [&](ReadbackBuffer& readback) {
-        return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
+        return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    add_group_loss_terms_to_sums(report, static_cast<const float*>(slot.terms.wait_for_copied_bytes(stream)));
-    if (report.line) store_log_line_with_mean_losses(*report.line);
+    add_loss_terms(report, static_cast<const float*>(slot.terms.wait_for_bytes(stream)));
+    if (report.line) store_log_line(*report.line);
     return IterationGroupReport{.first_step = first_step,
                                 .last_step = last_step,
                                 .pass_cap = count(slot.pass_cap),
@@ -56,8 +57,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::take_old
                                 .stored_hits_per_ray = report.stored_hits_per_ray};
 }
 
-void IterationReports::add_group_loss_terms_to_sums(const ClosedIterationGroup& closed_group,
-                                                    const float* loss_terms) {
+void IterationReports::add_loss_terms(const ClosedIterationGroup& closed_group, const float* loss_terms) {
     for (const auto& [step, frame] : closed_group.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const float term = *loss_terms++;
@@ -70,7 +70,7 @@ void IterationReports::add_group_loss_terms_to_sums(const ClosedIterationGroup& 
     n_summed_ += closed_group.iterations.size();
 }
 
-void IterationReports::store_log_line_with_mean_losses(TrainLogLine log_line) {
+void IterationReports::store_log_line(TrainLogLine log_line) {
     for (std::size_t k = 0; k < kLossTerms; ++k)
         log_line.terms[k] = std::exchange(sums_[k], 0.0) / static_cast<double>(n_summed_);
     n_summed_ = 0;

@@ -26,14 +26,14 @@ struct TrainLogLine {
 /// Each report copies the counters and resets them to 0.
 struct DeviceHitCounters {
     /// [1] number of rays whose traversal stopped at the maximum number of passes
-    /// (ForwardPass::get_truncated_ray_count_on_device)
+    /// (ForwardPass::n_truncated_rays)
     const Array<std::uint32_t>* pass_cap = nullptr;
     /// [1] largest number of ray-surfel hits in one iteration
-    /// (BackwardPass::get_max_hit_count_on_device); null if not needed
+    /// (BackwardPass::max_hit_count); null if not needed
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
     /// [1] number of rays with more hits than can be stored
-    /// (ForwardPass::get_hit_overflow_ray_count_on_device)
+    /// (ForwardPass::n_overflowed_rays)
     const Array<std::uint32_t>* overfull = nullptr;
     std::uint32_t stored_hits_per_ray = 0;  ///< maximum number of stored hits per ray
 };
@@ -42,43 +42,39 @@ class IterationReports {
 public:
     explicit IterationReports(Device& device);
 
-    LossTermRow get_current_loss_row() const {
-        return {terms_, static_cast<std::uint32_t>(iterations_.size())};
-    }
+    LossTermRow loss_row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
     /// Called after the GPU commands of the iteration were recorded.
     /// @param frame_number  frame number of the dataset
-    void add_iteration_to_next_report(int step, int frame_number) {
-        iterations_.push_back({step, frame_number});
-    }
-    bool is_loss_table_full() const { return iterations_.size() == kRows; }
-    /// Does not wait. Call after add_iteration_to_next_report(), at most once per
+    void add_iteration(int step, int frame_number) { iterations_.push_back({step, frame_number}); }
+    bool is_full() const { return iterations_.size() == kMaxLossRows; }
+    /// Does not wait. Call after add_iteration(), at most once per
     /// iteration.
     /// @param log_line  added to the training log when the report is read
-    void record_copy_of_report_to_host(Stream& stream, const DeviceHitCounters& counts,
-                                       const std::optional<TrainLogLine>& log_line);
+    void record_copy(Stream& stream, const DeviceHitCounters& counts,
+                     const std::optional<TrainLogLine>& log_line);
 
     struct IterationGroupReport {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// values of DeviceHitCounters when record_copy_of_report_to_host() was called
+        /// values of DeviceHitCounters when record_copy() was called
         std::uint64_t hit_capacity;
         std::uint32_t stored_hits_per_ray;
     };
     /// Returns the oldest unread report if it ends at iteration `max_step` or earlier.
     /// Waits if the device has not finished the report.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
-    std::optional<IterationGroupReport> take_oldest_report_until_step(Stream& stream, int max_step);
+    std::optional<IterationGroupReport> take_oldest(Stream& stream, int max_step);
     /// Of the reports that were read. Removes the lines from this object.
     std::vector<TrainLogLine> take_log_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
-    void visit_checkpoint_state(Visitor&& visit) {
+    void visit_state(Visitor&& visit) {
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
 
 private:
-    static constexpr std::size_t kRows = 64;
+    static constexpr std::size_t kMaxLossRows = 64;
 
     struct Iteration {
         int step;
@@ -96,7 +92,7 @@ private:
         explicit ReportReadbackSlot(Device& device);
     };
 
-    Array<float> terms_;                 ///< [kRows, kLossTerms] losses of iterations_
+    Array<float> terms_;                 ///< [kMaxLossRows, kLossTerms] losses of iterations_
     std::vector<Iteration> iterations_;  ///< iterations since the last report
     /// [kReadbackLag] host buffers; iteration i uses buffer i modulo kReadbackLag
     std::vector<ReportReadbackSlot> slots_;
@@ -106,8 +102,8 @@ private:
     std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<TrainLogLine> lines_;
 
-    void add_group_loss_terms_to_sums(const ClosedIterationGroup& closed_group, const float* loss_terms);
-    void store_log_line_with_mean_losses(TrainLogLine log_line);
+    void add_loss_terms(const ClosedIterationGroup& closed_group, const float* loss_terms);
+    void store_log_line(TrainLogLine log_line);
 };
 
 }  // namespace relidar

@@ -16,7 +16,7 @@ namespace relidar {
 namespace {
 
 /// from which the registration can start
-bool has_usable_vehicle_poses(const LidarSequence& sequence, const Config& config) {
+bool has_usable_poses(const Log& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
@@ -42,26 +42,26 @@ struct PoseCorrectionStatistics {
         median_deg = degrees[degrees.size() / 2];
         most_deg = degrees.back();
     }
-    std::string describe_corrections() const {
+    std::string describe() const {
         return fmt::format(
             "poses were corrected by a median of {:.3f} m and {:.2f} degrees, and by at most {:.3f} m and "
             "{:.2f} degrees",
             median_m, median_deg, most_m, most_deg);
     }
     /// Empty if the corrections are as small as the usual errors of good vehicle poses.
-    std::string format_warning_if_corrections_large() const {
-        constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
-        if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
+    std::string describe_large() const {
+        constexpr double kMaxUsual_m = 0.5, kMaxUsual_deg = 5.0;
+        if (most_m <= kMaxUsual_m && most_deg <= kMaxUsual_deg) return "";
         return fmt::format(
             "warning: the log's poses do not fit its scans: {}. Usual reasons: quaternions in x y z w order "
             "instead of w x y z, poses of another frame, a missing lever arm between the vehicle and the "
             "LiDAR, drifting GNSS, or wrong times. Use dataset.poses=none to estimate the poses from the "
             "scans only",
-            describe_corrections());
+            describe());
     }
 };
 
-std::string describe_path_length(const PoseTrack& track) {
+std::string describe_length(const PoseTrack& track) {
     double metres = 0.0;
     for (std::size_t k = 1; k < track.pose.size(); ++k)
         metres += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
@@ -72,20 +72,18 @@ std::string describe_path_length(const PoseTrack& track) {
 constexpr double kMostLost = 0.05;
 
 /// @throws DataError if too many scans failed
-void report_or_reject_unregistered_scans(const LidarSequence& sequence,
-                                         const RegistrationResult& registration, const Config& config,
-                                         const LogPreparationCallbacks& session) {
+void report_unregistered(const Log& sequence, const RegistrationResult& registration, const Config& config,
+                         const LogPreparationCallbacks& session) {
     if (registration.lost.empty()) return;
     std::vector<int> frames;
-    for (const LidarFrame& frame : sequence.frames) {
-        const bool is_lost =
-            std::ranges::binary_search(registration.lost, sequence.get_vehicle_pose_index_of_frame(frame));
+    for (const Frame& frame : sequence.frames) {
+        const bool is_lost = std::ranges::binary_search(registration.lost, sequence.find_pose_index(frame));
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
     const std::string text =
         fmt::format("{} of {} scans could not be registered to their neighbours (frames {})", frames.size(),
-                    n, format_number_list(frames));
+                    n, list_text(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
         fail(
             "cannot estimate the poses of {} from its scans: {}; expected that this happens for at most "
@@ -96,11 +94,11 @@ void report_or_reject_unregistered_scans(const LidarSequence& sequence,
 }
 
 /// @return `done` is true if it has new poses
-RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSplit& split,
-                                      const Config& config, const LogPreparationCallbacks& session) {
+RegistrationResult register_log(Log& sequence, const Split& split, const Config& config,
+                                const LogPreparationCallbacks& session) {
     RegistrationResult registration;
     try {
-        RegistrationOptions options = make_registration_options(sequence, config);
+        RegistrationOptions options = registration_options(sequence, config);
         options.stop = session.stop;
         options.progress = session.progress;
         options.group = session.group;
@@ -121,36 +119,36 @@ RegistrationResult register_log_scans(LidarSequence& sequence, const TrainTestSp
             "; {} loops were detected, where the vehicle returned to an earlier position; they corrected "
             "poses by up to {:.2f} m",
             registration.n_loop_closures, registration.largest_loop_error_m);
-    session.report_line(fmt::format(
-        "scans registered: {:.0f} % of the points are on planes that several scans have observed, with a "
-        "mean distance of {:.3f} m from these planes; {}{}",
-        100.0 * registration.on_planes, registration.rounds.back().residual_m,
-        has_usable_vehicle_poses(sequence, config) ? corrections.describe_corrections()
-                                                   : describe_path_length(registration.world_from_vehicle),
-        loops_text));
-    if (const std::string warning = corrections.format_warning_if_corrections_large();
-        has_usable_vehicle_poses(sequence, config) && !warning.empty()) {
+    session.report_line(
+        fmt::format("scans registered: {:.0f} % of the points are on planes that several scans have "
+                    "observed, with a mean distance of {:.3f} m from these planes; {}{}",
+                    100.0 * registration.on_planes, registration.rounds.back().residual_m,
+                    has_usable_poses(sequence, config) ? corrections.describe()
+                                                       : describe_length(registration.world_from_vehicle),
+                    loops_text));
+    if (const std::string warning = corrections.describe_large();
+        has_usable_poses(sequence, config) && !warning.empty()) {
         session.report_line(warning);
         sequence.notes.push_back(warning);  // the command `info` prints notes
     }
-    report_or_reject_unregistered_scans(sequence, registration, config, session);
+    report_unregistered(sequence, registration, config, session);
     return registration;
 }
 
-void register_and_set_vehicle_poses(LidarSequence& sequence, const TrainTestSplit& split,
-                                    const Config& config, const LogPreparationCallbacks& session) {
-    RegistrationResult registration = register_log_scans(sequence, split, config, session);
+void register_vehicle(Log& sequence, const Split& split, const Config& config,
+                      const LogPreparationCallbacks& session) {
+    RegistrationResult registration = register_log(sequence, split, config, session);
     if (!registration.done) registration.world_from_vehicle.pose.clear();
-    PoseTrack track{sequence.world_from_vehicle.time_s, session.group.broadcast_from_first_process(
-                                                            std::move(registration.world_from_vehicle.pose))};
-    if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
+    PoseTrack track{sequence.world_from_vehicle.time_s,
+                    session.group.broadcast(std::move(registration.world_from_vehicle.pose))};
+    if (!track.pose.empty()) set_trajectory(sequence, std::move(track));
 }
 
-void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit& split,
-                                  const SensorConfig& config, const LogPreparationCallbacks& session) {
-    const std::size_t n = sequence.count_beams_of_all_lidars();
-    if (n > 1 && config.is_calibration_enabled_for("range")) {
-        const RangeCalibrationResult calibration = fit_and_set_range_offset_of_beams(sequence, split.train);
+void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& config,
+                       const LogPreparationCallbacks& session) {
+    const std::size_t n = sequence.count_beams();
+    if (n > 1 && config.calibrates("range")) {
+        const RangeCalibrationResult calibration = calibrate_ranges(sequence, split.train);
         session.report_line(fmt::format(
             "range calibration of {} beams ({:.1f} million returns): the mean distance of points from planes "
             "is {:.1f} mm without and {:.1f} mm with a range offset for each beam; {}",
@@ -160,15 +158,13 @@ void calibrate_beam_range_offsets(LidarSequence& sequence, const TrainTestSplit&
     }
 }
 
-void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
-                           const LogPreparationCallbacks& session) {
-    const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, split.train);
+void calibrate_intensities(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
+    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format(
         "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle of 60 "
         "degrees, relative to 10 m and 0 degrees",
-        r.compute_intensity_factor_at_range(40.0) / r.compute_intensity_factor_at_range(10.0),
-        r.compute_intensity_factor_at_incidence(0.5));
+        r.range_factor(40.0) / r.range_factor(10.0), r.incidence_factor(0.5));
     const std::string start = fmt::format(
         "intensity calibration ({:.1f} million returns): intensities of the same surface differ by {:.3f} "
         "(RMS)",
@@ -182,38 +178,38 @@ void calibrate_intensities(LidarSequence& sequence, const TrainTestSplit& split,
                           calibration.shared ? fall : ""));
 }
 
-void report_range_noise(const LidarSequence& sequence, const LogPreparationCallbacks& session) {
+void report_range_noise(const Log& sequence, const LogPreparationCallbacks& session) {
     for (const Lidar& lidar : sequence.lidars)
         if (!lidar.range_noise.sigma_m.empty())
             session.report_line(
                 fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on "
                             "surfaces perpendicular to the beam)",
                             lidar.name.empty() ? "" : " of " + lidar.name,
-                            1e3 * lidar.range_noise.get_range_noise_sigma_m(10.0, 1.0),
-                            1e3 * lidar.range_noise.get_range_noise_sigma_m(40.0, 1.0)));
+                            1e3 * lidar.range_noise.lookup_sigma_m(10.0, 1.0),
+                            1e3 * lidar.range_noise.lookup_sigma_m(40.0, 1.0)));
 }
 
 /// @throws Error with exit code 130
-void throw_if_interrupted(const LogPreparationCallbacks& session) {
+void check_interrupted(const LogPreparationCallbacks& session) {
     if (session.stop && session.stop())
         throw Error(ExitCode::interrupted,
                     "interrupted during the preparation of the log, before the training started");
 }
 
 /// The first process computes the results and sends them to the others.
-void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, const SensorConfig& config,
+void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& config,
                       const LogPreparationCallbacks& session) {
-    if (session.group.is_first_process()) {
-        throw_if_interrupted(session);
-        calibrate_beam_range_offsets(sequence, split, config, session);
-        throw_if_interrupted(session);
-        measure_and_set_range_noise(sequence, split.train);
+    if (session.group.is_first()) {
+        check_interrupted(session);
+        calibrate_offsets(sequence, split, config, session);
+        check_interrupted(session);
+        calibrate_noise(sequence, split.train);
         report_range_noise(sequence, session);
-        throw_if_interrupted(session);
-        if (config.is_calibration_enabled_for("intensity")) calibrate_intensities(sequence, split, session);
+        check_interrupted(session);
+        if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
     }
     const auto broadcast_from_first = [&](auto& values) {
-        values = session.group.broadcast_from_first_process(std::move(values));
+        values = session.group.broadcast(std::move(values));
     };
     for (Lidar& lidar : sequence.lidars) {
         broadcast_from_first(lidar.sensor.beams);
@@ -224,11 +220,10 @@ void calibrate_lidars(LidarSequence& sequence, const TrainTestSplit& split, cons
     broadcast_from_first(sequence.intensity_response.range_m);
     broadcast_from_first(sequence.intensity_response.factor);
     sequence.intensity_response.incidence =
-        session.group.broadcast_from_first_process(std::vector{sequence.intensity_response.incidence})
-            .front();
+        session.group.broadcast(std::vector{sequence.intensity_response.incidence}).front();
 }
 
-std::string describe_box_size_and_speed(const BoxTrack& box) {
+std::string describe_box(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
     return fmt::format(
@@ -240,14 +235,13 @@ std::string describe_box_size_and_speed(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& split,
-                             const LogPreparationCallbacks& session) {
+void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
-    const ProgressReporter progress = [&](std::string_view description, double done) {
-        throw_if_interrupted(session);
+    const Progress progress = [&](std::string_view description, double done) {
+        check_interrupted(session);
         if (session.progress) session.progress(description, done);
     };
-    for (BoxTrack& box : discover_moving_object_tracks(sequence, split.train, progress, session.group)) {
+    for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
             std::vector<std::string> sides;
             if (box.n_before > 0)
@@ -256,7 +250,7 @@ void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& spli
             extended.push_back(fmt::format("{} ({}) {}", box.id, box.category, fmt::join(sides, " and ")));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
-            movers.push_back(describe_box_size_and_speed(box));
+            movers.push_back(describe_box(box));
             sequence.boxes.push_back(std::move(box));
         }
     }
@@ -270,17 +264,15 @@ void discover_and_add_movers(LidarSequence& sequence, const TrainTestSplit& spli
 }
 
 /// Registers the points of moving boxes. The first process sends the poses to the others.
-void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& split,
-                             const LogPreparationCallbacks& session) {
+void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;
-    if (session.group.is_first_process())
+    if (session.group.is_first())
         registration = register_actors(sequence, split.train, [&](std::string_view description, double done) {
-            throw_if_interrupted(session);
+            check_interrupted(session);
             if (session.progress) session.progress(description, done);
         });
     for (BoxTrack& box : sequence.boxes)
-        box.world_from_box.pose =
-            session.group.broadcast_from_first_process(std::move(box.world_from_box.pose));
+        box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
     if (registration.n_actors == 0) return;
     session.report_line(fmt::format(
         "{} of {} moving boxes were aligned to their points and shifted by {:.3f} m (median); {} boxes have "
@@ -290,9 +282,9 @@ void refine_moving_box_poses(LidarSequence& sequence, const TrainTestSplit& spli
 
 }  // namespace
 
-RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config) {
+RegistrationOptions registration_options(const Log& sequence, const Config& config) {
     RegistrationOptions options;
-    options.use_pose_motion = has_usable_vehicle_poses(sequence, config);
+    options.use_pose_motion = has_usable_poses(sequence, config);
     // Treats all boxes as moving if vehicle poses are unknown, because the motion of a
     // box in the world is then also unknown.
     for (const BoxTrack& box : sequence.boxes)
@@ -300,23 +292,21 @@ RegistrationOptions make_registration_options(const LidarSequence& sequence, con
     return options;
 }
 
-void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                              LogPreparationCallbacks callbacks) {
-    if (!callbacks.report_line || !callbacks.group.is_first_process())
+void prepare_log(Log& sequence, const Split& split, const Config& config, LogPreparationCallbacks callbacks) {
+    if (!callbacks.report_line || !callbacks.group.is_first())
         callbacks.report_line = [](const std::string&) {};
-    if (!has_usable_vehicle_poses(sequence, config) && !should_register_sensor_poses(config.train))
+    if (!has_usable_poses(sequence, config) && !registers_sensors(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from the "
             "scans; use train.refine_poses=sensor");
-    begin_timed_stage_if_enabled(callbacks.stages, "register");
-    if (should_register_sensor_poses(config.train))
-        register_and_set_vehicle_poses(sequence, split, config, callbacks);
-    begin_timed_stage_if_enabled(callbacks.stages, "calibrate");
+    begin_stage(callbacks.stages, "register");
+    if (registers_sensors(config.train)) register_vehicle(sequence, split, config, callbacks);
+    begin_stage(callbacks.stages, "calibrate");
     calibrate_lidars(sequence, split, config.sensor, callbacks);
-    begin_timed_stage_if_enabled(callbacks.stages, "movers");
+    begin_stage(callbacks.stages, "movers");
     if (config.init.unlabelled_movers == UnlabelledMoverPolicy::actors)
-        discover_and_add_movers(sequence, split, callbacks);
-    if (should_register_sensor_poses(config.train)) refine_moving_box_poses(sequence, split, callbacks);
+        add_movers(sequence, split, callbacks);
+    if (registers_sensors(config.train)) refine_boxes(sequence, split, callbacks);
 }
 
 }  // namespace relidar

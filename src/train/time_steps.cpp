@@ -14,8 +14,8 @@ constexpr int kWarmUp = 5;
 
 }  // namespace
 
-TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int n_steps,
-                                     const std::function<bool()>& should_stop) {
+TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
+                                const std::function<bool()>& should_stop) {
     if (!run.scene.blocks.empty())
         fail<UsageError>(
             "cannot measure the training speed of {}: the run is divided into blocks; use a run that was "
@@ -27,17 +27,17 @@ TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int 
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.run_iteration(first + k);
-    loop.wait_for_iterations();
-    const std::map<std::string, KernelTimes::LaunchTotals> before = loop.get_training_kernel_times().totals;
+    loop.finish_steps();
+    const std::map<std::string, KernelTimes::LaunchTotals> before = loop.training_times().totals;
     TrainingStepTimes result;
     const auto start = std::chrono::steady_clock::now();
     for (; result.n_steps < n_steps && !(should_stop && should_stop()); ++result.n_steps)
         loop.run_iteration(first + kWarmUp + result.n_steps);
-    loop.wait_for_iterations();
+    loop.finish_steps();
     if (result.n_steps == 0) return result;
     result.wall_ms = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() /
                      result.n_steps;
-    for (const auto& [kernel, sum] : loop.get_training_kernel_times().totals) {
+    for (const auto& [kernel, sum] : loop.training_times().totals) {
         const auto earlier = before.find(kernel);
         const KernelTimes::LaunchTotals had =
             earlier == before.end() ? KernelTimes::LaunchTotals{} : earlier->second;
@@ -46,9 +46,9 @@ TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int 
                                   (sum.ms - had.ms) / result.n_steps};
         result.kernels_ms += result.kernels[kernel].ms;
     }
-    result.surfels = loop.get_surfel_count();
-    result.rays = loop.count_rays_of_last_batch();
-    result.stored_hits_per_ray = loop.get_max_stored_hits_per_ray();
+    result.surfels = loop.surfel_count();
+    result.rays = loop.last_batch_rays();
+    result.stored_hits_per_ray = loop.max_stored_hits();
     return result;
 }
 

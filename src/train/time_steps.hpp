@@ -37,7 +37,7 @@ inline constexpr int kMostTimedSteps = 500;
 /// @param n_steps  timed steps after a few warm-up steps, 1 to kMostTimedSteps
 /// @param should_stop  polled after each step
 /// @throws UsageError if the run has blocks; otherwise the same errors as train()
-TrainingStepTimes measure_step_times(Device& device, const TrainedRun& run, int n_steps,
-                                     const std::function<bool()>& should_stop = {});
+TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
+                                const std::function<bool()>& should_stop = {});
 
 }  // namespace relidar

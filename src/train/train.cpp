@@ -19,29 +19,29 @@ namespace relidar {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-double measure_seconds_since(Clock::time_point start) {
+double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-Scene make_initial_scene(const LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                         const TrainSession& session) {
-    SceneInitialisationOptions options = config.init;
+Scene initial_scene(const Log& sequence, const Split& split, const Config& config,
+                    const TrainSession& session) {
+    InitOptions options = config.init;
     options.seed = config.train.seed;
     // The ray-drop probability is a softmax of a hit and a drop logit (docs/method.md
     // M6). With `one_logit`, the hit logit is 0, and the initial probability is the same.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
-    Scene scene = initialise_scene(sequence, split.train, options, session.progress, &notes);
+    Scene scene = init_scene(sequence, split.train, options, session.progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
-    convert_to_primitive(scene.surfels, config.image.primitive, config.init.thickness);
+    convert_surfels(scene.surfels, config.image.primitive, config.init.thickness);
     return scene;
 }
 
 /// Training ignores the returns inside boxes of moving objects without surfels.
-void report_ignored_moving_boxes(const Scene& scene, const LidarSequence& sequence, const Config& config,
-                                 const TrainSession& session) {
-    const std::vector<BoxTrack> masked = find_boxes_without_model(scene, sequence, config.init);
+void report_ignored(const Scene& scene, const Log& sequence, const Config& config,
+                    const TrainSession& session) {
+    const std::vector<BoxTrack> masked = find_unmodelled(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
         fmt::format("points and losses in {} moving boxes are ignored: {}. Only classes in "
@@ -49,27 +49,24 @@ void report_ignored_moving_boxes(const Scene& scene, const LidarSequence& sequen
                     masked.size(), format_box_list(masked)));
 }
 
-void report_frames_not_kept_on_device(const TrainingFrames& frames, const Config& config,
-                                      const TrainSession& session) {
-    if (frames.count_resident_frames() == frames.get_all_frames().size() || !session.note) return;
-    session.note(fmt::format(
-        "{} of {} training frames fit into the device memory for frames (train.frame_memory_mib={}); the "
-        "others are uploaded whenever a step uses them",
-        frames.count_resident_frames(), frames.get_all_frames().size(), config.train.frame_memory_mib));
+void report_evicted(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
+    if (frames.count_resident() == frames.all().size() || !session.note) return;
+    session.note(
+        fmt::format("{} of {} training frames fit into the device memory for frames "
+                    "(train.frame_memory_mib={}); the others are uploaded whenever a step uses them",
+                    frames.count_resident(), frames.all().size(), config.train.frame_memory_mib));
 }
 
 /// The pose of a single sweep is not constrained relative to the other sweeps.
-Config disable_useless_pose_refinement(Config config, const LidarSequence& sequence,
-                                       const TrainTestSplit& split, const Scene& initial,
-                                       const TrainSession& session) {
+Config with_useful_poses(Config config, const Log& sequence, const Split& split, const Scene& initial,
+                         const TrainSession& session) {
     const auto get_sweep = [&](int frame) { return sequence.frames[std::size_t(frame)].index; };
     const auto is_in_first_sweep = [&](int frame) { return get_sweep(frame) == get_sweep(split.train[0]); };
     const auto report = [&](const char* note) {
         if (session.note) session.note(note);
     };
-    if (config.train.is_pose_refinement_enabled_for("sensor") &&
-        std::ranges::all_of(split.train, is_in_first_sweep)) {
-        config.train.refine_poses = config.train.is_pose_refinement_enabled_for("actors") ? "actors" : "none";
+    if (config.train.refines("sensor") && std::ranges::all_of(split.train, is_in_first_sweep)) {
+        config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
         report(
             "train.refine_poses=sensor has no effect, because training uses only one sweep, whose pose is "
             "fixed");
@@ -79,58 +76,57 @@ Config disable_useless_pose_refinement(Config config, const LidarSequence& seque
     return config;
 }
 
-void fill_training_result(TrainLoop& loop, Device& device, const LidarSequence& sequence,
-                          const TrainTestSplit& split, const Config& config, const TrainSession& session,
-                          TrainResult& result) {
+void fill_result(TrainLoop& loop, Device& device, const Log& sequence, const Split& split,
+                 const Config& config, const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
-    result.scene = loop.download_current_scene();
-    result.poses = loop.get_refined_poses();
-    begin_timed_stage_if_enabled(session.stages, "drops");
+    result.scene = loop.download_scene();
+    result.poses = loop.refined_poses();
+    begin_stage(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted)
-        result.scene.sensor_drop = loop.estimate_sensor_drop_rates(device, sequence);
-    begin_timed_stage_if_enabled(session.stages, "coverage");
+        result.scene.sensor_drop = loop.sensor_drop_rates(device, sequence);
+    begin_stage(session.stages, "coverage");
     const PoseTrack& poses = result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle;
-    result.coverage = compute_observed_coverage(
-        sequence, poses, split.train, replace_automatic_max_range(config, sequence).dataset.max_range_m);
+    result.coverage =
+        observe_coverage(sequence, poses, split.train, with_max_range(config, sequence).dataset.max_range_m);
     const std::vector<BoxTrack>& boxes = result.poses ? result.poses->boxes : sequence.boxes;
-    result.classes = compute_map_of_surface_classes(sequence, poses, boxes, split.train);
+    result.classes = map_classes(sequence, poses, boxes, split.train);
 }
 
 }  // namespace
 
-TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
-                  const Config& config, const TrainProgressCallback& progress, const TrainSession& session) {
+TrainResult train(Device& device, const Log& sequence, const Split& split, const Config& config,
+                  const TrainProgressCallback& progress, const TrainSession& session) {
     if (split.train.empty())
         fail("cannot train on {}: it has no training frames; expected at least one", sequence.name);
-    if (session.start) require_training_is_resumable(*session.start, sequence, split, config);
+    if (session.start) check_resume(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
-    begin_timed_stage_if_enabled(session.stages, "initialise");
-    const Scene initial = session.start ? read_checkpoint_scene(*session.start)
-                                        : make_initial_scene(sequence, split, config, session);
-    result.initialise_s = measure_seconds_since(begin);
-    report_ignored_moving_boxes(initial, sequence, config, session);
+    begin_stage(session.stages, "initialise");
+    const Scene initial =
+        session.start ? read_scene(*session.start) : initial_scene(sequence, split, config, session);
+    result.initialise_s = seconds_since(begin);
+    report_ignored(initial, sequence, config, session);
 
-    begin_timed_stage_if_enabled(session.stages, "train");
+    begin_stage(session.stages, "train");
     // must outlive the training loop, which stores a reference to these settings
-    const Config training_config = disable_useless_pose_refinement(config, sequence, split, initial, session);
+    const Config training_config = with_useful_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, training_config);
     if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
-    report_frames_not_kept_on_device(loop.get_training_frames(), config, session);
+    report_evicted(loop.training_frames(), config, session);
     if (session.start) {
-        loop.restore_training_state_from_checkpoint(*session.start);
-        read_training_log_and_times(*session.start, config, result);
+        loop.restore_from(*session.start);
+        read_log(*session.start, config, result);
     }
     CheckpointKeeper checkpoints(sequence, split, config, session);
     const Clock::time_point start = Clock::now();
     const double trained_before_s = result.train_s;
-    const auto trained_s = [&] { return trained_before_s + measure_seconds_since(start); };
+    const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
     const int log_every = std::max(1, config.train.log_every);
     bool stop = false;
     const auto collect_lines = [&] {
         for (const TrainLogLine& line : loop.take_log_lines()) {
-            append_training_log_line(result.log, line, config, trained_s());
+            append_log_line(result.log, line, config, trained_s());
             stop = (progress && !progress(result.log.back())) || stop;
         }
     };
@@ -140,21 +136,21 @@ TrainResult train(Device& device, const LidarSequence& sequence, const TrainTest
         loop.run_iteration(step, is_logged);
         collect_lines();
         stop = stop || (session.stop && session.stop());
-        if (!stop && !checkpoints.should_save_checkpoint(step)) continue;
-        loop.wait_for_iterations();
+        if (!stop && !checkpoints.is_due(step)) continue;
+        loop.finish_steps();
         collect_lines();  // A checkpoint includes the log lines.
-        checkpoints.save_training_state(loop, result, trained_s());
+        checkpoints.save_state(loop, result, trained_s());
     }
-    loop.complete_training();
+    loop.finish();
     collect_lines();
-    fill_training_result(loop, device, sequence, split, config, session, result);
+    fill_result(loop, device, sequence, split, config, session, result);
     result.train_s = trained_s();
-    result.times = loop.get_training_kernel_times();
-    result.peak_device_bytes = device.peak_allocated_bytes();
+    result.times = loop.training_times();
+    result.peak_device_bytes = device.peak_bytes();
     return result;
 }
 
-void move_result_into_run(TrainedRun& run, TrainResult& result) {
+void move_result(Run& run, TrainResult& result) {
     run.scene = std::move(result.scene);
     run.coverage = std::move(result.coverage);
     run.classes = std::move(result.classes);

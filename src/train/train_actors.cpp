@@ -19,16 +19,17 @@ namespace relidar {
 namespace {
 
 // Margin around the box of an actor. Rays inside the margin are also used.
-constexpr double kBeside_m = 0.5;
-constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
-constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
+constexpr double kBoxMargin_m = 0.5;
+constexpr double kMaxMotionPerBeam_m =
+    0.2;  // maximum distance that a sensor moves while its beam crosses an actor
+constexpr double kMaxHalfSweepMotion_m = 2.0;  // maximum distance that a sensor moves during half a sweep
 // Farther from its centre, a surfel is nearly transparent.
 constexpr double kReach_sigmas = 3.5;
 // Maximum number of surfels in the scene blocks of a section of the log, including
 // surfels that no ray to an actor can hit.
-constexpr std::size_t kTogether = 1'500'000;
+constexpr std::size_t kMaxSectionSurfels = 1'500'000;
 // Rays that the sensor drops more often carry no information about actors.
-constexpr float kBlind = 0.5f;
+constexpr float kMaxDropProbability = 0.5f;
 
 /// An actor in one sweep. `sensor_m` is the position when the LiDAR head faces the actor.
 struct ActorSighting {
@@ -37,35 +38,33 @@ struct ActorSighting {
     glm::dvec3 half_size_m;
 
     /// @param time_offset_s  firing time relative to the reference time of the sweep
-    bool is_box_hit_by_ray(const WorldRay& ray, double time_offset_s) const {
-        return is_enlarged_box_hit_by_ray(ray, time_offset_s, kBeside_m);
+    bool hits_box(const WorldRay& ray, double time_offset_s) const {
+        return hits_enlarged_box(ray, time_offset_s, kBoxMargin_m);
     }
     /// The sphere can be in front of the actor or behind it.
-    bool can_ray_to_actor_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
+    bool can_hit_sphere(const glm::dvec3& centre_m, double radius_m) const {
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
-        return is_enlarged_box_hit_by_ray({sensor_m, glm::normalize(centre_m - sensor_m)},
-                                          placed.motion.middle_s,
-                                          kBeside_m + kSweep_m + driven_length_m + radius_m);
+        return hits_enlarged_box({sensor_m, glm::normalize(centre_m - sensor_m)}, placed.motion.middle_s,
+                                 kBoxMargin_m + kMaxMotionPerBeam_m + driven_length_m + radius_m);
     }
 
 private:
-    bool is_enlarged_box_hit_by_ray(const WorldRay& ray, double time_offset_s, double margin_m) const {
-        const PosedBox box{
-            inverse(placed.motion.compute_pose_at_sweep_time(placed.world_from_model, time_offset_s)),
-            half_size_m};
-        const glm::dvec2 inside = box.compute_ray_entry_exit_m(ray, margin_m);
+    bool hits_enlarged_box(const WorldRay& ray, double time_offset_s, double margin_m) const {
+        const PosedBox box{inverse(placed.motion.pose_at(placed.world_from_model, time_offset_s)),
+                           half_size_m};
+        const glm::dvec2 inside = box.intersect_m(ray, margin_m);
         return inside.x <= inside.y;
     }
 };
 
 struct FrameWithSightings {
-    int position = 0;  ///< index into LidarSequence::frames
+    int position = 0;  ///< index into Log::frames
     glm::dvec3 sensor_m{0.0};
     double reach_m = 0.0;  ///< range of the farthest return in the frame
     std::vector<ActorSighting> sights;
 
-    bool can_rays_reach_block(const SceneBlock& block) const {
-        return block.count > 0 && block.compute_distance_to_box_m(sensor_m) <= reach_m + kAlong_m;
+    bool can_reach(const SceneBlock& block) const {
+        return block.count > 0 && block.distance_m(sensor_m) <= reach_m + kMaxHalfSweepMotion_m;
     }
 };
 
@@ -75,19 +74,17 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_index,
-                                               const std::vector<PoseTrack>& sensor_tracks) {
-    const LidarFrame& frame = run.sequence.frames[std::size_t(frame_index)];
+FrameWithSightings find_sightings(const Run& run, int frame_index,
+                                  const std::vector<PoseTrack>& sensor_tracks) {
+    const Frame& frame = run.sequence.frames[std::size_t(frame_index)];
     const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(frame.lidar)];
-    const std::vector<InstancePose> placed =
-        compute_instance_poses(run.scene, run.sequence, get_sweep_timing_of_frame(frame));
-    FrameWithSightings result{
-        frame_index, world_from_sensor.interpolate_pose(frame.time_s).translation, 0.0, {}};
+    const std::vector<InstancePose> placed = pose_instances(run.scene, run.sequence, timing_of(frame));
+    FrameWithSightings result{frame_index, world_from_sensor.pose_at(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
-        const BoxTrack* box = find_box_track_by_id(run.sequence, run.scene.instances[i].track);
+        const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
         if (!box || !placed[i].present) continue;
-        const ActorSighting sight{world_from_sensor.interpolate_pose(placed[i].time_s).translation, placed[i],
+        const ActorSighting sight{world_from_sensor.pose_at(placed[i].time_s).translation, placed[i],
                                   0.5 * box->size_m};
         if (glm::distance(sight.sensor_m, placed[i].world_from_model.translation) <
             result.reach_m + 0.5 * glm::length(box->size_m))
@@ -96,21 +93,20 @@ FrameWithSightings find_actors_in_sensor_range(const TrainedRun& run, int frame_
     return result;
 }
 
-/// Starts a new section if its blocks would have more than kTogether surfels. Each
+/// Starts a new section if its blocks would have more than kMaxSectionSurfels surfels. Each
 /// section has at least one frame.
-std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run,
-                                                           const std::vector<PoseTrack>& sensor_tracks) {
+std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> stretches(1);
     for (const int position : run.split.train) {
-        FrameWithSightings frame = find_actors_in_sensor_range(run, position, sensor_tracks);
+        FrameWithSightings frame = find_sightings(run, position, sensor_tracks);
         if (frame.sights.empty()) continue;
         std::set<std::size_t> reached, together = stretches.back().blocks;
         for (std::size_t i = 0; i < run.scene.blocks.size(); ++i)
-            if (frame.can_rays_reach_block(run.scene.blocks[i])) reached.insert(i);
+            if (frame.can_reach(run.scene.blocks[i])) reached.insert(i);
         together.insert(reached.begin(), reached.end());
         std::size_t n = 0;
         for (const std::size_t i : together) n += run.scene.blocks[i].count;
-        if (n > kTogether && !stretches.back().frames.empty()) {
+        if (n > kMaxSectionSurfels && !stretches.back().frames.empty()) {
             stretches.emplace_back();
             together = reached;
         }
@@ -121,9 +117,8 @@ std::vector<ActorTrainingSection> divide_log_into_sections(const TrainedRun& run
 }
 
 /// As a list without rows and columns, without rays that the sensor itself usually drops.
-Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
-                             const PoseTrack& world_from_sensor,
-                             const std::vector<ActorSighting>& visible_actors) {
+Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
+                       const std::vector<ActorSighting>& visible_actors) {
     const Scan& all = frame.scan;
     std::vector<std::size_t> nearby_ray_indices;
     Scan scan;
@@ -132,10 +127,10 @@ Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
             make_world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
         if (std::none_of(visible_actors.begin(), visible_actors.end(),
-                         [&](const ActorSighting& sight) { return sight.is_box_hit_by_ray(ray, after_s); }))
+                         [&](const ActorSighting& sight) { return sight.hits_box(ray, after_s); }))
             continue;
-        const auto beam = run.sequence.find_global_beam_number(frame.lidar, all.rays.channel[i]);
-        if (beam && run.scene.sensor_drop.get_drop_probability(*beam, all.rays.direction[i]) > kBlind)
+        const auto beam = run.sequence.find_global_beam(frame.lidar, all.rays.channel[i]);
+        if (beam && run.scene.sensor_drop.probability_of(*beam, all.rays.direction[i]) > kMaxDropProbability)
             continue;
         nearby_ray_indices.push_back(i);
         scan.range_m.push_back(all.range_m[i]);
@@ -145,36 +140,34 @@ Scan select_rays_near_actors(const TrainedRun& run, const LidarFrame& frame,
     return scan;
 }
 
-LidarSequence make_log_of_section(const TrainedRun& run, const ActorTrainingSection& section,
-                                  const std::vector<PoseTrack>& sensor_tracks) {
-    std::vector<LidarFrame> frames(section.frames.size());
+Log section_log(const Run& run, const ActorTrainingSection& section,
+                const std::vector<PoseTrack>& sensor_tracks) {
+    std::vector<Frame> frames(section.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         const FrameWithSightings& sighted = section.frames[std::size_t(index)];
-        const LidarFrame& from = run.sequence.frames[std::size_t(sighted.position)];
+        const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(from.lidar)];
         frames[std::size_t(index)] = {from.index, from.time_s,
-                                      select_rays_near_actors(run, from, world_from_sensor, sighted.sights),
+                                      select_actor_rays(run, from, world_from_sensor, sighted.sights),
                                       from.lidar, from.start};
     });
-    LidarSequence log = copy_without_frames(run.sequence);
-    for (LidarFrame& frame : frames)
+    Log log = strip_frames(run.sequence);
+    for (Frame& frame : frames)
         if (frame.scan.rays.columns > 0) log.frames.push_back(std::move(frame));
     return log;
 }
 
 /// Hit by a ray that passes near an actor, in front of it or behind it.
-Surfels select_surfels_on_rays_to_actors(const Surfels& surfels,
-                                         const std::vector<const FrameWithSightings*>& frames) {
+Surfels select_surfels(const Surfels& surfels, const std::vector<const FrameWithSightings*>& frames) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
-    parallel_for_in_blocks(surfels.size(), [&](std::size_t index) {
+    parallel_blocks(surfels.size(), [&](std::size_t index) {
         const glm::dvec3 mean = surfels.mean[index];
         const double reach_m =
             kReach_sigmas *
             std::exp(double(std::max(surfels.log_scale[index].x, surfels.log_scale[index].y)));
         is_selected[index] = std::any_of(frames.begin(), frames.end(), [&](const FrameWithSightings* frame) {
-            return std::any_of(frame->sights.begin(), frame->sights.end(), [&](const ActorSighting& s) {
-                return s.can_ray_to_actor_hit_sphere(mean, reach_m);
-            });
+            return std::any_of(frame->sights.begin(), frame->sights.end(),
+                               [&](const ActorSighting& s) { return s.can_hit_sphere(mean, reach_m); });
         });
     });
     std::vector<std::uint32_t> order;
@@ -189,32 +182,31 @@ struct SectionScene {
     double extent_m = 1.0;
 };
 
-SectionScene make_scene_of_section(const TrainedRun& run, const ActorTrainingSection& section) {
+SectionScene section_scene(const Run& run, const ActorTrainingSection& section) {
     std::vector<const FrameWithSightings*> all;
     for (const FrameWithSightings& frame : section.frames) all.push_back(&frame);
-    Surfels background =
-        select_surfels_on_rays_to_actors(run.scene.surfels.slice(0, run.scene.models.front().count), all);
-    double extent_m = section.blocks.empty() ? compute_robust_background_extent_m(run.scene) : 0.0;
+    Surfels background = select_surfels(run.scene.surfels.slice(0, run.scene.models.front().count), all);
+    double extent_m = section.blocks.empty() ? scene_extent_m(run.scene) : 0.0;
     for (const std::size_t i : section.blocks) {
-        const Scene block = make_background_scene(load_block_surfels(run.scene.blocks[i]));
+        const Scene block = wrap_background(load_block(run.scene.blocks[i]));
         std::vector<const FrameWithSightings*> nearby_frames;
         for (const FrameWithSightings& frame : section.frames)
-            if (frame.can_rays_reach_block(run.scene.blocks[i])) nearby_frames.push_back(&frame);
-        background.append_surfels(select_surfels_on_rays_to_actors(block.surfels, nearby_frames));
-        extent_m += compute_robust_background_extent_m(block) / double(section.blocks.size());
+            if (frame.can_reach(run.scene.blocks[i])) nearby_frames.push_back(&frame);
+        background.append_surfels(select_surfels(block.surfels, nearby_frames));
+        extent_m += scene_extent_m(block) / double(section.blocks.size());
     }
-    return {copy_scene_with_new_background(run.scene, background), extent_m};
+    return {replace_background(run.scene, background), extent_m};
 }
 
 /// Uses all rays, and does not refine poses or change the number of surfels.
-Config make_actor_training_config(const Config& config, std::size_t n_frames) {
+Config actor_config(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
     t.iterations = static_cast<int>(
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // select_rays_near_actors() has removed such rays
+    t.sensor_drop = false;  // select_actor_rays() has removed such rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
@@ -224,24 +216,24 @@ Config make_actor_training_config(const Config& config, std::size_t n_frames) {
 
 }  // namespace
 
-TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session) {
+TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session) {
     if (run.config.blocks.actor_epochs == 0 || run.scene.instances.size() < 2)
         return TrainingEndReason::finished;
     std::vector<PoseTrack> tracks;  // [lidars] one pose for each sweep of the log
     for (std::size_t l = 0; l < run.sequence.lidars.size(); ++l)
-        tracks.push_back(run.sequence.get_world_from_sensor(static_cast<int>(l)));
-    const std::vector<ActorTrainingSection> stretches = divide_log_into_sections(run, tracks);
+        tracks.push_back(run.sequence.lidar_track(static_cast<int>(l)));
+    const std::vector<ActorTrainingSection> stretches = divide_log(run, tracks);
     const std::uint32_t n_before = run.scene.models.front().count;
     const std::size_t n_actors = run.scene.surfels.size() - n_before;
     std::size_t n_frames = 0, done = 0;
     for (const ActorTrainingSection& stretch : stretches) n_frames += stretch.frames.size();
     for (const ActorTrainingSection& stretch : stretches) {
-        const LidarSequence log = make_log_of_section(run, stretch, tracks);
+        const Log log = section_log(run, stretch, tracks);
         if (log.frames.empty()) continue;
-        TrainTestSplit split;
+        Split split;
         for (std::size_t i = 0; i < log.frames.size(); ++i) split.train.push_back(static_cast<int>(i));
-        const auto [scene, extent_m] = make_scene_of_section(run, stretch);
-        const Config config = make_actor_training_config(run.config, log.frames.size());
+        const auto [scene, extent_m] = section_scene(run, stretch);
+        const Config config = actor_config(run.config, log.frames.size());
         TrainLoop loop(device, log, split, scene, config, scene.models.front().count, extent_m);
         for (int step = 1; step <= config.train.iterations; ++step) {
             loop.run_iteration(step);
@@ -250,9 +242,9 @@ TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrain
                              run.config.blocks.actor_epochs * static_cast<int>(n_frames));
             if (session.stop && session.stop()) return TrainingEndReason::stopped;
         }
-        loop.complete_training();
+        loop.finish();
         done += std::size_t(config.train.iterations);
-        const Scene trained = loop.download_current_scene();
+        const Scene trained = loop.download_scene();
         Surfels surfels = run.scene.surfels.slice(0, n_before);
         surfels.append_surfels(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
         run.scene.surfels = std::move(surfels);

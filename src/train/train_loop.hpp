@@ -25,17 +25,17 @@ namespace relidar {
 class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
-    std::size_t sample_next_frame_index();
+    std::size_t next_frame();
     /// Nothing at the end of an epoch, because the order of the next epoch is still
     /// unknown.
-    std::optional<std::size_t> peek_next_frame_index() const;
-    Random& get_random_generator() { return random_; }
+    std::optional<std::size_t> peek_frame() const;
+    Random& generator() { return random_; }
 
     template <class Visitor>
-    void visit_checkpoint_state(Visitor&& visit) {
+    void visit_state(Visitor&& visit) {
         visit("sampler/order", order_);
         visit("sampler/position", position_);
-        visit("sampler/random", random_.get_mutable_generator_state());
+        visit("sampler/random", random_.state());
     }
 
 private:
@@ -50,8 +50,8 @@ public:
     /// trained
     /// @param extent_m  of the background; if empty, it is computed from the initial
     /// scene
-    TrainLoop(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
-              const Scene& initial, const Config& config, std::uint32_t n_fixed_surfels = 0,
+    TrainLoop(Device& device, const Log& sequence, const Split& split, const Scene& initial,
+              const Config& config, std::uint32_t n_fixed_surfels = 0,
               std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
@@ -65,34 +65,33 @@ public:
     /// last 64 + kReadbackLag iterations
     void run_iteration(int step, bool is_last_of_log_interval = false);
     /// New since the last call. A line is available kReadbackLag iterations later, or
-    /// after wait_for_iterations().
+    /// after finish_steps().
     std::vector<TrainLogLine> take_log_lines() { return reports_.take_log_lines(); }
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
-    void wait_for_iterations();
+    void finish_steps();
     /// Waits for all iterations, then applies the pending pose updates.
-    void complete_training();
+    void finish();
     /// Waits for all iterations and saves the complete training state.
     /// @throws DataError if a loss of these iterations was not finite
-    void save_training_state_to_checkpoint(Checkpoint& checkpoint);
+    void save_to(Checkpoint& checkpoint);
     /// The loop must have been created with the scene and the log of the checkpoint.
     /// @throws DataError if an array is missing or has another shape
-    void restore_training_state_from_checkpoint(const Checkpoint& checkpoint);
+    void restore_from(const Checkpoint& checkpoint);
     /// Uses only rays for which the scene predicts a return. Waits for the device.
-    RayDropTable estimate_sensor_drop_rates(Device& device, const LidarSequence& sequence);
+    RayDropTable sensor_drop_rates(Device& device, const Log& sequence);
     /// nothing if no poses are refined
-    std::optional<RefinedPoses> get_refined_poses() const {
-        return refiner_.is_pose_refinement_enabled() ? std::optional(refiner_.get_refined_poses())
-                                                     : std::nullopt;
+    std::optional<RefinedPoses> refined_poses() const {
+        return refiner_.is_enabled() ? std::optional(refiner_.refined_poses()) : std::nullopt;
     }
-    Scene download_current_scene() { return renderer_.download_scene(); }
-    const KernelTimes& get_training_kernel_times() { return renderer_.stream().times(); }
-    std::uint32_t get_surfel_count() const { return renderer_.scene().size(); }
-    std::uint32_t count_rays_of_last_batch() const { return renderer_.get_last_rendered_batch().rays.n_rays; }
+    Scene download_scene() { return renderer_.download_scene(); }
+    const KernelTimes& training_times() { return renderer_.stream().times(); }
+    std::uint32_t surfel_count() const { return renderer_.scene().size(); }
+    std::uint32_t last_batch_rays() const { return renderer_.last_batch().rays.n_rays; }
     /// Maximum number of hits per ray that are stored for the backward pass. Training
     /// increases it if rays have more hits.
-    std::uint32_t get_max_stored_hits_per_ray() const { return renderer_.get_stored_hits_per_ray(); }
-    const TrainingFrames& get_training_frames() const { return frames_; }
+    std::uint32_t max_stored_hits() const { return renderer_.stored_hits_per_ray(); }
+    const TrainingFrames& training_frames() const { return frames_; }
 
 private:
     const Config& config_;
@@ -118,18 +117,17 @@ private:
 
     /// A state variable that is missing here is lost when training is resumed.
     template <class Visitor>
-    void visit_checkpoint_state(Visitor&& visit) {
-        visit("parameters", renderer_.scene().get_surfel_parameters());
-        visit("moment1", adam_.get_first_moments());
-        visit("moment2", adam_.get_second_moments());
-        if (adam_.get_upper_bounds_of_log_scales().size() > 0)
-            visit("max_log_scale", adam_.get_upper_bounds_of_log_scales());
+    void visit_state(Visitor&& visit) {
+        visit("parameters", renderer_.scene().surfel_parameters());
+        visit("moment1", adam_.first_moments());
+        visit("moment2", adam_.second_moments());
+        if (adam_.max_log_scales().size() > 0) visit("max_log_scale", adam_.max_log_scales());
         visit("extent_m", extent_m_);
-        reports_.visit_checkpoint_state(visit);
-        sampler_.visit_checkpoint_state(visit);
-        refiner_.visit_checkpoint_state(visit);
-        if (!densifier_.is_densification_enabled()) return;
-        visit("densify/extents_m", densifier_.get_model_extents_m());
+        reports_.visit_state(visit);
+        sampler_.visit_state(visit);
+        refiner_.visit_state(visit);
+        if (!densifier_.is_enabled()) return;
+        visit("densify/extents_m", densifier_.model_extents_m());
         SurfelStatistics& s = densifier_.statistics();
         visit("densify/gradient_sum", ArrayPrefix<float>{s.gradient_sum, renderer_.scene().size()});
         visit("densify/n_seen", ArrayPrefix<std::uint32_t>{s.n_observing_batches, renderer_.scene().size()});
@@ -141,19 +139,18 @@ private:
 
     /// Records the rays of a frame and the poses of its instances.
     /// @param surfels_changed  true if surfels have changed since the last frame
-    const TrainingFrameData& upload_frame_and_move_instances(std::size_t frame_index, bool surfels_changed);
-    void record_render_and_backward(const RayBatch& rays, const TargetBatch& targets,
-                                    const LossTermRow& loss_terms);
+    const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
+    void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& loss_terms);
     /// Checks losses and counters.
-    void check_iteration_reports_until(int last_step);
-    void start_iteration_report_readback(int step, bool is_last_of_log_interval);
+    void check_reports(int last_step);
+    void start_readback(int step, bool is_last_of_log_interval);
     /// Increases the capacity of the hit buffer if more than half of it was used.
     /// @throws DeviceError if a deterministic step exceeded the capacity
-    void increase_hit_capacity_if_needed(const IterationReports::IterationGroupReport& report);
+    void grow_hit_capacity(const IterationReports::IterationGroupReport& report);
     /// Rays with more hits than stored are slow, because they must be traced twice.
-    void increase_stored_hits_per_ray_if_needed(const IterationReports::IterationGroupReport& report);
-    void add_batch_to_drop_counts(RayDropCounts& counts, const LidarSequence& sequence,
-                                  const TrainingFrameData& frame, const SampledBatch& batch);
+    void resize_stored_hits(const IterationReports::IterationGroupReport& report);
+    void count_drops(RayDropCounts& counts, const Log& sequence, const TrainingFrameData& frame,
+                     const SampledBatch& batch);
 };
 
 }  // namespace relidar

@@ -44,7 +44,7 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
     const Nobody nobody;
     for (const auto& read :
          {std::function<void(const fs::path&)>([](const fs::path& p) { read_file(p); }),
-          std::function<void(const fs::path&)>([](const fs::path& p) { list_folder_entries(p); }),
+          std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
           std::function<void(const fs::path&)>([](const fs::path& p) { does_path_exist(p); })}) {
         EXPECT_THAT(get_data_error_message([&] { read(locked / "inside"); }),
                     test::Names("inside: Permission denied"));
@@ -52,11 +52,11 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
         EXPECT_THAT(get_data_error_message([&] { read(long_name); }), test::Names("File name too long"));
     }
     EXPECT_THAT(get_data_error_message([&] { read_file(file); }), test::Names("file: Permission denied"));
-    EXPECT_THAT(get_data_error_message([&] { list_folder_entries(locked); }),
+    EXPECT_THAT(get_data_error_message([&] { list_folder(locked); }),
                 test::Names("locked: Permission denied"));
     EXPECT_THAT(get_data_error_message([&] { read_file(folder / "nothing"); }),
                 test::Names("nothing: no such file"));
-    EXPECT_THAT(get_data_error_message([&] { list_folder_entries(folder / "nothing"); }),
+    EXPECT_THAT(get_data_error_message([&] { list_folder(folder / "nothing"); }),
                 test::Names("nothing: no such folder"));
     EXPECT_THAT(get_data_error_message([&] { read_file(folder); }), test::Names("file"));
     EXPECT_FALSE(does_path_exist(folder / "nothing"));
@@ -74,25 +74,24 @@ TEST_F(Files, AByteOrderMarkIsNoText) {
 }
 
 TEST_F(Files, NumbersInNames) {
-    EXPECT_EQ(parse_file_stem_as_number("0000000012"), 12);
-    EXPECT_EQ(parse_file_stem_as_number("00000000000000000007"), 7);
-    EXPECT_EQ(parse_file_stem_as_number("99999999"), 99999999);
+    EXPECT_EQ(parse_stem("0000000012"), 12);
+    EXPECT_EQ(parse_stem("00000000000000000007"), 7);
+    EXPECT_EQ(parse_stem("99999999"), 99999999);
     for (const char* none : {"", "100000000", "9999999999", "nan", "1e3", "-1", "1.5", " 1"})
-        EXPECT_FALSE(parse_file_stem_as_number(none)) << none;
+        EXPECT_FALSE(parse_stem(none)) << none;
 }
 
 TEST_F(Files, ExcerptsAreShortAndPrintable) {
-    EXPECT_EQ(shorten_for_error_message("a\tb\n"), "a?b?");
-    EXPECT_EQ(shorten_for_error_message(std::string(80, 'x')), std::string(80, 'x'));
-    EXPECT_EQ(shorten_for_error_message(std::string(1 << 20, 'x')), std::string(77, 'x') + "...");
+    EXPECT_EQ(quote("a\tb\n"), "a?b?");
+    EXPECT_EQ(quote(std::string(80, 'x')), std::string(80, 'x'));
+    EXPECT_EQ(quote(std::string(1 << 20, 'x')), std::string(77, 'x') + "...");
     // must not cut a multi-byte character
-    EXPECT_EQ(shorten_for_error_message(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')),
-              std::string(76, 'x') + "...");
+    EXPECT_EQ(quote(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')), std::string(76, 'x') + "...");
 }
 
 TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     const auto refused = [](const std::string& text) {
-        return get_data_error_message([&] { require_toml_nesting_within_limit(text, "f.toml"); });
+        return get_data_error_message([&] { check_toml_depth(text, "f.toml"); });
     };
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
@@ -102,7 +101,7 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), test::Names("key"));
     EXPECT_THAT(refused("a = " + std::string(9, '[')), test::Names("f.toml:1 ... brackets"));
     EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"), test::Names("f.toml:5 ... brackets"));
-    EXPECT_NO_THROW(require_toml_nesting_within_limit(
+    EXPECT_NO_THROW(check_toml_depth(
         "# ........................\na = \"..........\\\"..........\"\nb = '..........'\nc.d.e.f.g.h.i.j = "
         "1.5\n[k]\nl = [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
         "f.toml"));

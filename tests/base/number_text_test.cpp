@@ -62,26 +62,25 @@ TEST(NumberText, IsAsWritten) {
         {0.1, "0.1"},         {1e-9, "1e-09"},      {1e300, "1e+300"},  {1e15, "1e+15"},
         {10000.0, "10000.0"}, {100000.0, "1e+05"},  {1234.5, "1234.5"}, {-2.5e-7, "-2.5e-07"},
         {kInfinity, "inf"},   {-kInfinity, "-inf"}, {NAN, "nan"},       {-NAN, "nan"}};
-    for (const auto& [value, text] : expected) EXPECT_EQ(format_number_text(value), text);
-    EXPECT_EQ(format_number_text(0.1f), "0.1") << "as a double it would have 17 digits";
-    EXPECT_EQ(format_number_text(16777216.0f), "16777216.0");
+    for (const auto& [value, text] : expected) EXPECT_EQ(number_text(value), text);
+    EXPECT_EQ(number_text(0.1f), "0.1") << "as a double it would have 17 digits";
+    EXPECT_EQ(number_text(16777216.0f), "16777216.0");
 }
 
 TEST(NumberText, ReadsBackBitByBit) {
     for (const double x : make_many_numbers()) {
-        const std::string text = format_number_text(x);
+        const std::string text = number_text(x);
         EXPECT_EQ(bits<std::uint64_t>(std::strtod(text.c_str(), nullptr)), bits<std::uint64_t>(x)) << text;
         const auto y = static_cast<float>(x);
         if (!std::isfinite(y)) continue;
-        EXPECT_EQ(bits<std::uint32_t>(std::strtof(format_number_text(y).c_str(), nullptr)),
-                  bits<std::uint32_t>(y))
-            << format_number_text(y);
+        EXPECT_EQ(bits<std::uint32_t>(std::strtof(number_text(y).c_str(), nullptr)), bits<std::uint32_t>(y))
+            << number_text(y);
     }
 }
 
 TEST(NumberText, NoShorterTextWouldDo) {
     for (const double x : make_many_numbers()) {
-        const std::string text = format_number_text(x);
+        const std::string text = number_text(x);
         const std::size_t length = text.size() - (text.ends_with(".0") ? 2 : 0);
         for (int digits = 1; digits <= 17; ++digits) {
             char other[64];
@@ -95,7 +94,7 @@ TEST(NumberText, NoShorterTextWouldDo) {
 
 TEST(NumberText, IsARealNumberOfTomlAndJson) {
     for (const double x : make_many_numbers()) {
-        const std::string text = format_number_text(x);
+        const std::string text = number_text(x);
         const toml::table table = toml::parse("x = " + text);
         ASSERT_TRUE(table["x"].is_floating_point()) << text;
         EXPECT_EQ(bits<std::uint64_t>(table["x"].as_floating_point()->get()), bits<std::uint64_t>(x)) << text;
@@ -109,12 +108,12 @@ TEST(NumberText, IsARealNumberOfTomlAndJson) {
 TEST(NumberText, IsTheSameInEveryLocale) {
     const std::vector<double> numbers = make_many_numbers();
     std::vector<std::string> before;
-    for (const double x : numbers) before.push_back(format_number_text(x));
+    for (const double x : numbers) before.push_back(number_text(x));
     const test::CommaLocale comma;
     std::ostringstream stream;
     stream << 1234.5;
     ASSERT_EQ(stream.str(), "1.234,5") << "the locale is in force";
-    for (std::size_t i = 0; i < numbers.size(); ++i) EXPECT_EQ(format_number_text(numbers[i]), before[i]);
+    for (std::size_t i = 0; i < numbers.size(); ++i) EXPECT_EQ(number_text(numbers[i]), before[i]);
 }
 
 }  // namespace

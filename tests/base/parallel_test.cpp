@@ -69,7 +69,7 @@ TEST(ParallelFor, ThrowsTheFirstFailureAndBeginsNothingElse) {
             EXPECT_STREQ(error.what(), "7");
         }
         EXPECT_EQ(n_begun, n_ended);
-        EXPECT_LE(n_begun, 8 + int(get_max_parallel_threads()));
+        EXPECT_LE(n_begun, 8 + int(max_threads()));
     }
 }
 
@@ -89,7 +89,7 @@ TEST(ParallelFor, WorksInAFork) {
 
 TEST(ParallelFor, RunsOnTheCallingThreadWhereOneIsAllowed) {
     const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
-    EXPECT_EQ(get_max_parallel_threads(), 1u);
+    EXPECT_EQ(max_threads(), 1u);
     std::vector<int> order;
     std::vector<std::thread::id> threads;
     parallel_for(1000, [&](int index) {
@@ -135,7 +135,7 @@ TEST(ParallelFor, IsCompleteInACancelledTaskOfTheCaller) {
 TEST(ForEachBlock, MeetsEveryItemOnce) {
     for (const std::size_t n : {0, 1, 127, 128, 129, 5000, 1000003}) {
         std::vector<std::atomic<char>> met(n);
-        parallel_for_in_blocks(n, [&](std::size_t index) { ++met[index]; });
+        parallel_blocks(n, [&](std::size_t index) { ++met[index]; });
         EXPECT_TRUE(std::ranges::all_of(met, [](const std::atomic<char>& m) { return m == 1; })) << n;
     }
 }
@@ -148,13 +148,13 @@ TEST(ParallelReduce, AddsPartsInTheirOrder) {
             return *this;
         }
     };
-    const Text all = parallel_sum_over_ranges(10, 3, [](std::size_t begin, std::size_t end) {
+    const Text all = parallel_sum(10, 3, [](std::size_t begin, std::size_t end) {
         Text part;
         for (std::size_t i = begin; i < end; ++i) part.text += std::to_string(i);
         return part;
     });
     EXPECT_EQ(all.text, "0123456789");
-    EXPECT_EQ(parallel_sum_over_ranges(0, 3, [](std::size_t, std::size_t) { return 1; }), 0);
+    EXPECT_EQ(parallel_sum(0, 3, [](std::size_t, std::size_t) { return 1; }), 0);
 }
 
 /// Rounding makes a sum of floats depend on the order of its terms. The result must
@@ -175,8 +175,8 @@ TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
     for (const int n_threads : {1, 2, 3, 16})
         for (int repeat = 0; repeat < 10; ++repeat)
             with_threads(n_threads, [&] {
-                EXPECT_EQ(get_max_parallel_threads(), std::size_t(n_threads));
-                EXPECT_EQ(parallel_sum_over_ranges(kItems, kPart, sum), expected) << n_threads << " threads";
+                EXPECT_EQ(max_threads(), std::size_t(n_threads));
+                EXPECT_EQ(parallel_sum(kItems, kPart, sum), expected) << n_threads << " threads";
             });
 }
 
@@ -193,7 +193,7 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
     const std::thread::id caller = std::this_thread::get_id();
     double last = -1.0;
     std::atomic<int> n{0};
-    parallel_for_with_progress(
+    progress_for(
         200,
         [&](std::string_view description, double done) {
             EXPECT_EQ(description, "counting");
@@ -212,7 +212,7 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
         ++n;
         std::this_thread::sleep_for(std::chrono::microseconds(100));
     };
-    EXPECT_THROW(parallel_for_with_progress(1000000, stop, "counting", count_slowly), std::runtime_error);
+    EXPECT_THROW(progress_for(1000000, stop, "counting", count_slowly), std::runtime_error);
     EXPECT_LT(n, 1000000);
 }
 
@@ -220,7 +220,7 @@ TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     std::vector<std::uint64_t> keys;
     for (std::uint64_t i = 0; i < 200000; ++i) keys.push_back(hash_integer(hash_integer(i) % 30000));
     std::map<std::uint64_t, std::uint32_t> numbers;
-    const ItemCellIndices cells = number_cells_and_assign_items(keys);
+    const ItemCellIndices cells = number_cells(keys);
     const CellItemLists items(cells);
     for (std::size_t i = 0; i < keys.size(); ++i) {
         const auto expected =
@@ -231,12 +231,12 @@ TEST(CellNumbers, CountCellsAsTheyAreFirstNamed) {
     ASSERT_EQ(items.size(), numbers.size());
     std::size_t n = 0;
     for (std::size_t cell = 0; cell < items.size(); ++cell) {
-        EXPECT_TRUE(std::ranges::is_sorted(items.get_item_indices_of_cell(cell)));
-        for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) EXPECT_EQ(cells.of[i], cell);
-        n += items.get_item_indices_of_cell(cell).size();
+        EXPECT_TRUE(std::ranges::is_sorted(items.items_of(cell)));
+        for (const std::uint32_t i : items.items_of(cell)) EXPECT_EQ(cells.of[i], cell);
+        n += items.items_of(cell).size();
     }
     EXPECT_EQ(n, keys.size());
-    EXPECT_EQ(number_cells_and_assign_items({}).n_cells, 0u);
+    EXPECT_EQ(number_cells({}).n_cells, 0u);
 }
 
 }  // namespace

@@ -8,7 +8,7 @@
 #include <relidar/log/sensor.hpp>
 
 int main() {
-    std::printf("%zu rays\n", relidar::make_rays(relidar::make_kitti360_grid()).size());
+    std::printf("%zu rays\n", relidar::make_rays(relidar::kitti360_grid()).size());
     try {
         for (const relidar::DeviceInfo& device : relidar::list_devices())
             std::printf("device %d: %s\n", device.index, device.name.c_str());

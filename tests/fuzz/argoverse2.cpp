@@ -34,9 +34,9 @@ void read_feather(std::string_view input, const fs::path&) {
     for (const char* column : {"a", "b", "c", "d"}) {
         for (const int as : {0, 1, 2}) {
             try {
-                if (as == 0) table.read_number_column(column);
-                if (as == 1) table.read_integer_column(column);
-                if (as == 2) table.read_text_column(column);
+                if (as == 0) table.read_numbers(column);
+                if (as == 1) table.read_integers(column);
+                if (as == 2) table.read_texts(column);
             } catch (const DataError& error) {
                 failure = error.what();  // only the last failure is reported
             }

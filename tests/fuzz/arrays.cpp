@@ -25,7 +25,7 @@ std::vector<NamedArray> make_example_arrays() {
             make_array("none", {0, 4}, values, 0), make_text_array("names", {"background", "mover-1"})};
 }
 
-Scene make_small_scene() { return make_background_scene(make_example_surfels(3)); }
+Scene make_small_scene() { return wrap_background(make_example_surfels(3)); }
 
 template <auto Write>
 std::vector<std::string> written(const fs::path& folder) {
@@ -74,13 +74,13 @@ std::vector<Harness> list_array_harnesses() {
          [](std::string_view input, const fs::path&) { codecs::parse_npy("a", bytes_of(input)); }},
         {"safetensors", written<write_small_safetensors>,
          read_as_file<[](const fs::path& file) { read_safetensors(file); }>},
-        {"model", written<[](const fs::path& file) { save_scene_to_model_file(file, make_small_scene()); }>,
-         read_as_file<[](const fs::path& file) { load_scene_from_model_file(file); }>},
+        {"model", written<[](const fs::path& file) { save_model(file, make_small_scene()); }>,
+         read_as_file<[](const fs::path& file) { load_model(file); }>},
         {"checkpoint", written<[](const fs::path& file) {
              write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, make_number_arrays()});
          }>,
          read_as_file<[](const fs::path& file) { read_checkpoint(file); }>},
-        {"ply", written<[](const fs::path& file) { write_surfel_ply(file, make_small_scene()); }>,
+        {"ply", written<[](const fs::path& file) { write_surfels(file, make_small_scene()); }>,
          read_as_file<[](const fs::path& file) { read_surfel_ply(file, make_small_scene()); }>},
         // complete weights would have 10 MB
         {"lpips", written<write_small_safetensors>,

@@ -31,7 +31,7 @@ constexpr std::uint64_t kSecond_ns = 1000000000, kStart_ns = 1700000000 * kSecon
 template <class... T>
 std::string pack(T... numbers) {
     std::string bytes;
-    (append_binary_value(bytes, numbers), ...);
+    (append_raw(bytes, numbers), ...);
     return bytes;
 }
 
@@ -45,7 +45,7 @@ public:
     Draft& add(T... values) {
         const auto add_one = [&](auto value) {
             while (!is_ros1_ && bytes_.size() % sizeof(value) != 0) bytes_ += '\0';
-            append_binary_value(bytes_, value);
+            append_raw(bytes_, value);
         };
         (add_one(values), ...);
         return *this;
@@ -81,7 +81,7 @@ std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
         for (int ring = 0; ring < 4; ++ring) {
             const float azimuth = 3.14f - 0.2618f * float(column);
             for (const float v : {9.0f * std::cos(azimuth), 9.0f * std::sin(azimuth), 0.5f * float(ring)})
-                append_binary_value(points, v);
+                append_raw(points, v);
             points += pack(std::uint16_t(7), std::uint16_t(ring), 0.004f * float(column));
         }
     Draft draft(is_ros1);
@@ -265,13 +265,12 @@ std::vector<std::string> make_message_seeds(const fs::path&) {
 
 void read_turns(packets::PacketIndex& log, const std::vector<packets::ReceivedPacket>& views) {
     if (log.empty()) return;
-    log.sort_packets_and_find_revolutions();
-    log.describe_problems();
-    const SpinningSensor sensor = log.make_spinning_sensor_model();
-    for (const packets::PacketRevolution& revolution : log.get_revolutions())
-        log.decode_revolution(revolution,
-                              std::vector(log.find_messages_of_revolution(revolution).size(), views), sensor,
-                              revolution.forward_ns);
+    log.finish();
+    log.describe_faults();
+    const SpinningSensor sensor = log.make_sensor();
+    for (const packets::PacketRevolution& revolution : log.revolutions())
+        log.decode(revolution, std::vector(log.messages_of(revolution).size(), views), sensor,
+                   revolution.forward_ns);
 }
 
 void read_message(std::string_view input, const fs::path&) {
@@ -298,22 +297,21 @@ void read_message(std::string_view input, const fs::path&) {
     if (topic_type.starts_with("foxglove.")) encoding = "protobuf";
     const bag::BagTopic topic{"/t", topic_type, encoding};
     const std::string_view bytes = input.substr(1);
-    if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::cloud) {
-        const SharedBytes message = make_shared_bytes(std::string(bytes));
-        bag::make_point_table(bag::read_cloud_of_message(topic, message.bytes), message);
-    } else if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::packets) {
+    if (bag::find_purpose(topic) == bag::MessagePurpose::cloud) {
+        const SharedBytes message = share_bytes(std::string(bytes));
+        bag::to_point_table(bag::read_cloud(topic, message.bytes), message);
+    } else if (bag::find_purpose(topic) == bag::MessagePurpose::packets) {
         bag::MessageHeader header;
         packets::PacketIndex log;
-        const std::vector<packets::ReceivedPacket> views =
-            packets::read_packets_of_message(topic, bytes, 0, header);
-        for (int k = 0; k < 2; ++k) log.add_packets_of_message(views, 0, {}, {});
+        const std::vector<packets::ReceivedPacket> views = packets::read_packets(topic, bytes, 0, header);
+        for (int k = 0; k < 2; ++k) log.add_packets(views, 0, {}, {});
         read_turns(log, views);
-    } else if (bag::get_message_purpose_of_topic(topic) == bag::MessagePurpose::boxes) {
-        bag::read_boxes_of_message(topic, bytes);
+    } else if (bag::find_purpose(topic) == bag::MessagePurpose::boxes) {
+        bag::read_boxes(topic, bytes);
     } else if (topic_type == "std_msgs/String") {
-        packets::read_text_message(topic, bytes);
+        packets::read_std_string(topic, bytes);
     } else {
-        bag::read_transforms_of_message(topic, bytes);
+        bag::read_transforms(topic, bytes);
     }
 }
 
@@ -361,16 +359,15 @@ void read_ousters(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     codecs::ByteReader reader(input);
     packets::DecoderCalibration calibration;
-    calibration.ouster =
-        packets::parse_ouster_metadata(std::string(reader.read_length_prefixed_string()), "metadata");
+    calibration.ouster = packets::parse_metadata(std::string(reader.read_string()), "metadata");
     std::vector<packets::ReceivedPacket> views;
-    while (reader.count_remaining_bytes() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
+    while (reader.remaining() >= calibration.ouster->packet_bytes && views.size() < kMostPackets)
         views.push_back(
             {std::int64_t(views.size()) * 50000000, reader.read_bytes(calibration.ouster->packet_bytes)});
-    packets::find_ouster_metadata_of_packet({calibration.ouster}, "/ouster/lidar_packets",
-                                            views.empty() ? std::string_view() : views.front().bytes);
+    packets::find_metadata({calibration.ouster}, "/ouster/lidar_packets",
+                           views.empty() ? std::string_view() : views.front().bytes);
     packets::PacketIndex log;
-    log.add_packets_of_message(views, 0, {}, calibration);
+    log.add_packets(views, 0, {}, calibration);
     read_turns(log, views);
 }
 
@@ -427,17 +424,17 @@ void read_pcap(std::string_view input, const fs::path& folder) {
 void read_blocks(std::string_view input, const fs::path&) {
     constexpr std::size_t kMostPackets = 64;
     codecs::ByteReader reader(input);
-    const std::size_t bytes = std::max<std::size_t>(reader.read_little_endian_number<std::uint16_t>(), 1);
+    const std::size_t bytes = std::max<std::size_t>(reader.read_number<std::uint16_t>(), 1);
     std::vector<packets::ReceivedPacket> views;
     std::string run;
-    while (reader.count_remaining_bytes() >= bytes && views.size() < kMostPackets) {
+    while (reader.remaining() >= bytes && views.size() < kMostPackets) {
         const std::int64_t stamp_ns = std::int64_t(views.size()) * 50000000;
         views.push_back({stamp_ns, reader.read_bytes(bytes)});
         run += pack(stamp_ns) + sized(views.back().bytes);
     }
-    packets::make_livox_cloud_message(run, "livox");
+    packets::join_livox_packets(run, "livox");
     packets::PacketIndex log;
-    log.add_packets_of_message(views, 0, {}, {});
+    log.add_packets(views, 0, {}, {});
     read_turns(log, views);
 }
 

@@ -12,11 +12,11 @@
 #include <relidar/read/dataset.hpp>
 
 #include "changed_files.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/kitti/hdl64_rings.hpp"
 #include "read/datasets/kitti/kitti_360.hpp"
 #include "read/datasets/kitti/kitti_360_folder.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/kitti/log_files.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -87,20 +87,20 @@ void attempt_all(const std::vector<std::function<void()>>& readers) {
 }
 
 void read_texts(const Drive& drive, unsigned options) {
-    const std::vector<int> frames = kitti::list_scan_numbers(drive.folder() / "velodyne_points/data", 0, -1);
+    const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
-    attempt_all({[&] { kitti::read_median_sweep_duration_s(drive.folder()); },
+    attempt_all({[&] { kitti::read_sweep_s(drive.folder()); },
                  [&] {
-                     LidarSequence sequence;
-                     kitti::read_relative_frame_times_s(drive.folder() / "velodyne_points/timestamps.txt",
-                                                        frames, sequence);
+                     Log sequence;
+                     kitti::read_frame_times(drive.folder() / "velodyne_points/timestamps.txt", frames,
+                                             sequence);
                  },
                  [&] {
-                     if (options & kPosesFile) kitti::read_pose_matrices(drive.poses(), frames);
-                     else kitti::compute_lidar_poses_from_oxts_files(drive.folder(), frames);
+                     if (options & kPosesFile) kitti::read_matrices(drive.poses(), frames);
+                     else kitti::read_oxts_poses(drive.folder(), frames);
                  },
-                 [&] { kitti::split_points_into_rings(kitti::read_kitti_scan_points(drive.scan()).points); },
-                 [&] { kitti::read_tracklet_boxes(drive.folder() / "tracklet_labels.xml", frames, track); }});
+                 [&] { kitti::split_rings(kitti::read_kitti_scan(drive.scan()).points); },
+                 [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 
 void read_all_frames(const Drive& drive, unsigned options) {
@@ -164,11 +164,11 @@ void read_kitti_360(std::string_view input, const fs::path& folder) {
 
 void read_kitti_360_texts(std::string_view input, const fs::path& folder) {
     const Kitti360& kitti = make_kitti_360_in(folder);
-    static const std::vector<LidarFrame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
+    static const std::vector<Frame> frames{{0, 0.0, {}, 0}, {1, 0.1, {}, 0}, {2, 0.2, {}, 0}};
     kitti.files.read(input, [&](unsigned) {
-        attempt_all({[&] { kitti::read_median_time_step_s(kitti.folder.raw() / "timestamps.txt"); },
-                     [&] { kitti::read_poses_by_frame_number(kitti.folder.poses()); },
-                     [&] { kitti::read_kitti_360_boxes(kitti.folder.boxes(), frames); }});
+        attempt_all({[&] { kitti::read_time_step_s(kitti.folder.raw() / "timestamps.txt"); },
+                     [&] { kitti::read_numbered_poses(kitti.folder.poses()); },
+                     [&] { kitti::read_360_boxes(kitti.folder.boxes(), frames); }});
     });
 }
 

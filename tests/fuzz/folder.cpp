@@ -15,9 +15,9 @@
 #include <relidar/base/math.hpp>
 #include <relidar/read/dataset.hpp>
 
-#include "read/scans/folder_points.hpp"
 #include "read/files/point_table.hpp"
 #include "read/files/point_writers.hpp"
+#include "read/scans/folder_points.hpp"
 
 namespace relidar::fuzz {
 namespace {
@@ -70,7 +70,7 @@ void read_points(std::string_view input, const fs::path& folder) {
     if (ending == kEndings[3]) columns.push_back("timestamp");
     read::PointFileUnits units;
     units.intensity_max = 255.0;
-    read::convert_table_to_points(read::read_point_file(file, columns), units, 0.0, "scan");
+    read::convert_table(read::read_point_file(file, columns), units, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {
@@ -85,7 +85,7 @@ fs::path log_in(const fs::path& folder) {
 }
 
 std::vector<std::string> make_folder_seeds(const fs::path& folder) {
-    const LidarSequence street = make_synthetic_street({.n_frames = 2, .rows = 4, .columns = 16});
+    const Log street = make_street_log({.n_frames = 2, .rows = 4, .columns = 16});
     save_folder(street, folder / "saved", {.overwrite = true});
     std::string saved;
     for (const char* name : {"sequence.json", "poses.txt", "boxes.json"})

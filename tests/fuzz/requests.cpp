@@ -39,9 +39,7 @@ std::vector<std::string> make_request_seeds(const fs::path&) {
         R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
 }
 
-void read_request(std::string_view input, const fs::path&) {
-    (void)view::parse_browser_request(std::string(input));
-}
+void read_request(std::string_view input, const fs::path&) { (void)view::parse_request(std::string(input)); }
 
 #ifdef RELIDAR_FUZZ_VIEW
 
@@ -59,11 +57,11 @@ void read_head(std::string_view input, const fs::path&) {
         line = input.substr(0, input.find('\n'));
         input.remove_prefix(std::min(input.size(), line.size() + 1));
     }
-    (void)view::is_host_header_of_this_machine(lines[0], "machine");
-    (void)view::is_origin_missing_or_same_host(lines[1], lines[0]);
+    (void)view::is_this_machine(lines[0], "machine");
+    (void)view::is_same_origin(lines[1], lines[0]);
     const view::Credentials credentials{lines[0], lines[1], lines[2], lines[3]};
-    const bool shown = view::is_token_in_url_query(credentials, "0123456789abcdef") ||
-                       view::is_token_in_cookie_header(credentials, "0123456789abcdef", "relidar_8080");
+    const bool shown = view::has_query_token(credentials, "0123456789abcdef") ||
+                       view::has_cookie_token(credentials, "0123456789abcdef", "relidar_8080");
     const bool there =
         (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
     // aborts if access is granted although the request does not contain the token
@@ -74,14 +72,14 @@ void read_head(std::string_view input, const fs::path&) {
 #ifdef RELIDAR_FUZZ_SERVE
 
 struct Served {
-    std::vector<TrainedRun> outlines;
+    std::vector<Run> outlines;
     std::vector<serve::SceneSource> sources;
     serve::AssetCatalogue assets{{}};
     serve::SpawnedActorRegistry spawned{1};
 
     explicit Served(const fs::path& folder) : sources{{"town", folder}} {
-        TrainedRun run = make_example_run(folder);
-        run.scene = make_background_scene({});
+        Run run = make_example_run(folder);
+        run.scene = wrap_background({});
         for (const BoxTrack& box : run.sequence.boxes) {
             ModelInstance instance;
             instance.track = box.id;
@@ -126,20 +124,16 @@ void read_call(std::string_view input, const fs::path& folder) {
     serve::RequestReader reader(served.outlines, served.sources, served.assets, served.spawned);
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
-    const grpc::Status status = serve::call_and_convert_errors_to_status([&] {
-        if (call == 0)
-            (void)reader.convert_to_checked_render_request(parse_message<v1::RenderLidarRequest>(input));
-        if (call == 1)
-            (void)reader.convert_to_request_per_rig_sensor(parse_message<v1::RenderRigRequest>(input));
-        if (call == 2)
-            (void)reader.cache_uploaded_sensor(parse_message<v1::UploadSensorRequest>(input).sensor());
+    const grpc::Status status = serve::call_handler([&] {
+        if (call == 0) (void)reader.read_request(parse_message<v1::RenderLidarRequest>(input));
+        if (call == 1) (void)reader.read_rig(parse_message<v1::RenderRigRequest>(input));
+        if (call == 2) (void)reader.cache_sensor(parse_message<v1::UploadSensorRequest>(input).sensor());
         if (call == 3) {
             const auto request = parse_message<v1::GetTracksRequest>(input);
-            const std::size_t scene = reader.find_scene_index_or_throw(request.scene());
+            const std::size_t scene = reader.find_scene(request.scene());
             v1::GetTracksResponse answer;
-            serve::write_recorded_tracks(served.outlines[scene],
-                                         reader.find_lidar_index_or_throw(scene, request.lidar()),
-                                         request.actors(), answer);
+            serve::write_tracks(served.outlines[scene], reader.find_lidar(scene, request.lidar()),
+                                request.actors(), answer);
         }
     });
     check_status(status);
@@ -151,10 +145,8 @@ void read_frame(std::string_view input, const fs::path& folder) {
     static serve::SensorsimReader reader(served.outlines, scenes,
                                          serve::PoseTransformOrder::translation_first);
     silence_protobuf();
-    check_status(serve::call_and_convert_errors_to_status([&] {
-        (void)reader.convert_to_checked_render_request(
-            parse_message<serve::sensorsim::LidarRenderRequest>(input));
-    }));
+    check_status(serve::call_handler(
+        [&] { (void)reader.read_request(parse_message<serve::sensorsim::LidarRenderRequest>(input)); }));
 }
 
 std::vector<std::string> make_frame_seeds(const fs::path&) {

@@ -16,7 +16,7 @@ constexpr const char* kEndings[] = {"csv", "json", "npz"};
 constexpr std::size_t kMostMade = 20000;  // maximum number of rays that the test also creates
 
 void make(const SensorModel& sensor) {
-    const std::size_t n = summarise_scan_pattern(sensor.pattern).n_rays;
+    const std::size_t n = summarise_pattern(sensor.pattern).n_rays;
     if (n <= kMostMade) make_rays(sensor, 0.3);
 }
 

@@ -5,8 +5,8 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
@@ -21,12 +21,12 @@ namespace fs = std::filesystem;
 void read_config(std::string_view input, const fs::path& folder) {
     put(folder / "config.toml", input);
     Config config;
-    apply_config_file(config, folder / "config.toml");
+    apply_file(config, folder / "config.toml");
 }
 
 void read_street(std::string_view input, const fs::path& folder) {
     put(folder / "street.toml", input);
-    const SyntheticOptions street = read_synthetic_options(folder);
+    const StreetOptions street = load_street(folder);
     DatasetOptions one;
     one.frames = {0, 1};
     if (double(street.rows) * street.columns > 2000.0 && street.rows <= 256 && street.columns <= 8192) return;
@@ -35,37 +35,36 @@ void read_street(std::string_view input, const fs::path& folder) {
 
 /// Returns a run without the file of sweep azimuths, because this file depends on the
 /// sensor that an input changes. The harness "sweeps" reads the file.
-TrainedRun run_without_sweeps(const fs::path& folder) {
-    TrainedRun run = make_example_run(folder);
-    for (LidarFrame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
+Run run_without_sweeps(const fs::path& folder) {
+    Run run = make_example_run(folder);
+    for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
     return run;
 }
 
 void read_scene(std::string_view input, const fs::path& folder) {
-    static const TrainedRun run = [&] {
-        TrainedRun made = run_without_sweeps(folder / "run");
+    static const Run run = [&] {
+        Run made = run_without_sweeps(folder / "run");
         save_run(made);
         return made;
     }();
     put(run.folder / "scene.json", input);
-    const TrainedRun read = load_run(run.folder);
+    const Run read = load_run(run.folder);
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
-    for (const BoxTrack& box : read.sequence.boxes)
-        (void)box.is_observed_at_time(read.sequence.frames[0].time_s);
+    for (const BoxTrack& box : read.sequence.boxes) (void)box.is_observed(read.sequence.frames[0].time_s);
     for (const Lidar& lidar : read.sequence.lidars)  // creates the rays only if their number is small
-        if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) make_nominal_rays(lidar, 0.0);
-    split_frames_into_train_and_test(read.sequence, 10);
+        if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) make_lidar_rays(lidar, 0.0);
+    split_frames(read.sequence, 10);
 }
 
 std::vector<std::string> make_scene_seeds(const fs::path& folder) {
     save_run(run_without_sweeps(folder / "seed_run"));
     std::vector<std::string> seeds{read_contents(folder / "seed_run/scene.json")};
-    TrainedRun fixed = run_without_sweeps(folder / "seed_run");
+    Run fixed = run_without_sweeps(folder / "seed_run");
     fixed.sequence.lidars[0].sensor.beams.clear();
     fixed.sequence.lidars[0].sensor.columns = 0;
     for (const char* name : {"window-128", "rosette"}) {
-        fixed.sequence.lidars[0].pattern = get_non_spinning_pattern(find_sensor(name));
+        fixed.sequence.lidars[0].pattern = other_pattern(find_sensor(name));
         save_run(fixed);
         seeds.push_back(read_contents(folder / "seed_run/scene.json"));
     }
@@ -81,17 +80,17 @@ void read_sensor(std::string_view input, const fs::path& folder) {
 
 void read_track(std::string_view input, const fs::path& folder) {
     put(folder / "way.csv", input);
-    const PoseTrack track = read_trajectory_csv(folder / "way.csv");
-    (void)track.interpolate_pose(track.time_s.front() + 0.1);
+    const PoseTrack track = read_trajectory(folder / "way.csv");
+    (void)track.pose_at(track.time_s.front() + 0.1);
 }
 
 /// Builds TOML text from tokens. Each byte of the input selects a token.
 std::string format_toml(std::string_view input) {
     constexpr std::string_view kTokens =  // separated by |
-        "\n|\n| = | = |.|.|[|]|[[|]]|{|}|,|\"|'|\"\"\"|#|\\|\\u0000|\xC3\xA9|\xFF|\t|0|-1|1e308|"
-        "-1e308|1e-308|nan|inf|9223372036854775807|9223372036854775808|0x10|true|false|"
-        "1979-05-27|07:32:00|\"none\"|\"paper\"|preset|seed|n_frames|rows|columns|range_noise_m|"
-        "speed_mps|moving_cars|a";
+        "\n|\n| = | = "
+        "|.|.|[|]|[[|]]|{|}|,|\"|'|\"\"\"|#|\\|\\u0000|\xC3\xA9|\xFF|\t|0|-1|1e308|-1e308|1e-308|nan|inf|"
+        "9223372036854775807|9223372036854775808|0x10|true|false|1979-05-27|07:32:00|\"none\"|\"paper\"|"
+        "preset|seed|n_frames|rows|columns|range_noise_m|speed_mps|moving_cars|a";
     static const std::vector<std::string> tokens = [&] {
         std::vector<std::string> all(1);
         for (const char c : kTokens)
@@ -125,7 +124,7 @@ std::vector<Harness> list_text_harnesses() {
     return {
         {"config",
          [](const fs::path&) {
-             return std::vector{to_toml(make_preset_config("quick")),
+             return std::vector{to_toml(make_preset("quick")),
                                 std::string("preset = \"paper\"\n[loss]\ndepth = 0.5\n")};
          },
          read_config},

@@ -20,12 +20,11 @@
 namespace relidar {
 namespace {
 
-static_assert(get_unqualified_struct_name<shared::ImageLossParams>() == "ImageLossParams");
-static_assert(find_parameter_struct_name("diff/loss/image_loss") == "ImageLossParams",
-              "as its shader declares");
-static_assert(find_parameter_struct_name("diff/loss/surfel_loss") != "ImageLossParams",
+static_assert(struct_name<shared::ImageLossParams>() == "ImageLossParams");
+static_assert(params_name("diff/loss/image_loss") == "ImageLossParams", "as its shader declares");
+static_assert(params_name("diff/loss/surfel_loss") != "ImageLossParams",
               "so Kernel<ImageLossParams> of it does not compile");
-static_assert(find_parameter_struct_name("loss/image_los").empty(), "nor does a name that no kernel has");
+static_assert(params_name("loss/image_los").empty(), "nor does a name that no kernel has");
 
 template <class Rendered, class Targets>
 concept FillParameters = requires(Rendered rendered, Targets targets) {
@@ -86,7 +85,7 @@ static_assert(are_interchangeable(&shared::ActivateVjpParams::surfels, &shared::
               "gradients are arranged alike");
 
 // The meaning of an array is declared when it is created. Only address_as() and
-// cast_content_tag() can change the meaning, for memory that serves several purposes.
+// cast_tag() can change the meaning, for memory that serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&
@@ -101,14 +100,14 @@ TEST_F(AddressTest, NowhereIsWhatNoArrayHas) {
     const Array<glm::vec3> array(device(), 4, "test");
     const Address<glm::vec3> nowhere;
     EXPECT_NE(array.address(), nowhere);
-    EXPECT_EQ(get_device_address_or_null(&array), array.address());
+    EXPECT_EQ(address_or_null(&array), array.address());
     const Array<glm::vec3>* none = nullptr;
-    EXPECT_EQ(get_device_address_or_null(none), nowhere);
+    EXPECT_EQ(address_or_null(none), nowhere);
     EXPECT_EQ(Array<glm::vec3>().address(), nowhere);
     EXPECT_EQ(array.address_as<float>(1), array.address_as<float>(1));
     EXPECT_NE(array.address_as<float>(1), array.address_as<float>()) << "a part";
     const Array<float, shared::LossTerms> terms(device(), 4, "test");
-    EXPECT_EQ(terms.address(1).cast_content_tag<shared::SsimStatistics>(),
+    EXPECT_EQ(terms.address(1).cast_tag<shared::SsimStatistics>(),
               (terms.address_as<float, shared::SsimStatistics>(1)));
 }
 

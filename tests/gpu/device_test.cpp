@@ -43,7 +43,7 @@ protected:
         DeviceInfo device;
         device.vendor_id = vendor_id;
         device.type = type;
-        return list_gpus_without_driver({device}, folder);
+        return find_driverless({device}, folder);
     }
     static constexpr std::uint32_t kMesaCpu = 0x10005;  // VK_VENDOR_ID_MESA
 };
@@ -86,7 +86,7 @@ TEST_F(Gpu, MemoryIsCountedAndReturned) {
     {
         const Array<float> array(device(), 1 << 20, "test");
         EXPECT_GE(device().allocated_bytes(), before + (4u << 20));
-        EXPECT_GE(device().peak_allocated_bytes(), before + (4u << 20));
+        EXPECT_GE(device().peak_bytes(), before + (4u << 20));
     }
     EXPECT_EQ(device().allocated_bytes(), before);
 }
@@ -117,9 +117,9 @@ TEST_F(Gpu, MemoryLimitIsKept) {
     first = {};
     EXPECT_NO_THROW(Array<float>(limited, 3 << 19, "what fits now"));
     ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "1", 1);
-    Device by_environment(apply_environment_variables());
+    Device by_environment(apply_environment());
     ::setenv("RELIDAR_MEMORY_LIMIT_MIB", "much", 1);
-    EXPECT_THROW(apply_environment_variables(), UsageError);
+    EXPECT_THROW(apply_environment(), UsageError);
     EXPECT_NO_THROW(Device()) << "nobody asked for the environment";
     ::unsetenv("RELIDAR_MEMORY_LIMIT_MIB");
     EXPECT_THROW(Array<float>(by_environment, 1 << 19, "2 MiB"), DeviceError);
@@ -139,16 +139,16 @@ TEST_F(Gpu, FillsAreOrderedAndManySubmissionsOverlap) {
 
 TEST_F(Gpu, TimesKeepTheLastLaunchesAndTheTotalsOfAll) {
     KernelTimes times, later;
-    for (int i = 0; i < KernelTimes::kLast + 3; ++i) times.add_launch_time("fill", i < 3 ? 5.0 : 1.0);
-    EXPECT_EQ(times.milliseconds.at("fill"), std::vector<double>(KernelTimes::kLast, 1.0));
-    EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kLast + 3);
-    EXPECT_EQ(times.totals.at("fill").ms, KernelTimes::kLast + 15);
+    for (int i = 0; i < KernelTimes::kMaxTimes + 3; ++i) times.add_launch_time("fill", i < 3 ? 5.0 : 1.0);
+    EXPECT_EQ(times.milliseconds.at("fill"), std::vector<double>(KernelTimes::kMaxTimes, 1.0));
+    EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kMaxTimes + 3);
+    EXPECT_EQ(times.totals.at("fill").ms, KernelTimes::kMaxTimes + 15);
     later.add_launch_time("fill", 2.0);
     later.add_launch_time("copy", 3.0);
     times.add_times(later);
-    EXPECT_EQ(times.milliseconds.at("fill").size(), std::size_t(KernelTimes::kLast));
+    EXPECT_EQ(times.milliseconds.at("fill").size(), std::size_t(KernelTimes::kMaxTimes));
     EXPECT_EQ(times.milliseconds.at("fill").back(), 2.0);
-    EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kLast + 4);
+    EXPECT_EQ(times.totals.at("fill").launches, KernelTimes::kMaxTimes + 4);
     EXPECT_EQ(times.totals.at("copy").ms, 3.0);
 }
 
@@ -190,12 +190,12 @@ TEST_F(Gpu, ExtensionsOfRayQueryAreEnabledForRayQueryAlone) {
     };
     if (device().info().software) {
         const Device software({.index = device().info().index, .traversal = RayTracingBackend::software});
-        EXPECT_EQ(software.get_ray_tracing_backend(), RayTracingBackend::software);
+        EXPECT_EQ(software.backend(), RayTracingBackend::software);
         EXPECT_FALSE(has_ray_tracing(software));
     }
     if (device().info().ray_query) {
         const Device ray_query({.index = device().info().index, .traversal = RayTracingBackend::ray_query});
-        EXPECT_EQ(ray_query.get_ray_tracing_backend(), RayTracingBackend::ray_query);
+        EXPECT_EQ(ray_query.backend(), RayTracingBackend::ray_query);
         EXPECT_TRUE(has_ray_tracing(ray_query));
     } else {
         EXPECT_THROW(Device({.index = device().info().index, .traversal = RayTracingBackend::ray_query}),
@@ -212,43 +212,41 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     sizes.minSubgroupSize = 8;
     sizes.maxSubgroupSize = 32;
     gpu::OptionalFeatures optional;
-    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, optional),
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional),
               "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     optional.subgroup_size = true;
-    EXPECT_FALSE(gpu::can_request_full_subgroups_of_one_size(sizes, optional)) << "some lanes may be missing";
+    EXPECT_FALSE(gpu::can_fix_subgroup_size(sizes, optional)) << "some lanes may be missing";
     optional.full_subgroups = true;
-    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, optional), "");
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "");
     sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, {}), "") << "one size";
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "") << "one size";
     subgroup.supportedOperations &= ~VkSubgroupFeatureFlags(VK_SUBGROUP_FEATURE_SHUFFLE_BIT);
-    EXPECT_EQ(gpu::list_missing_software_traversal_features(subgroup, sizes, {}),
-              "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, {}), "subgroup shuffles in compute");
 }
 
 TEST_F(Gpu, NetworksNeedShufflesInKnownSubgroups) {
     VkPhysicalDeviceSubgroupProperties subgroup{};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{};
     sizes.minSubgroupSize = sizes.maxSubgroupSize = 8;
-    EXPECT_EQ(gpu::list_missing_neural_network_features(subgroup, sizes, {}), "subgroup shuffles in compute");
+    EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "subgroup shuffles in compute");
     subgroup.supportedOperations = VK_SUBGROUP_FEATURE_SHUFFLE_BIT;
-    EXPECT_EQ(gpu::list_missing_neural_network_features(subgroup, sizes, {}), "");
+    EXPECT_EQ(gpu::missing_for_networks(subgroup, sizes, {}), "");
     sizes.maxSubgroupSize = 32;
-    EXPECT_NE(gpu::list_missing_neural_network_features(subgroup, sizes, {}), "")
-        << "lanes of one size are not known";
+    EXPECT_NE(gpu::missing_for_networks(subgroup, sizes, {}), "") << "lanes of one size are not known";
 }
 
 TEST_F(Gpu, BestTraversalFollowsWhatADeviceHas) {
     DeviceInfo d;
     d.type = "discrete GPU";
-    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::automatic) << "neither";
+    EXPECT_EQ(best_backend(d), RayTracingBackend::automatic) << "neither";
     d.software = true;
-    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::software);
+    EXPECT_EQ(best_backend(d), RayTracingBackend::software);
     d.ray_query = true;
-    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::ray_query);
+    EXPECT_EQ(best_backend(d), RayTracingBackend::ray_query);
     d.type = "CPU";
-    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::software);
+    EXPECT_EQ(best_backend(d), RayTracingBackend::software);
     d.software = false;
-    EXPECT_EQ(choose_best_ray_tracing_backend(d), RayTracingBackend::ray_query);
+    EXPECT_EQ(best_backend(d), RayTracingBackend::ray_query);
 }
 
 }  // namespace

@@ -52,15 +52,15 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
         allocated_ranges[*offset] = n;
     }
     EXPECT_GT(n_refused, 100u) << "a full block was met";
-    EXPECT_FALSE(free.is_whole_block_free());
+    EXPECT_FALSE(free.is_all_free());
     for (const auto& [offset, n] : allocated_ranges) free.release_range(offset, n);
-    EXPECT_TRUE(free.is_whole_block_free());
+    EXPECT_TRUE(free.is_all_free());
     EXPECT_EQ(free.allocate_range(kBytes, 256), 0u) << "in one piece";
 }
 
 class GpuMemory : public test::DeviceTest {
 protected:
-    std::size_t n_blocks() { return device().impl().memory->count_memory_blocks(); }
+    std::size_t n_blocks() { return device().impl().memory->block_count(); }
 };
 
 TEST_F(GpuMemory, MoreArraysThanAllocations) {

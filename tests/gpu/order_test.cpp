@@ -42,7 +42,7 @@ TEST_F(PrefixSums, OfEverySize) {
                                                           "counts");
         const Array<std::uint32_t, shared::ScanPrefix> out(device(), Words(n + 64, kGuard), "prefix");
         const Array<std::uint32_t, shared::ScanTotal> total(device(), Words(2, kGuard), "total");
-        prefix_sum.reserve_scratch_memory(device(), n);
+        prefix_sum.reserve_scratch(device(), n);
         prefix_sum.run(stream, {in.address(), 1, stride}, out.address(), n, total.address());
         stream.submit_and_wait();
         Words expected;
@@ -59,11 +59,11 @@ TEST_F(PrefixSums, InPlace) {
     Stream stream(device());
     const std::uint32_t n = 70'000;
     PrefixSum prefix_sum(device());
-    prefix_sum.reserve_scratch_memory(device(), n);
+    prefix_sum.reserve_scratch(device(), n);
     Words counts = numbers(n, 9);
     const Array<std::uint32_t, shared::ScanCounts> array(device(), std::span<const std::uint32_t>(counts),
                                                          "counts");
-    prefix_sum.run(stream, {array.address()}, array.address().cast_content_tag<shared::ScanPrefix>(), n);
+    prefix_sum.run(stream, {array.address()}, array.address().cast_tag<shared::ScanPrefix>(), n);
     stream.submit_and_wait();
     std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
     EXPECT_EQ(array.download(), counts);
@@ -111,7 +111,7 @@ protected:
         });
         for (const std::uint32_t i : order)
             sorted.insert(sorted.end(), words.begin() + key_words * i, words.begin() + key_words * (i + 1));
-        const bool swapped = RadixSort::count_radix_passes(key_bits) % 2 == 1;
+        const bool swapped = RadixSort::pass_count(key_bits) % 2 == 1;
         EXPECT_EQ(result.keys, (swapped ? second : first).address());
         Words actual = (swapped ? second : first).download(),
               actual_order = (swapped ? second_order : first_order).download();

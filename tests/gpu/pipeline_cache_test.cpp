@@ -63,15 +63,14 @@ protected:
         std::size_t read_bytes;
     };
     static Opened open() {
-        Device opened(apply_environment_variables());
+        Device opened(apply_environment());
         const PrefixSum prefix_sum(opened);
-        return {opened.impl().pipeline_cache->path(),
-                opened.impl().pipeline_cache->get_loaded_cache_size_bytes()};
+        return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->loaded_bytes()};
     }
     /// Returns true if the driver stores pipelines, which means that its cache is longer
     /// than the Vulkan header.
     static bool is_cached_by_driver() {
-        Device opened(apply_environment_variables());
+        Device opened(apply_environment());
         std::size_t n_bytes = 0;
         const Device::Impl& impl = opened.impl();
         vkGetPipelineCacheData(impl.device, impl.pipeline_cache->handle(), &n_bytes, nullptr);
@@ -150,7 +149,7 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
 /// Equal kernels must share a pipeline per device, also if the second kernel is created
 /// later. Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
-    Device opened(apply_environment_variables());
+    Device opened(apply_environment());
     const auto n_made = [&] { return opened.impl().pipelines.by_key.size(); };
     const std::vector<SpecialisationConstant> of_64{{SpecialisationConstantId::WORKGROUP_SIZE, 64}},
         of_32{{SpecialisationConstantId::WORKGROUP_SIZE, 32}};
@@ -158,7 +157,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
                                  SubgroupRequirement subgroups = SubgroupRequirement::any) {
         return Kernel<shared::ListTouchedParams>(opened, "scene/list_touched", constants, subgroups)
             .impl()
-            .wait_for_compiled_pipeline();
+            .wait_for_pipeline();
     };
     const VkPipeline first = pipeline_of(of_64);
     EXPECT_NE(first, VK_NULL_HANDLE);
@@ -181,7 +180,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
 /// Creating a kernel must start the compilation of its pipeline in a different thread, as
 /// on a GPU. A kernel may be destroyed before its pipeline is ready, or may never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
-    Device opened(apply_environment_variables());
+    Device opened(apply_environment());
     opened.impl().compiles_ahead = true;
     const auto begin = [&](std::uint32_t size) {
         return std::make_unique<Kernel<shared::ListTouchedParams>>(
@@ -191,8 +190,8 @@ TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     const auto used = begin(32), alike = begin(32), unused = begin(64);
     begin(128);
     EXPECT_EQ(opened.impl().pipelines.by_key.size(), 3u);
-    EXPECT_NE(used->impl().wait_for_compiled_pipeline(), VK_NULL_HANDLE);
-    EXPECT_EQ(used->impl().wait_for_compiled_pipeline(), alike->impl().wait_for_compiled_pipeline());
+    EXPECT_NE(used->impl().wait_for_pipeline(), VK_NULL_HANDLE);
+    EXPECT_EQ(used->impl().wait_for_pipeline(), alike->impl().wait_for_pipeline());
     for (const auto& [key, made] : opened.impl().pipelines.by_key)
         EXPECT_EQ(made.get().result, VK_SUCCESS) << key;
 }

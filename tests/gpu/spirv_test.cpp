@@ -25,8 +25,8 @@ using Words = std::vector<std::uint32_t>;
 
 std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     std::vector<Words> result;
-    for_each_spirv_instruction(
-        words, [&](std::uint32_t, SpirvInstruction i) { result.emplace_back(i.begin(), i.end()); });
+    for_instructions(words,
+                     [&](std::uint32_t, SpirvInstruction i) { result.emplace_back(i.begin(), i.end()); });
     return result;
 }
 
@@ -48,7 +48,7 @@ std::string text_of(const Words& extension) {
 TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::vector<Words> before = instructions(kernel.words),
-                                 after = instructions(mark_parameter_block_read_only(kernel.words));
+                                 after = instructions(mark_params_readonly(kernel.words));
         std::vector<Words> added;
         std::size_t k = 0;
         for (const Words& instruction : after) {
@@ -67,7 +67,7 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels())
         for (const ExecutionMode& mode : {kSubgroupUniformControlFlow, kMaximallyReconverges}) {
             const std::vector<Words> before = instructions(kernel.words),
-                                     after = instructions(add_execution_mode_to_spirv(kernel.words, mode));
+                                     after = instructions(add_execution_mode(kernel.words, mode));
             ASSERT_FALSE(after.empty()) << kernel.name;
             int n_extensions = 0, n_modes = 0, last = 0;
             std::vector<Words> rest;
@@ -116,7 +116,7 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const auto [first, later] = count_parameter_loads(hoist_parameter_loads(kernel.words));
+        const auto [first, later] = count_parameter_loads(hoist_loads(kernel.words));
         EXPECT_GE(first, 1) << kernel.name;
         n_before += count_parameter_loads(kernel.words).second;
         n_later += later;
@@ -152,20 +152,17 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
 
 TEST(SpirvModes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return add_execution_mode_to_spirv(words, kSubgroupUniformControlFlow);
+        return add_execution_mode(words, kSubgroupUniformControlFlow);
     });
 }
 
 TEST(SpirvParameters, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) {
-        return hoist_parameter_loads(mark_parameter_block_read_only(words));
-    });
+    expect_valid(
+        [](std::span<const std::uint32_t> words) { return hoist_loads(mark_params_readonly(words)); });
 }
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) {
-        return hoist_parameter_loads(make_array_indices_nonuniform(words));
-    });
+    expect_valid([](std::span<const std::uint32_t> words) { return hoist_loads(make_nonuniform(words)); });
 }
 
 /// After the modification, every index into an array must be a sum. Indices of parameters
@@ -175,7 +172,7 @@ TEST(SpirvLanes, AreInEveryIndex) {
         std::uint32_t block = 0, block_pointer = 0;
         std::set<std::uint32_t> addresses, parameters, sums;
         int n_indices = 0;
-        for (const Words& i : instructions(make_array_indices_nonuniform(kernel.words))) {
+        for (const Words& i : instructions(make_nonuniform(kernel.words))) {
             const std::uint32_t opcode = i[0] & 0xffffu;
             if (is_parameter_block_name(opcode, i)) block = i[1];
             if (opcode == kOpTypePointer && i[2] == kPhysicalStorage) addresses.insert(i[1]);
@@ -195,17 +192,16 @@ TEST(SpirvLanes, AreInEveryIndex) {
 std::map<std::uint32_t, std::uint32_t> change_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](SpecialisationConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
-    for (const std::uint32_t id : list_specialisation_constant_ids(words))
+    for (const std::uint32_t id : list_constants(words))
         constants[id] = id == id_of(SpecialisationConstantId::CHUNK) ? 16u : 1u;
     constants.erase(id_of(SpecialisationConstantId::WORKGROUP_SIZE));
     return constants;
 }
 
 TEST(SpirvBranches, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) { return remove_constant_branches(words, {}); });
-    expect_valid([](std::span<const std::uint32_t> words) {
-        return remove_constant_branches(words, change_constants(words));
-    });
+    expect_valid([](std::span<const std::uint32_t> words) { return remove_branches(words, {}); });
+    expect_valid(
+        [](std::span<const std::uint32_t> words) { return remove_branches(words, change_constants(words)); });
 }
 
 /// spirv-opt replaces the constants and removes unreachable code.
@@ -238,7 +234,7 @@ TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::map<std::uint32_t, std::uint32_t> constants = change_constants(kernel.words);
         if (constants.empty()) continue;
-        const Words resolved_words = remove_constant_branches(kernel.words, constants);
+        const Words resolved_words = remove_branches(kernel.words, constants);
         EXPECT_TRUE(optimise_words(resolved_words, constants) == optimise_words(kernel.words, constants))
             << kernel.name;
         n_shorter += resolved_words.size() < kernel.words.size();

@@ -42,7 +42,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     for (std::uint32_t s = 0; s < kSubmissions; ++s) {
         Words values(kWords);
         std::iota(values.begin(), values.end(), 1000u * s);
-        stream.impl().record_buffer_write(words.buffer(), values.data(), 4 * kWords);
+        stream.impl().record_write(words.buffer(), values.data(), 4 * kWords);
         sums.emplace_back(device(), kLaunches, "sums");
         for (std::uint32_t i = 0; i < kLaunches; ++i)
             prefix_sum.run(stream, {words.address(), i, 1}, prefix.address(), 1, sums.back().address(i));
@@ -85,7 +85,7 @@ TEST_F(StreamTest, CopyThatIsMeasured) {
     stream.submit_and_wait();
     for (std::uint32_t i = kCopied; i < kAll; ++i) values[i] = glm::vec4(-1.0f);
     EXPECT_EQ(to.download(), values);
-    EXPECT_GT(measure_copy_bandwidth_bytes_per_s(device()).value_or(0.0),
+    EXPECT_GT(measure_bandwidth(device()).value_or(0.0),
               1e8);  // all memory is faster than this
 }
 
@@ -95,17 +95,17 @@ TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
     std::vector<ReadbackBuffer> readbacks;
     for (std::uint32_t i = 0; i < 8; ++i) {
         readbacks.emplace_back(device(), 400, "a test's values");
-        EXPECT_FALSE(readbacks.back().has_pending_copy());
+        EXPECT_FALSE(readbacks.back().is_pending());
         stream.fill(array, i);
-        readbacks.back().record_copy_to_host(stream, array.buffer(), 396, 4);
+        readbacks.back().record_copy(stream, array.buffer(), 396, 4);
         stream.fill(array, 77u);  // after the copy
-        EXPECT_TRUE(readbacks.back().has_pending_copy());
+        EXPECT_TRUE(readbacks.back().is_pending());
         stream.submit_commands();
     }
     for (std::uint32_t i = 8; i-- > 0;) {  // in reverse order
-        const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait_for_copied_bytes(stream));
+        const auto* values = static_cast<const std::uint32_t*>(readbacks[i].wait_for_bytes(stream));
         EXPECT_EQ(Words(values, values + 99), Words(99, i));
-        EXPECT_FALSE(readbacks[i].has_pending_copy());
+        EXPECT_FALSE(readbacks[i].is_pending());
     }
 }
 
@@ -114,12 +114,12 @@ TEST_F(StreamTest, ReadbacksAreUsedAgain) {
     Stream stream(device());
     ReadbackBuffer readback(device(), 4, "a test's value");
     for (std::uint32_t i = 0; i < 10; ++i) {
-        EXPECT_EQ(readback.has_pending_copy(), i > 0);
+        EXPECT_EQ(readback.is_pending(), i > 0);
         if (i > 0) {
-            EXPECT_EQ(*static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream)), i - 1);
+            EXPECT_EQ(*static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream)), i - 1);
         }
         stream.fill(array, i);
-        readback.record_copy_to_host(stream, array.buffer(), 4);
+        readback.record_copy(stream, array.buffer(), 4);
         stream.submit_commands();
     }
 }
@@ -128,13 +128,13 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
     const Array<std::uint32_t> array(device(), 10, "test");
     Stream stream(device());
     ReadbackBuffer readback(device(), 20, "a test's values");
-    EXPECT_THROW(readback.wait_for_copied_bytes(stream), Error) << "nothing recorded";
-    EXPECT_THROW(readback.record_copy_to_host(stream, array.buffer(), 24), Error) << "more than it can hold";
-    EXPECT_THROW(readback.record_copy_to_host(stream, array.buffer(), 20, 24), Error) << "more than there is";
-    readback.record_copy_to_host(stream, array.buffer(), 20, 20);
-    EXPECT_THROW(readback.wait_for_copied_bytes(stream), Error) << "not submitted";
+    EXPECT_THROW(readback.wait_for_bytes(stream), Error) << "nothing recorded";
+    EXPECT_THROW(readback.record_copy(stream, array.buffer(), 24), Error) << "more than it can hold";
+    EXPECT_THROW(readback.record_copy(stream, array.buffer(), 20, 24), Error) << "more than there is";
+    readback.record_copy(stream, array.buffer(), 20, 20);
+    EXPECT_THROW(readback.wait_for_bytes(stream), Error) << "not submitted";
     stream.submit_commands();
-    EXPECT_NE(readback.wait_for_copied_bytes(stream), nullptr);
+    EXPECT_NE(readback.wait_for_bytes(stream), nullptr);
 }
 
 /// Checks barriers with the synchronization validation of the Vulkan validation layer,
@@ -171,10 +171,10 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     stream.copy(a.buffer(), b.buffer(), 400);
     stream.fill(a, 4u);
     stream.submit_and_wait();
-    EXPECT_EQ(get_validation_message_count(watched), 0u) << "every launch but those of the scope waits";
+    EXPECT_EQ(validation_count(watched), 0u) << "every launch but those of the scope waits";
     EXPECT_EQ(b.download(), Words(100, 1u));
     EXPECT_EQ(c.download(), Words(100, 3u));
-    EXPECT_EQ(get_validation_message_count(watched), 0u);
+    EXPECT_EQ(validation_count(watched), 0u);
     EXPECT_EQ(stream.times().milliseconds.at("fill").size(), device().info().timestamps ? 4u : 0u);
     {
         const ConcurrentLaunchScope scope(stream);
@@ -183,7 +183,7 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
         EXPECT_THROW(stream.submit_commands(), Error) << "in an open scope";
     }
     stream.submit_and_wait();
-    EXPECT_GT(get_validation_message_count(watched), 0u) << "no barrier inside the scope";
+    EXPECT_GT(validation_count(watched), 0u) << "no barrier inside the scope";
 }
 
 TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
@@ -197,22 +197,22 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 1u);
-        lanes.select_command_sequence(1);
+        lanes.select_lane(1);
         {
             const ConcurrentLaunchScope scope(stream);  // a single step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
         copy(stream, 3, 5);
-        lanes.select_command_sequence(0);
+        lanes.select_lane(0);
         copy(stream, 0, 1);
         copy(stream, 1, 2);
-        lanes.select_command_sequence(1);
-        stream.impl().record_buffer_write(arrays[3].buffer(), Words(50, 7u).data(), 200);
+        lanes.select_lane(1);
+        stream.impl().record_write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
     stream.submit_and_wait();
-    EXPECT_EQ(get_validation_message_count(watched), 0u);
+    EXPECT_EQ(validation_count(watched), 0u);
     for (const auto& [array, value] :
          std::map<std::size_t, std::uint32_t>{{0, 2u}, {1, 1u}, {2, 1u}, {4, 3u}, {5, 2u}})
         EXPECT_EQ(arrays[array].download(), Words(100, value)) << array;
@@ -225,11 +225,11 @@ TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     {
         ConcurrentSequenceScope lanes(stream, 2);
         stream.fill(arrays[0], 5u);
-        lanes.select_command_sequence(1);
+        lanes.select_lane(1);
         stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.submit_and_wait();
-    EXPECT_GT(get_validation_message_count(watched), 0u) << "no barrier between lanes";
+    EXPECT_GT(validation_count(watched), 0u) << "no barrier between lanes";
 }
 
 TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
@@ -238,21 +238,21 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     ReadbackBuffer first(device(), 400, "a"), second(device(), 400, "b");
     {
         ConcurrentSequenceScope lanes(stream, 3);
-        lanes.select_command_sequence(2);
+        lanes.select_lane(2);
         stream.fill(a, 1u);
-        first.record_copy_to_host(stream, a.buffer(), 400);
+        first.record_copy(stream, a.buffer(), 400);
         stream.submit_and_wait();
         EXPECT_EQ(a.download(), Words(100, 1u));
-        EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait_for_copied_bytes(stream))[99], 1u);
+        EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait_for_bytes(stream))[99], 1u);
         stream.fill(b, 2u);
-        second.record_copy_to_host(stream, b.buffer(), 400);
-        EXPECT_THROW(lanes.select_command_sequence(3), Error);
+        second.record_copy(stream, b.buffer(), 400);
+        EXPECT_THROW(lanes.select_lane(3), Error);
         EXPECT_THROW(ConcurrentSequenceScope(stream, 2), Error) << "within others";
         const ConcurrentLaunchScope scope(stream);
-        EXPECT_THROW(lanes.select_command_sequence(0), Error) << "in an open scope";
+        EXPECT_THROW(lanes.select_lane(0), Error) << "in an open scope";
     }
     stream.submit_commands();
-    EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait_for_copied_bytes(stream))[99], 2u);
+    EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait_for_bytes(stream))[99], 2u);
     EXPECT_THROW(ConcurrentSequenceScope(stream, 0), Error);
 }
 
@@ -275,7 +275,7 @@ protected:
             device(), KernelName<shared::CopyParams>("gpu/copy"),
             std::vector<SpecialisationConstant>{{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}});
         piece_s_before = std::exchange(limit().piece_s, 0.1);
-        limit().get_kernel_speed("gpu/copy").update_speed_from_dispatch(1000, 1.0);
+        limit().speed_of("gpu/copy").add_dispatch(1000, 1.0);
     }
     void TearDown() override {
         if (copy) limit().piece_s = piece_s_before;
@@ -294,9 +294,8 @@ protected:
 
 /// The measured times must count a launch once, not once per piece.
 TEST_F(CutLaunches, DoTheSameWork) {
-    EXPECT_EQ(limit().get_kernel_speed("gpu/copy").choose_workgroups_per_dispatch(0.1), 100u);
-    EXPECT_EQ(limit().get_kernel_speed("unknown").choose_workgroups_per_dispatch(0.1),
-              gpu::KernelSpeed::kUnknownGroups);
+    EXPECT_EQ(limit().speed_of("gpu/copy").workgroups_for(0.1), 100u);
+    EXPECT_EQ(limit().speed_of("unknown").workgroups_for(0.1), gpu::KernelSpeed::kUnknownGroups);
     Stream stream(device(), true);
     for (const bool in_lane : {false, true}) {
         const auto to = target();
@@ -344,13 +343,13 @@ TEST_F(CutLaunches, ArraysOutliveAnException) {
 /// launches to be cut.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchTimeLimit limit;
-    EXPECT_FALSE(limit.has_dispatch_time_limit());
-    gpu::KernelSpeed& speed = limit.get_kernel_speed("kernel");
-    speed.update_speed_from_dispatch(10, 10.0);
-    EXPECT_EQ(speed.choose_workgroups_per_dispatch(1.0), 1u);
-    for (int i = 0; i < 50; ++i) speed.update_speed_from_dispatch(10, 0.1);
-    EXPECT_EQ(speed.choose_workgroups_per_dispatch(1.0), 100u);
-    EXPECT_DOUBLE_EQ(speed.estimate_dispatch_duration_s(200), 2.0);
+    EXPECT_FALSE(limit.has_limit());
+    gpu::KernelSpeed& speed = limit.speed_of("kernel");
+    speed.add_dispatch(10, 10.0);
+    EXPECT_EQ(speed.workgroups_for(1.0), 1u);
+    for (int i = 0; i < 50; ++i) speed.add_dispatch(10, 0.1);
+    EXPECT_EQ(speed.workgroups_for(1.0), 100u);
+    EXPECT_DOUBLE_EQ(speed.estimate_s(200), 2.0);
 }
 
 /// Launches of kernels that read the total number of workgroups must not be cut, because
@@ -366,7 +365,7 @@ TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
         const bool counts = text.find("thread_count()") != std::string::npos ||
                             text.find("gl_NumWorkGroups") != std::string::npos;
         const std::string name = fs::relative(entry.path(), shaders).replace_extension().generic_string();
-        EXPECT_EQ(gpu::can_split_kernel_launch(name), !counts) << name;
+        EXPECT_EQ(gpu::can_split(name), !counts) << name;
         n_counting_kernels += counts;
     }
     EXPECT_GE(n_counting_kernels, 4u);

@@ -25,22 +25,22 @@ protected:
         std::filesystem::remove_all(folder);
         if (IsSkipped() || HasFatalFailure()) return;
         options.index = device().info().index;
-        options.traversal = device().get_ray_tracing_backend();
+        options.traversal = device().backend();
         options.pipeline_cache = folder;
     }
     void TearDown() override {
-        gpu::set_injected_faults("");
-        set_device_open_callbacks({});
+        gpu::inject_faults("");
+        set_open_callbacks({});
         std::filesystem::remove_all(folder);
         test::DeviceTest::TearDown();
     }
     /// Installs a check that returns `result` and counts how often it is called.
     void check_gives(const DeviceTestResults& result) {
-        set_device_open_callbacks({[this, result](const DeviceOptions&) {
-                                       ++n_checks;
-                                       return result;
-                                   },
-                                   [this](const std::string& text) { notes.push_back(text); }});
+        set_open_callbacks({[this, result](const DeviceOptions&) {
+                                ++n_checks;
+                                return result;
+                            },
+                            [this](const std::string& text) { notes.push_back(text); }});
     }
     std::filesystem::path file() const {
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -56,26 +56,26 @@ protected:
 
 TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     if (device().info().float_atomics) {
-        EXPECT_EQ(test_atomic_adds_and_get_max_error(device(), false), 0.0);
+        EXPECT_EQ(test_atomic_adds(device(), false), 0.0);
     }
-    EXPECT_EQ(test_atomic_adds_and_get_max_error(device(), true), 0.0);
-    EXPECT_EQ(test_subgroups_and_describe_error(device()), "");
-    EXPECT_THAT(list_requestable_subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
+    EXPECT_EQ(test_atomic_adds(device(), true), 0.0);
+    EXPECT_EQ(test_subgroups(device()), "");
+    EXPECT_THAT(subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
 
 /// Simulates additions without atomics, which must lose some of the 256 additions to each
 /// sum. The check must detect this.
 TEST_F(TrustTest, ForcedFaultsAreFound) {
-    gpu::set_injected_faults("float_atomics");
+    gpu::inject_faults("float_atomics");
     if (device().info().float_atomics) {
-        EXPECT_GT(test_atomic_adds_and_get_max_error(device(), false), 0.1);
+        EXPECT_GT(test_atomic_adds(device(), false), 0.1);
     }
-    EXPECT_EQ(test_atomic_adds_and_get_max_error(device(), true), 0.0);
-    gpu::set_injected_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
-    EXPECT_GT(test_atomic_adds_and_get_max_error(device(), true), 0.1);
-    EXPECT_THAT(test_subgroups_and_describe_error(device()), HasSubstr("subgroupAdd: found"));
-    gpu::set_injected_faults("subgroups:128");
-    EXPECT_EQ(test_subgroups_and_describe_error(device()), "");
+    EXPECT_EQ(test_atomic_adds(device(), true), 0.0);
+    gpu::inject_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
+    EXPECT_GT(test_atomic_adds(device(), true), 0.1);
+    EXPECT_THAT(test_subgroups(device()), HasSubstr("subgroupAdd: found"));
+    gpu::inject_faults("subgroups:128");
+    EXPECT_EQ(test_subgroups(device()), "");
 }
 
 TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
@@ -105,10 +105,10 @@ TEST_F(TrustTest, DeviceIsCheckedOncePerProcessWithoutAFolder) {
         check_gives({.ray_query = CheckVerdict::right});
         { const Device first(options), second(options); }
         EXPECT_EQ(n_checks, 1) << cache;
-        gpu::set_injected_faults("float_swaps");
+        gpu::inject_faults("float_swaps");
         { const Device third(options); }
         EXPECT_EQ(n_checks, 2) << cache;
-        gpu::set_injected_faults("");
+        gpu::inject_faults("");
         { const Device fourth(options); }
         EXPECT_EQ(n_checks, 2) << cache;
     }
@@ -119,14 +119,14 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     check_gives({.float_atomics = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
-    EXPECT_EQ(choose_atomic_float_add_kernel_variant(opened).suffix, "@_swap");
+    EXPECT_EQ(atomic_variant(opened).suffix, "@_swap");
     EXPECT_THAT(notes, ElementsAre(test::Names("atomic additions ... gradients")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
     check_gives({.float_atomics = false, .float_swaps = false, .ray_query = CheckVerdict::right});
     const Device opened(options);
-    EXPECT_THROW(choose_atomic_float_add_kernel_variant(opened), DeviceError);
+    EXPECT_THROW(atomic_variant(opened), DeviceError);
     EXPECT_THAT(notes.back(), test::Names("train"));
 }
 
@@ -143,7 +143,7 @@ TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
     check_gives({.ray_query = CheckVerdict::wrong});
     options.traversal = RayTracingBackend::ray_query;
     const Device opened(options);
-    EXPECT_EQ(opened.get_ray_tracing_backend(), RayTracingBackend::software);
+    EXPECT_EQ(opened.backend(), RayTracingBackend::software);
     EXPECT_THAT(notes, ElementsAre(test::Names("search ... software")));
 }
 

@@ -51,9 +51,8 @@ protected:
 
     static void compile(RayTracingBackend traversal) {
         Device device({.traversal = traversal, .compile_only = true});
-        compile_all_pipelines(device);
-        pipelines_.insert(pipelines_.end(), device.get_pipeline_statistics().begin(),
-                          device.get_pipeline_statistics().end());
+        compile_pipelines(device);
+        pipelines_.insert(pipelines_.end(), device.statistics().begin(), device.statistics().end());
         suffixes_.insert(traversal == RayTracingBackend::software ? "@software_bvh" : "@ray_query");
         suffixes_.insert(device.info().float_atomics ? "_atomics" : "_swap");
     }

@@ -13,7 +13,7 @@ std::vector<int> test_frames(std::span<const BenchmarkSequence> parts, const cha
     DatasetOptions options;
     options.sequence = name;
     options.frames = frames;
-    return find_requested_drive_and_frames(options, parts).test_frames;
+    return find_drive(options, parts).test_frames;
 }
 
 using Frames = std::vector<int>;

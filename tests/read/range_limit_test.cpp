@@ -10,8 +10,8 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
-#include "read/files/point_writers.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/files/point_writers.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -55,8 +55,8 @@ protected:
     }
     /// Loads the log with a sensor whose beam table has additional columns. By default,
     /// the limits are those of the sensor, as in the presets of the program.
-    LidarSequence load(const std::string& names, const std::string& values,
-                       const DatasetOptions& options = {.max_range_m = INFINITY}) const {
+    Log load(const std::string& names, const std::string& values,
+             const DatasetOptions& options = {.max_range_m = INFINITY}) const {
         test::write_text(files.folder / "beams.csv",
                          fmt::format("elevation_deg{0}\n5{1}\n-5{1}\n", names, values));
         test::write_text(files.folder / "sequence.json",
@@ -65,15 +65,15 @@ protected:
                                      kColumns));
         return files.load(options);
     }
-    static std::size_t count_returns(const LidarSequence& log) {
+    static std::size_t count_returns(const Log& log) {
         std::size_t n = 0;
-        for (const LidarFrame& frame : log.frames) n += frame.scan.count_returns();
+        for (const Frame& frame : log.frames) n += frame.scan.count_returns();
         return n;
     }
 };
 
 TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
-    const LidarSequence log = load("", "");
+    const Log log = load("", "");
     EXPECT_EQ(log.lidars[0].sensor.max_range_m, 150.0);
     EXPECT_EQ(count_returns(log), std::size_t(2 * kColumns * kScans)) << "no return is lost";
     EXPECT_THAT(log.notes, Contains(Names("range ... farthest ... 150 m")));
@@ -81,12 +81,12 @@ TEST_F(RangeLimit, OfATableWithoutOneIsTheFarthestReturn) {
 }
 
 TEST_F(RangeLimit, OfATableCountsTheReturnsThatItExcludes) {
-    const LidarSequence far = load(",max_range_m", ",100");
+    const Log far = load(",max_range_m", ",100");
     EXPECT_EQ(far.lidars[0].sensor.max_range_m, 100.0);
     EXPECT_EQ(count_returns(far), std::size_t(2 * kColumns * kScans - 2));
     EXPECT_THAT(far.notes,
                 Contains(Names("2 of 144 returns (1.39 %) ... dropped ... 2 returns are beyond 100 m")));
-    const LidarSequence both = load(",min_range_m,max_range_m", ",1,100");
+    const Log both = load(",min_range_m,max_range_m", ",1,100");
     EXPECT_THAT(
         both.notes,
         Contains(Names("4 of 144 returns (2.78 %) ... 2 returns are beyond 100 m ... 2 ... nearer ... 1 m")));

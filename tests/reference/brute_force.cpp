@@ -24,7 +24,7 @@ std::vector<Hit> list_all_hits(const HitProvider& provider, const Ray& ray, int 
     return all;
 }
 
-BruteForce::BruteForce(const World& world, const ImageFormationModel& model, Precision precision)
+BruteForce::BruteForce(const World& world, const ImageModel& model, Precision precision)
     : model_(model), precision_(precision), instances_(world.instances) {
     for (const Placement& p : instances_) rows_.push_back(make_model_from_world_rows(p.world_from_model));
     for (const Surfel& s : world.surfels) {

@@ -7,7 +7,7 @@
 
 namespace relidar::reference {
 
-glm::dvec2 draw_standard_normal_pair(std::uint32_t key, std::uint32_t item, std::uint32_t draw) {
+glm::dvec2 normal_pair(std::uint32_t key, std::uint32_t item, std::uint32_t draw) {
     std::array<std::uint32_t, 4> v{key, item, draw, 0};
     for (std::uint32_t& x : v) x = x * 1664525u + 1013904223u;
     const auto mix = [&] {
@@ -44,9 +44,8 @@ Fate decide_fate(const DensifiedSurfel& surfel, double mean_gradient, const Dens
     if (rules.half_size.x > 0.0) {
         bool outside[2];
         for (std::uint32_t draw = 0; draw < 2; ++draw) {
-            const glm::dvec3 p =
-                glm::abs(sample_point(surfel, draw_standard_normal_pair(rules.key, item, draw),
-                                      draw_standard_normal_pair(rules.key, item, 4 + draw).x));
+            const glm::dvec3 p = glm::abs(sample_point(surfel, normal_pair(rules.key, item, draw),
+                                                       normal_pair(rules.key, item, 4 + draw).x));
             outside[draw] = p.x > rules.half_size.x || p.y > rules.half_size.y || p.z > rules.half_size.z;
         }
         if (outside[0] && outside[1]) return Fate::outside;

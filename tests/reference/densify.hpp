@@ -38,7 +38,7 @@ Fate decide_fate(const DensifiedSurfel& surfel, double mean_gradient, const Dens
                  std::uint32_t item);
 
 /// Returns two normal random numbers from PCG4D and Box-Muller.
-glm::dvec2 draw_standard_normal_pair(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
+glm::dvec2 normal_pair(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
 /// Returns a point of a surfel from coordinates in units of the surfel's scales. `z_w` is
 /// used only for a 3D Gaussian.

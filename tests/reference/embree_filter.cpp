@@ -65,7 +65,7 @@ struct Quad {
     double radius;
 };
 
-Quad make_proxy(const Surfel& surfel, const ImageFormationModel& model, const ProxyMargin& margin) {
+Quad make_proxy(const Surfel& surfel, const ImageModel& model, const ProxyMargin& margin) {
     const Activated a = activate(surfel);
     const double k = std::sqrt(2.0 * std::max(0.0, std::log(a.opacity / double(model.alpha_min))));
     const glm::dvec2 half = glm::min(k * a.scale * margin.scale + margin.pad_m, glm::dvec2(kMaxHalfSize));
@@ -82,13 +82,13 @@ struct EmbreeFilter::State {
         std::vector<std::uint32_t> ids;
     };
 
-    State(const World& world, const ImageFormationModel& image_model, const ProxyMargin& margin);
+    State(const World& world, const ImageModel& image_model, const ProxyMargin& margin);
     ModelScene build_model(const World& world, const Placement& placement, const ProxyMargin& margin);
     void fill(RTCGeometry mesh, const World& world, const std::vector<std::uint32_t>& ids,
               const ProxyMargin& margin);
     void place(std::uint32_t instance, RTCScene model_scene, const Pose& world_from_model);
 
-    ImageFormationModel model;
+    ImageModel model;
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
     std::vector<Placement> instances;
@@ -107,7 +107,7 @@ namespace {
 struct Query {
     Context context;
     const FloatRecord* records;
-    const ImageFormationModel* model;
+    const ImageModel* model;
     const std::vector<std::uint32_t>* const* ids;  // [instance]
     const LocalRay<float>* local;                  // [instance]
     HitKey after;
@@ -147,8 +147,7 @@ void on_candidate(const RTCFilterFunctionNArguments* args) {
 
 }  // namespace
 
-EmbreeFilter::State::State(const World& world, const ImageFormationModel& image_model,
-                           const ProxyMargin& margin)
+EmbreeFilter::State::State(const World& world, const ImageModel& image_model, const ProxyMargin& margin)
     : model(image_model) {
     for (const Surfel& s : world.surfels) records.push_back(make_float_record(s));
     rtcSetSceneFlags(top.handle, RTC_SCENE_FLAG_ROBUST);
@@ -209,7 +208,7 @@ void EmbreeFilter::State::place(std::uint32_t instance, RTCScene model_scene, co
     rtcAttachGeometryByID(top.handle, geometry.handle, instance);
 }
 
-EmbreeFilter::EmbreeFilter(const World& world, const ImageFormationModel& model, ProxyMargin margin)
+EmbreeFilter::EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin)
     : state_(std::make_unique<State>(world, model, margin)) {}
 
 EmbreeFilter::~EmbreeFilter() = default;

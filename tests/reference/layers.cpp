@@ -29,7 +29,7 @@ void for_each_product(const ImageBatch& to, int n_in, int taps, Visit&& visit) {
                     }
 }
 
-std::size_t get_weight_index(int o, int index, int tap, int n_in, int taps) {
+std::size_t weight_index(int o, int index, int tap, int n_in, int taps) {
     return (std::size_t(o) * n_in + index) * taps + tap;
 }
 
@@ -115,30 +115,27 @@ ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
         for_values(to, [&](int c, std::size_t index) { to.values[index] = bias[std::size_t(c)]; });
     for_each_product(to, from.channels, taps,
                      [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
-                         to.at(image, o, y, x) +=
-                             weights[get_weight_index(o, index, tap, from.channels, taps)] *
-                             from.at(image, index, source_y, source_x);
+                         to.at(image, o, y, x) += weights[weight_index(o, index, tap, from.channels, taps)] *
+                                                  from.at(image, index, source_y, source_x);
                      });
     return to;
 }
 
-ImageBatch backpropagate_convolution_input(const ImageBatch& d_to, const std::vector<double>& weights,
-                                           int n_in, int taps) {
+ImageBatch conv_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in, int taps) {
     ImageBatch d_from(d_to.n, n_in, d_to.rows, d_to.columns, d_to.circular);
     for_each_product(d_to, n_in, taps,
                      [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
                          d_from.at(image, index, source_y, source_x) +=
-                             weights[get_weight_index(o, index, tap, n_in, taps)] * d_to.at(image, o, y, x);
+                             weights[weight_index(o, index, tap, n_in, taps)] * d_to.at(image, o, y, x);
                      });
     return d_from;
 }
 
-std::vector<double> backpropagate_convolution_weights(const ImageBatch& from, const ImageBatch& d_to,
-                                                      int taps) {
+std::vector<double> conv_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps) {
     std::vector<double> d(std::size_t(d_to.channels) * from.channels * taps, 0.0);
     for_each_product(d_to, from.channels, taps,
                      [&](int image, int o, int index, int y, int x, int tap, int source_y, int source_x) {
-                         d[get_weight_index(o, index, tap, from.channels, taps)] +=
+                         d[weight_index(o, index, tap, from.channels, taps)] +=
                              d_to.at(image, o, y, x) * from.at(image, index, source_y, source_x);
                      });
     return d;
@@ -233,7 +230,7 @@ ImageBatch upsample(const ImageBatch& from, int rows, int columns) {
     return to;
 }
 
-ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns) {
+ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns) {
     ImageBatch d_from(d_to.n, d_to.channels, rows, columns, d_to.circular);
     for_mixed(d_to, d_from, [&](int y, int x, int v, int u, double weight) {
         for (int image = 0; image < d_to.n; ++image)
@@ -259,7 +256,7 @@ ImageBatch attend(const ImageBatch& qkv, int heads) {
     return to;
 }
 
-ImageBatch backpropagate_attention(const ImageBatch& qkv, int heads, const ImageBatch& d_to) {
+ImageBatch attention_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) {
     const int channels = qkv.channels / 3;
     ImageBatch d(qkv.n, qkv.channels, qkv.rows, qkv.columns);
     const auto add = [&](int image, int channel, std::size_t pixel, double value) {

@@ -48,12 +48,10 @@ struct ImageBatch {
 /// @param bias [n_out], or empty
 ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps);
-ImageBatch backpropagate_convolution_input(const ImageBatch& d_to, const std::vector<double>& weights,
-                                           int n_in, int taps);
+ImageBatch conv_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in, int taps);
 /// Returns the derivative of a convolution with respect to its weights.
 /// @return [d_to.channels, from.channels, number of kernel elements]
-std::vector<double> backpropagate_convolution_weights(const ImageBatch& from, const ImageBatch& d_to,
-                                                      int taps);
+std::vector<double> conv_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps);
 /// Returns the sum of each channel over all images, which is the derivative with respect
 /// to a bias.
 std::vector<double> compute_channel_sums(const ImageBatch& d_to);
@@ -90,12 +88,12 @@ ImageBatch backpropagate_pool(const ImageBatch& from, const ImageBatch& d_to);
 /// Resizes images bilinearly, with pixel centres at half steps. Rows are clamped at the
 /// border, and so are columns of images that are not circular.
 ImageBatch upsample(const ImageBatch& from, int rows, int columns);
-ImageBatch backpropagate_upsample(const ImageBatch& d_to, int rows, int columns);
+ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns);
 
 /// Applies attention. The channels of a pixel are the query, the key and the value.
 /// Within each of these, the channels of a head are contiguous.
 ImageBatch attend(const ImageBatch& qkv, int heads);
-ImageBatch backpropagate_attention(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
+ImageBatch attention_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
 
 struct DropEntropy {
     /// Loss and accuracy over pixels with a target. Both are 0 if no pixel has a target.

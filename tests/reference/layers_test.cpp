@@ -95,10 +95,9 @@ TEST(LayersReference, ConvolutionDerivatives) {
         ImageBatch d_output = make_random_images(2, 2, 2, 5, 3);
         from.circular = d_output.circular = circular;
         const auto value = [&, n_taps = taps] { return convolve(from, weights, {}, 2, n_taps).values; };
-        expect_derivative(from.values, backpropagate_convolution_input(d_output, weights, 3, taps).values,
-                          d_output.values, value);
-        expect_derivative(weights, backpropagate_convolution_weights(from, d_output, taps), d_output.values,
+        expect_derivative(from.values, conv_input_vjp(d_output, weights, 3, taps).values, d_output.values,
                           value);
+        expect_derivative(weights, conv_weights_vjp(from, d_output, taps), d_output.values, value);
     }
 }
 
@@ -123,7 +122,7 @@ TEST(LayersReference, ResamplingDerivatives) {
                       [&] { return pool(from).values; });
     for (const bool circular : {true, false}) {
         from.circular = large.circular = circular;
-        expect_derivative(from.values, backpropagate_upsample(large, 3, 5).values, large.values,
+        expect_derivative(from.values, upsample_vjp(large, 3, 5).values, large.values,
                           [&] { return upsample(from, 7, 11).values; });
     }
 }
@@ -131,7 +130,7 @@ TEST(LayersReference, ResamplingDerivatives) {
 TEST(LayersReference, AttentionDerivative) {
     ImageBatch qkv = make_random_images(2, 12, 2, 3, 11);
     const ImageBatch d_output = make_random_images(2, 4, 2, 3, 12);
-    expect_derivative(qkv.values, backpropagate_attention(qkv, 2, d_output).values, d_output.values,
+    expect_derivative(qkv.values, attention_vjp(qkv, 2, d_output).values, d_output.values,
                       [&] { return attend(qkv, 2).values; });
 }
 

@@ -35,7 +35,7 @@ struct PeerImage {
                 {"hit_logit", &hit_logit}, {"drop_logit", &drop_logit}, {"weight", &weight},
                 {"T", &transmittance}};
             for (const auto& [name, values] : named_members)
-                if (array.name == name) *values = array.convert_to_floats();
+                if (array.name == name) *values = array.to_floats();
         }
     }
 };
@@ -69,12 +69,12 @@ protected:
     void SetUp() override {
         path = get_shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
         if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not there";
-        surfels = test::to_reference(make_benchmark_street_surfels(100000));
+        surfels = test::to_reference(make_street_surfels(100000));
         world = {surfels, {{0, std::uint32_t(surfels.size()), {}}}};
     }
 
     Differences compare(const HitProvider& provider, const PeerImage& peer, std::size_t stride) const {
-        const std::vector<Ray> rays = test::to_reference(test::to_world_rays(make_benchmark_rays("kitti")));
+        const std::vector<Ray> rays = test::to_reference(test::to_world_rays(make_street_rays("kitti")));
         Differences differences;
         for (std::size_t i = 17; i < rays.size(); i += stride) {
             for (int axis = 0; axis < 3; ++axis)

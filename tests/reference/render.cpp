@@ -64,17 +64,17 @@ BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHi
             .intensity = hit.value[0],
             .hit_logit = hit.value[1],
             .drop_logit = hit.value[2],
-            .likelihood = evaluate_range_likelihood(settings, ray, hit.t).value};
+            .likelihood = range_likelihood(settings, ray, hit.t).value};
 }
 
 BlendedValues compute_slopes(const Settings& settings, const Ray& ray, const ShadedHit& hit) {
     BlendedValues slopes;
     slopes.depth = 1.0;
-    slopes.likelihood = evaluate_range_likelihood(settings, ray, hit.t).slope;
+    slopes.likelihood = range_likelihood(settings, ray, hit.t).slope;
     return slopes;
 }
 
-RangeKernel evaluate_range_likelihood(const Settings& settings, const Ray& ray, double t) {
+RangeKernel range_likelihood(const Settings& settings, const Ray& ray, double t) {
     if (!(ray.measured_m > 0.0)) return {};
     const double s = settings.likelihood_scale_m, d = t - ray.measured_m;
     const double both = s * s + d * d;

@@ -14,7 +14,7 @@
 namespace relidar::reference {
 
 struct Settings {
-    ImageFormationModel image;
+    ImageModel image;
     glm::dvec3 view_origin{0.0};       ///< metres, world: view origin for ShDirection::surfel
     double likelihood_scale_m = 0.05;  ///< s of M12
 };
@@ -53,7 +53,7 @@ struct RangeKernel {
     double value = 0.0;
     double slope = 0.0;  ///< dk/dt
 };
-RangeKernel evaluate_range_likelihood(const Settings& settings, const Ray& ray, double t);
+RangeKernel range_likelihood(const Settings& settings, const Ray& ray, double t);
 
 struct ShadedHit {
     Hit hit;

@@ -92,8 +92,7 @@ void backpropagate_gaussian(const Surfel& surfel, const LocalRay<double>& ray, c
     d_local.direction += precision * (2.0 * d_r2 * s.t * p + e * (q - 2.0 * s.t * d));
     const glm::dmat3 d_precision =
         d_r2 * glm::outerProduct(p, p) - 0.5 * e * (glm::outerProduct(d, p) + glm::outerProduct(p, d));
-    d_surfel.rotation +=
-        backpropagate_rotation_matrix(surfel.rotation, 2.0 * d_precision * a.rotation * diagonal);
+    d_surfel.rotation += rotation_vjp(surfel.rotation, 2.0 * d_precision * a.rotation * diagonal);
     const auto d_log_scale = [&](int k) {
         return -2.0 * inverse2[k] * glm::dot(a.rotation[k], d_precision * a.rotation[k]);
     };
@@ -122,7 +121,7 @@ void backpropagate_geometry(const Surfel& surfel, const LocalRay<double>& ray, c
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
     // dt/dn = (mean - hit) / (n.d)
     const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), -p * (d_t / facing));
-    d_surfel.rotation += backpropagate_rotation_matrix(surfel.rotation, d_rotation);
+    d_surfel.rotation += rotation_vjp(surfel.rotation, d_rotation);
 }
 
 /// Transforms gradients from the model's frame to the world frame. The point is x_m = R^T

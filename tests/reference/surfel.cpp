@@ -33,7 +33,7 @@ glm::dmat3 rotation_matrix(const glm::dvec4& quaternion) {
             glm::dvec3(2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))};
 }
 
-glm::dvec4 backpropagate_rotation_matrix(const glm::dvec4& quaternion, const glm::dmat3& d_rotation) {
+glm::dvec4 rotation_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation) {
     const double length = glm::length(quaternion);
     const glm::dvec4 q = quaternion / length;
     const double w = q[0], x = q[1], y = q[2], z = q[3];
@@ -207,12 +207,12 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
 }
 
 std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
-                                                  const ImageFormationModel& model) {
+                                                  const ImageModel& model) {
     return intersect_surfel_at_pose(record, ray, model);
 }
 
 std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
-                                                    const ImageFormationModel& model) {
+                                                    const ImageModel& model) {
     return intersect_surfel_at_pose(record, ray, model);
 }
 

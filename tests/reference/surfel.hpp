@@ -51,7 +51,7 @@ Activated activate(const Surfel& surfel);
 glm::dmat3 rotation_matrix(const glm::dvec4& quaternion);
 /// Returns dL/d(quaternion) from dL/dR (same layout as R: [column][row]). The result is
 /// perpendicular to the quaternion.
-glm::dvec4 backpropagate_rotation_matrix(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
+glm::dvec4 rotation_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
 
 /// Returns the real SH basis of 3D Gaussian Splatting: order l, m = -l..l, with the
 /// Condon-Shortley sign (-1)^m. The values are homogeneous polynomials of the direction,
@@ -182,7 +182,7 @@ PlaneHit<Real> meet(const Record<Real>& record, const LocalRay<Real>& ray) {
 /// record is finite, and sigma > alpha_min.
 template <typename Real>
 std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& record, const LocalRay<Real>& ray,
-                                                       const ImageFormationModel& model) {
+                                                       const ImageModel& model) {
     const PlaneHit<Real> hit = meet(record, ray);
     if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
     if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also true if alpha is NaN
@@ -196,8 +196,8 @@ std::optional<PlaneHit<Real>> intersect_surfel_at_pose(const Record<Real>& recor
 }
 
 std::optional<PlaneHit<float>> intersect_in_float(const FloatRecord& record, const LocalRay<float>& ray,
-                                                  const ImageFormationModel& model);
+                                                  const ImageModel& model);
 std::optional<PlaneHit<double>> intersect_in_double(const DoubleRecord& record, const LocalRay<double>& ray,
-                                                    const ImageFormationModel& model);
+                                                    const ImageModel& model);
 
 }  // namespace relidar::reference

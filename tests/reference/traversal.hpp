@@ -71,14 +71,14 @@ enum class Precision { float_record, double_record };
 
 class BruteForce : public HitProvider {
 public:
-    BruteForce(const World& world, const ImageFormationModel& model, Precision precision);
+    BruteForce(const World& world, const ImageModel& model, Precision precision);
     void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
                         std::vector<Hit>& hits) const override;
 
 private:
     void collect(const Ray& ray, const HitKey& after, std::vector<Hit>& hits) const;
 
-    ImageFormationModel model_;
+    ImageModel model_;
     Precision precision_;
     std::vector<Placement> instances_;
     std::vector<FloatRows> rows_;
@@ -98,7 +98,7 @@ struct ProxyMargin {
 /// finite or too transparent have no proxy. Half sizes are limited to 1e5 m.
 class EmbreeFilter : public HitProvider {
 public:
-    EmbreeFilter(const World& world, const ImageFormationModel& model, ProxyMargin margin = {});
+    EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin = {});
     ~EmbreeFilter() override;
     void find_next_hits(const Ray& ray, const HitKey& after, int chunk,
                         std::vector<Hit>& hits) const override;

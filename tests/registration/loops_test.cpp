@@ -17,11 +17,10 @@ LoopClosureResult close(const PoseTrack& track, const SubsampledScans& scans) {
     return close_loops(track, scans, {2.0, 0.5}, {0.5, 0.1}, [](double) { return true; });
 }
 
-SubsampledScans thin(const LidarSequence& log) {
+SubsampledScans thin(const Log& log) {
     RegistrationOptions movers;
     movers.movers = log.boxes;
-    return downsample_selected_sweeps(log, group_frames_into_sweeps(log),
-                                      std::vector<bool>(log.frames.size(), true), movers, 0.5);
+    return thin_sweeps(log, group_sweeps(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
 }
 
 /// Simulates the drift of odometry by rotating every step slightly sideways and down.
@@ -44,7 +43,7 @@ double gap_m(const PoseTrack& track, const PoseTrack& exact) {
 }
 
 TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
-    const LidarSequence drive = test::drive_around_block(300);
+    const Log drive = test::drive_around_block(300);
     const PoseTrack& exact = drive.world_from_vehicle;
     const PoseTrack drifted = bend_track(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
@@ -60,7 +59,7 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
 }
 
 TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
-    const LidarSequence log = make_synthetic_street({.n_frames = 160, .rows = 32, .columns = 256});
+    const Log log = make_street_log({.n_frames = 160, .rows = 32, .columns = 256});
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
     EXPECT_EQ(close(exact, scans).n_closures, 0u);

@@ -33,15 +33,15 @@ SurfaceHit intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& directio
 
 /// Makes three sweeps of 24 x 360 rays through the hall, without noise. Each ray has a
 /// separate firing time.
-LidarSequence drive() {
-    LidarSequence log;
+Log drive() {
+    Log log;
     for (int k = 0; k < 3; ++k) {
         log.world_from_vehicle.time_s.push_back(0.1 * k);
         log.world_from_vehicle.pose.push_back(
             {make_rotation(0.05 * k, 0.01 * k, -0.01), {1.0 * k, 0.1 * k, 0.0}});
     }
     for (int k = 0; k < 3; ++k) {
-        LidarFrame frame{k, 0.1 * k, {}};
+        Frame frame{k, 0.1 * k, {}};
         for (int i = 0; i < 24 * 360; ++i) {
             const double azimuth = (i / 24) * kPi / 180.0 - kPi, elevation = (i % 24) * 0.02 - 0.3;
             frame.scan.rays.origin.emplace_back(0.0f);
@@ -64,13 +64,13 @@ LidarSequence drive() {
     return log;
 }
 
-ScanAlignment placed(const LidarSequence& log, std::size_t pose, const RegistrationOptions& options = {}) {
-    return align_scan_with_scene(
+ScanAlignment placed(const Log& log, std::size_t pose, const RegistrationOptions& options = {}) {
+    return align_scan(
         log, pose,
         [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
-            const LidarFrame& frame = log.frames[std::size_t(position)];
+            const Frame& frame = log.frames[std::size_t(position)];
             const PoseTrack world_from_sensor =
-                compute_mounted_track(world_from_vehicle, log.get_lidar(frame).vehicle_from_sensor);
+                mount_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
             std::vector<SurfaceHit> surface_hits;
             for (const std::size_t i : rays) {
                 const WorldRay ray =
@@ -88,12 +88,12 @@ double compute_angle_between(const Pose& first, const Pose& second) {
 }
 
 TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
-    const LidarSequence exact = drive();
+    const Log exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
     // The first and the last sweep have rays beyond the ends of the track.
     for (const std::size_t position : {0u, 1u, 2u}) {
-        LidarSequence log = exact;
+        Log log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
         pose = apply_twist(pose, {metres(random), metres(random), metres(random), radians(random),
                                   radians(random), radians(random)});
@@ -109,8 +109,8 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
 }
 
 TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
-    const LidarSequence exact = drive();
-    LidarSequence log = exact;
+    const Log exact = drive();
+    Log log = exact;
     // a quarter of the returns
     for (std::size_t i = 0; i < log.frames[1].scan.range_m.size(); i += 4)
         log.frames[1].scan.range_m[i] *= 0.6f;
@@ -125,14 +125,14 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
 
 /// Makes the same drive with two LiDARs that measure different surfaces. The LiDAR
 /// `first` has only the returns of the two side walls.
-LidarSequence make_drive_of_two() {
-    LidarSequence log = drive();
+Log make_drive_of_two() {
+    Log log = drive();
     const Pose mounted{make_rotation(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
     log.lidars = {{"first", {}, {}}, {"second", {}, mounted}};
-    std::vector<LidarFrame> frames;
-    const PoseTrack second = log.get_world_from_sensor(1);
-    for (const LidarFrame& frame : log.frames) {
-        LidarFrame other = frame;
+    std::vector<Frame> frames;
+    const PoseTrack second = log.lidar_track(1);
+    for (const Frame& frame : log.frames) {
+        Frame other = frame;
         other.lidar = 1;
         frames.push_back(frame);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -152,8 +152,8 @@ LidarSequence make_drive_of_two() {
 }
 
 TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
-    const LidarSequence exact = make_drive_of_two();
-    LidarSequence log = exact;
+    const Log exact = make_drive_of_two();
+    Log log = exact;
     Pose& pose = log.world_from_vehicle.pose[1];
     pose = apply_twist(pose, {0.02, -0.03, 0.02, 2e-3, -1e-3, 2e-3});
     const Pose& truth = exact.world_from_vehicle.pose[1];
@@ -162,13 +162,13 @@ TEST(PlaceScan, LidarsThatSweepTogetherArePlacedTogether) {
     EXPECT_LT(glm::distance(both.world_from_vehicle.translation, truth.translation), 5e-4)
         << "between poses the mounting turns on an arc, its track on a chord";
     EXPECT_LT(compute_angle_between(both.world_from_vehicle, truth), 1e-5);
-    std::erase_if(log.frames, [](const LidarFrame& frame) { return frame.lidar == 1; });
+    std::erase_if(log.frames, [](const Frame& frame) { return frame.lidar == 1; });
     EXPECT_GT(glm::distance(placed(log, 1).world_from_vehicle.translation, truth.translation), 0.01)
         << "side walls say nothing of the way";
 }
 
 TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {
-    LidarSequence log = drive();
+    Log log = drive();
     log.world_from_vehicle.pose[1].translation.y += 0.04;
     RegistrationOptions strict;
     strict.largest_m = 0.01;

@@ -52,8 +52,7 @@ Problem make_random_problem(unsigned seed) {
             point.left = std::uint32_t(k % kPoses);
             point.s = 0.5f * float(uniform(random) + 1.0);
             point.pose = point.left;
-            const glm::dvec3 sensor_m =
-                p.track.interpolate_pose(0.1 * (point.left + double(point.s))).translation;
+            const glm::dvec3 sensor_m = p.track.pose_at(0.1 * (point.left + double(point.s))).translation;
             members.push_back(std::uint32_t(p.points.size()));
             p.points.push_back(point);
             p.placed.push_back({at, sensor_m});
@@ -76,8 +75,7 @@ DenseEquations make_dense_equations(const Problem& problem, double prior) {
     Eigen::VectorXd g = Eigen::VectorXd::Zero(m);
     for (std::size_t c = 0; c < problem.planes.size(); ++c)
         for (const std::uint32_t i : problem.members[c]) {
-            const PlaneResidual row =
-                compute_plane_residual(problem.placed[i], problem.planes[c], problem.scale_m);
+            const PlaneResidual row = make_residual(problem.placed[i], problem.planes[c], problem.scale_m);
             const SubsampledPoint& point = problem.points[i];
             const glm::dvec3 d = problem.placed[i].point_m - problem.planes[c].point_m;
             Eigen::VectorXd all = Eigen::VectorXd::Zero(m);
@@ -106,10 +104,10 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
         const Problem p = make_random_problem(seed);
         PoseEquations equations(kPoses + 1);
         for (std::size_t c = 0; c < p.planes.size(); ++c)
-            equations.add_plane_residuals_of_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
+            equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
         const Eigen::VectorXd actual =
-            equations.solve_for_all_pose_steps(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
+            equations.solve_steps(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
         const DenseEquations dense = make_dense_equations(p, kPrior);
         const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = actual - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;

@@ -56,12 +56,12 @@ TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
 /// that only its rear is visible. The rear determines the position along the track and
 /// the yaw. Only the labels determine the position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
-    const LidarSequence exact = make_synthetic_street({.n_frames = 30, .rows = 64, .columns = 1024});
-    LidarSequence street = exact;
+    const Log exact = make_street_log({.n_frames = 30, .rows = 64, .columns = 1024});
+    Log street = exact;
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         street.boxes[i] = add_label_errors(street.boxes[i], i + 1);
-    const LidarSequence labelled = street;
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    const Log labelled = street;
+    const Split split = split_frames(street, 10);
     const ActorRegistrationResult registration = register_actors(street, split.train);
     EXPECT_GT(registration.n_registered, 0u);
     const TrackError before = measure_error_of_track(labelled.boxes[0], exact.boxes[0]),
@@ -75,17 +75,16 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
 
 /// Exact labels must not change, because a correction would only add noise.
 TEST(RegisterActors, KeepsExactLabels) {
-    const LidarSequence exact = make_synthetic_street({.n_frames = 12, .rows = 32, .columns = 512});
-    LidarSequence street = exact;
-    register_actors(street, split_frames_into_train_and_test(street, 0).train);
+    const Log exact = make_street_log({.n_frames = 12, .rows = 32, .columns = 512});
+    Log street = exact;
+    register_actors(street, split_frames(street, 0).train);
     for (std::size_t i = 0; i < street.boxes.size(); ++i)
         EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
 
 /// A parked car must get a single pose, although its label drifts by 2.5 m.
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
-    LidarSequence street =
-        make_synthetic_street({.n_frames = 20, .rows = 64, .columns = 1024, .speed_mps = 0.001});
+    Log street = make_street_log({.n_frames = 20, .rows = 64, .columns = 1024, .speed_mps = 0.001});
     ASSERT_FALSE(street.boxes.empty());
     BoxTrack& box = street.boxes[0];
     std::vector<Pose>& poses = box.world_from_box.pose;
@@ -93,8 +92,7 @@ TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
         poses[k] =
             poses[k] * Pose{{1.0, 0.0, 0.0, 0.0}, {2.5 * double(k) / double(poses.size()) - 1.25, 0.0, 0.0}};
     ASSERT_TRUE(box.is_moving());
-    const ActorRegistrationResult registration =
-        register_actors(street, split_frames_into_train_and_test(street, 0).train);
+    const ActorRegistrationResult registration = register_actors(street, split_frames(street, 0).train);
     EXPECT_EQ(registration.n_standing, 1u);
     EXPECT_FALSE(box.is_moving());
 }

@@ -20,8 +20,8 @@ namespace {
 using test::error_of;
 using test::PoseError;
 
-LidarSequence make_street_of(int n_frames) {
-    return make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 256});
+Log make_street_of(int n_frames) {
+    return make_street_log({.n_frames = n_frames, .rows = 32, .columns = 256});
 }
 
 RegistrationOptions make_options_without_movers(const std::vector<BoxTrack>& movers) {
@@ -30,15 +30,15 @@ RegistrationOptions make_options_without_movers(const std::vector<BoxTrack>& mov
     return options;
 }
 
-RegistrationResult register_street(const LidarSequence& street, int test_every = 0) {
-    return register_scans(street, split_frames_into_train_and_test(street, test_every),
+RegistrationResult register_street(const Log& street, int test_every = 0) {
+    return register_scans(street, split_frames(street, test_every),
                           make_options_without_movers(street.boxes));
 }
 
 /// Checks that the poses of training and test scans have the required accuracy: 1 cm and
 /// 0.05 degrees.
-void expect_registered(const RegistrationResult& registration, const PoseTrack& exact,
-                       const TrainTestSplit& split, const char* description) {
+void expect_registered(const RegistrationResult& registration, const PoseTrack& exact, const Split& split,
+                       const char* description) {
     const PoseTrack& track = registration.world_from_vehicle;
     const PoseError train = error_of(track, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << description;
@@ -59,20 +59,19 @@ void expect_registered(const RegistrationResult& registration, const PoseTrack& 
 /// Each sweep covers a fifth of the street. The two ends of the street are therefore
 /// connected only if the poses of all sweeps are solved together.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
-    const LidarSequence street =
-        make_synthetic_street({.seed = 7, .n_frames = 400, .rows = 32, .columns = 256});
+    const Log street = make_street_log({.seed = 7, .n_frames = 400, .rows = 32, .columns = 256});
     const RegistrationResult registration = register_street(street, 10);
     EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
-    const PoseError error = error_of(registration.world_from_vehicle, street.world_from_vehicle,
-                                     split_frames_into_train_and_test(street, 10).train);
+    const PoseError error =
+        error_of(registration.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
     EXPECT_LT(error.rms_m, 0.03);
     EXPECT_LT(error.worst_m, 0.06);
 }
 
 TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
-    const LidarSequence street = make_street_of(21);
+    const Log street = make_street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    const Split split = split_frames(street, 10);
     expect_registered(
         register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1)),
                         10),
@@ -85,7 +84,7 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
 /// Two training sweeps must suffice, with a held-out sweep between them. With only two
 /// scans, a plane needs more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
-    const LidarSequence street = make_street_of(3);
+    const Log street = make_street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
     PoseTrack wrong = test::perturb_track(exact, 0.1, 0.3 * test::kDegree, 6);
     const RegistrationResult registration = register_scans(test::set_poses(street, wrong), {{0, 2}, {1}},
@@ -98,23 +97,23 @@ TEST(RegisterScans, TwoScansAreEnough) {
 }
 
 TEST(RegisterScans, WithoutARollingShutterToo) {
-    const SyntheticOptions options{.n_frames = 11, .rows = 32, .columns = 256, .speed_mps = 1.0};
-    LidarSequence street = make_synthetic_street(options);
-    for (LidarFrame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
+    const StreetOptions options{.n_frames = 11, .rows = 32, .columns = 256, .speed_mps = 1.0};
+    Log street = make_street_log(options);
+    for (Frame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
         RayTable rays = frame.scan.rays;
         std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
-        frame.scan = cast_rays_into_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
+        frame.scan = cast_street_rays(options, rays, street.world_from_vehicle, frame.time_s);
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
     expect_registered(
         register_street(test::set_poses(street, test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 2)), 5),
-        exact, split_frames_into_train_and_test(street, 5), "all rays at once");
+        exact, split_frames(street, 5), "all rays at once");
 }
 
 TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
-    const LidarSequence street = make_street_of(11);
-    const LidarSequence wrong =
+    const Log street = make_street_of(11);
+    const Log wrong =
         test::set_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
     const RegistrationResult registration = register_street(wrong);
     glm::dvec3 v(0.0), w(0.0);
@@ -137,12 +136,12 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
 
 /// The content of a held-out scan must not change the training poses in any bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
-    LidarSequence street = make_street_of(11);
-    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 5);
+    Log street = make_street_of(11);
+    set_trajectory(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
+    const Split split = split_frames(street, 5);
     const RegistrationOptions options = make_options_without_movers(street.boxes);
     const PoseTrack track = register_scans(street, split, options).world_from_vehicle;
-    LidarSequence other = street;
+    Log other = street;
     for (const int k : split.test)
         for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
     const PoseTrack again = register_scans(other, split, options).world_from_vehicle;
@@ -156,9 +155,9 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
 }
 
 TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
-    LidarSequence street = make_street_of(11);
+    Log street = make_street_of(11);
     const PoseTrack exact = street.world_from_vehicle;
-    set_vehicle_poses(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree));
+    set_trajectory(street, test::add_drift(exact, 0.2, 0.3 * test::kDegree));
     std::mt19937_64 random(5);
     std::uniform_real_distribution<float> range(2.0f, 70.0f);
     for (float& r : street.frames[5].scan.range_m) r = range(random);
@@ -172,35 +171,31 @@ TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
 }
 
 TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
-    LidarSequence street = make_street_of(11);
+    Log street = make_street_of(11);
     PoseTrack track = street.world_from_vehicle;
     track.pose[4].translation += glm::dvec3(0.3, 0.4, 0.0);
-    set_vehicle_poses(street, track);
+    set_trajectory(street, track);
     RegistrationOptions options = make_options_without_movers(street.boxes);
-    const RegistrationResult registration =
-        register_scans(street, split_frames_into_train_and_test(street, 0), options);
+    const RegistrationResult registration = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(registration.lost.empty()) << "half a metre is found";
     options.largest_m = 0.25;
-    EXPECT_EQ(register_scans(street, split_frames_into_train_and_test(street, 0), options).lost,
-              std::vector<std::size_t>{4});
+    EXPECT_EQ(register_scans(street, split_frames(street, 0), options).lost, std::vector<std::size_t>{4});
 }
 
 TEST(RegisterScans, SaysWhatIsMissing) {
-    LidarSequence street = make_street_of(4);
+    Log street = make_street_of(4);
     const RegistrationResult one = register_scans(street, {{0}, {}}, {});
     EXPECT_TRUE(one.rounds.empty()) << "one scan is where it is";
     int n_polls = 0;
     RegistrationOptions options;
     options.stop = [&] { return ++n_polls == 3; };
-    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.0, 1));
-    const RegistrationResult stopped =
-        register_scans(street, split_frames_into_train_and_test(street, 0), options);
+    set_trajectory(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.0, 1));
+    const RegistrationResult stopped = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(stopped.stopped);
     EXPECT_EQ(stopped.world_from_vehicle.pose[2].translation, street.world_from_vehicle.pose[2].translation);
-    for (LidarFrame& frame : street.frames)
-        std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
+    for (Frame& frame : street.frames) std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
     try {
-        register_scans(street, split_frames_into_train_and_test(street, 0), {});
+        register_scans(street, split_frames(street, 0), {});
         FAIL() << "expected DataError";
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), test::Names("4 training scans ... surface"));

@@ -7,46 +7,44 @@
 #include <relidar/read/clouds.hpp>
 #include <relidar/registration/registration.hpp>
 
-#include "../../support/two_lidars.hpp"
+#include "../support/two_lidars.hpp"
 #include "street_poses.hpp"
 
 namespace relidar {
 namespace {
 
-SyntheticOptions make_two_lidar_options() {
+StreetOptions make_two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
 /// Doubles the poses: the second LiDAR sweeps off_s later than the first.
-LidarSequence make_staggered_street(double off_s) {
-    const LidarSequence together = test::make_two_lidar_street(make_two_lidar_options());
-    LidarSequence street = together;
+Log make_staggered_street(double off_s) {
+    const Log together = test::make_two_lidar_street(make_two_lidar_options());
+    Log street = together;
     const RayTable rays = make_rays(street.lidars[1].sensor);
     street.frames.clear();
     street.world_from_vehicle = {};
-    for (const LidarFrame& frame : together.frames) {
+    for (const Frame& frame : together.frames) {
         const double time_s = frame.time_s + frame.lidar * off_s;
-        add_frame(street, frame.index, time_s, together.world_from_vehicle.interpolate_pose(time_s),
-                  frame.lidar)
+        add_frame(street, frame.index, time_s, together.world_from_vehicle.pose_at(time_s), frame.lidar)
             .scan = frame.lidar == 0
                         ? frame.scan
-                        : cast_rays_into_synthetic_street(make_two_lidar_options(), rays,
-                                                          together.get_world_from_sensor(1), time_s);
+                        : cast_street_rays(make_two_lidar_options(), rays, together.lidar_track(1), time_s);
     }
-    require_valid_sequence(street);
+    check_sequence(street);
     return street;
 }
 
-std::vector<int> all_poses(const LidarSequence& street) {
+std::vector<int> all_poses(const Log& street) {
     std::vector<int> all;
     for (int k = 0; k < int(street.world_from_vehicle.pose.size()); ++k) all.push_back(k);
     return all;
 }
 
 TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
-    const LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
+    const Log street = test::make_two_lidar_street(make_two_lidar_options());
     const PoseTrack& exact = street.world_from_vehicle;
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 5);
+    const Split split = split_frames(street, 5);
     for (const PoseTrack& wrong : {test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1),
                                    test::add_drift(exact, 0.2, 0.3 * test::kDegree)}) {
         const RegistrationResult registration = register_scans(test::set_poses(street, wrong), split, {});
@@ -61,14 +59,14 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
 }
 
 TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
-    LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
+    Log street = test::make_two_lidar_street(make_two_lidar_options());
     const PoseTrack exact = street.world_from_vehicle;
     Scan& missed = street.frames[8].scan;
     std::fill(missed.range_m.begin(), missed.range_m.end(), 0.0f);
     PoseTrack wrong = exact;
     wrong.pose[4].translation += glm::dvec3(0.2, -0.3, 0.1);
     const RegistrationResult registration =
-        register_scans(test::set_poses(street, wrong), split_frames_into_train_and_test(street, 0), {});
+        register_scans(test::set_poses(street, wrong), split_frames(street, 0), {});
     EXPECT_TRUE(registration.lost.empty());
     EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
@@ -76,17 +74,17 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
 /// The times of the rays of the second LiDAR lie between poses of both LiDARs.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
-        const LidarSequence street = make_staggered_street(off_s);
+        const Log street = make_staggered_street(off_s);
         const PoseTrack& exact = street.world_from_vehicle;
         ASSERT_EQ(exact.pose.size(), 24u);
         const PoseTrack sweeps = test::make_two_lidar_street(make_two_lidar_options()).world_from_vehicle;
         const PoseTrack drift = test::add_drift(sweeps, 0.2, 0.3 * test::kDegree);
         PoseTrack wrong = exact;
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
-            wrong.pose[k] = drift.interpolate_pose(wrong.time_s[k]) *
-                            (inverse(sweeps.interpolate_pose(wrong.time_s[k])) * wrong.pose[k]);
+            wrong.pose[k] =
+                drift.pose_at(wrong.time_s[k]) * (inverse(sweeps.pose_at(wrong.time_s[k])) * wrong.pose[k]);
         const RegistrationResult registration =
-            register_scans(test::set_poses(street, wrong), split_frames_into_train_and_test(street, 5), {});
+            register_scans(test::set_poses(street, wrong), split_frames(street, 5), {});
         ASSERT_TRUE(registration.done);
         EXPECT_TRUE(registration.lost.empty());
         const test::PoseError error =
@@ -97,13 +95,13 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
 }
 
 TEST(SeveralLidars, AreFollowedWithoutPoses) {
-    const LidarSequence street = test::make_two_lidar_street(make_two_lidar_options());
+    const Log street = test::make_two_lidar_street(make_two_lidar_options());
     PoseTrack none = street.world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     RegistrationOptions blind;
     blind.use_pose_motion = false;
     const RegistrationResult registration =
-        register_scans(test::set_poses(street, none), split_frames_into_train_and_test(street, 5), blind);
+        register_scans(test::set_poses(street, none), split_frames(street, 5), blind);
     ASSERT_TRUE(registration.done);
     const test::PoseError error =
         test::error_of(registration.world_from_vehicle, street.world_from_vehicle, all_poses(street));

@@ -15,8 +15,8 @@ double median(std::vector<double> values) {
 
 }  // namespace
 
-LidarSequence set_poses(LidarSequence street, PoseTrack track) {
-    set_vehicle_poses(street, std::move(track));
+Log set_poses(Log street, PoseTrack track) {
+    set_trajectory(street, std::move(track));
     return street;
 }
 

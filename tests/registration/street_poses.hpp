@@ -12,7 +12,7 @@ namespace relidar::test {
 
 inline constexpr double kDegree = kPi / 180.0;
 
-LidarSequence set_poses(LidarSequence street, PoseTrack track);
+Log set_poses(Log street, PoseTrack track);
 
 /// Adds white noise with these total standard deviations to every pose.
 PoseTrack perturb_track(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);

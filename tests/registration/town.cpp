@@ -58,39 +58,37 @@ street::SyntheticStreet make_town() {
     Random random(7);
     for (const double side : {1.0, -1.0}) {
         for (double s = 0.0; s < compute_loop_length() - 8.0;) {  // facades
-            const double width = random.sample_uniform_number(7.0, 14.0),
-                         depth = random.sample_uniform_number(5.0, 9.0),
-                         height = random.sample_uniform_number(5.0, 14.0);
+            const double width = random.sample_uniform(7.0, 14.0), depth = random.sample_uniform(5.0, 9.0),
+                         height = random.sample_uniform(5.0, 14.0);
             if (side < 0.0 || !(lane(s).in_curve || lane(s + width).in_curve)) {
                 const StreetShape wall{StreetShape::Kind::box,
                                        {},
                                        0.5 * glm::dvec3(width, depth, height),
                                        0.0,
                                        Material::wall,
-                                       random.sample_uniform_number(0.3, 0.8)};
-                town.shapes.push_back(beside(wall, s + 0.5 * width,
-                                             side * (random.sample_uniform_number(7.0, 9.0) + 0.5 * depth)));
+                                       random.sample_uniform(0.3, 0.8)};
+                town.shapes.push_back(
+                    beside(wall, s + 0.5 * width, side * (random.sample_uniform(7.0, 9.0) + 0.5 * depth)));
             }
-            s +=
-                width + (random.sample_uniform_number() < 0.3 ? random.sample_uniform_number(2.0, 5.0) : 0.0);
+            s += width + (random.sample_uniform() < 0.3 ? random.sample_uniform(2.0, 5.0) : 0.0);
         }
         // poles
-        for (double s = random.sample_uniform_number(2.0, 8.0); s < compute_loop_length();
-             s += random.sample_uniform_number(8.0, 15.0))
+        for (double s = random.sample_uniform(2.0, 8.0); s < compute_loop_length();
+             s += random.sample_uniform(8.0, 15.0))
             town.shapes.push_back(beside({StreetShape::Kind::cylinder,
                                           {},
-                                          {0.1, 0.1, random.sample_uniform_number(2.0, 3.5)},
+                                          {0.1, 0.1, random.sample_uniform(2.0, 3.5)},
                                           0.0,
                                           Material::metal,
                                           0.5},
                                          s, 5.0 * side));
         // parked cars
-        for (double s = random.sample_uniform_number(2.0, 8.0); s < compute_loop_length();
-             s += random.sample_uniform_number(7.0, 20.0))
+        for (double s = random.sample_uniform(2.0, 8.0); s < compute_loop_length();
+             s += random.sample_uniform(7.0, 20.0))
             town.shapes.push_back(beside({StreetShape::Kind::box,
                                           {},
                                           {2.1, 0.9, 0.7},
-                                          random.sample_uniform_number(-0.04, 0.04),
+                                          random.sample_uniform(-0.04, 0.04),
                                           Material::paint,
                                           0.5},
                                          s, 3.5 * side));
@@ -129,8 +127,8 @@ SpinningSensor sensor() {
 
 }  // namespace
 
-LidarSequence drive_around_block(int n_frames) {
-    LidarSequence drive;
+Log drive_around_block(int n_frames) {
+    Log drive;
     drive.name = "drive around a block";
     drive.lidars[0].sensor = sensor();
     const RayTable rays = make_rays(drive.lidars[0].sensor);
@@ -145,12 +143,12 @@ LidarSequence drive_around_block(int n_frames) {
     }
     const street::StreetCaster town(make_town());
     parallel_for(n_frames, [&](int k) {
-        LidarFrame& frame = drive.frames[std::size_t(k)];
-        Random random(hash_integer_pair(11, std::uint64_t(k)));
+        Frame& frame = drive.frames[std::size_t(k)];
+        Random random(hash_pair(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {
             const auto hit = town.find_first_hit(
                 make_world_ray(drive.world_from_vehicle, frame.time_s, rays, ray, true), frame.time_s, 80.0);
-            const double noise_m = 0.01 * random.sample_standard_normal();
+            const double noise_m = 0.01 * random.sample_normal();
             if (hit) frame.scan.range_m[ray] = static_cast<float>(hit->range_m + noise_m);
         }
     });

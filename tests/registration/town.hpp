@@ -10,6 +10,6 @@ namespace relidar::test {
 /// Makes a drive of 283 m around a block in n_frames sweeps at 10 Hz. The car stops for 2
 /// s, and the drive ends slightly beyond its start. A sweep has 32 x 128 rays, a rolling
 /// shutter, range noise of 1 cm, and no labels.
-LidarSequence drive_around_block(int n_frames);
+Log drive_around_block(int n_frames);
 
 }  // namespace relidar::test

@@ -16,17 +16,17 @@ constexpr int kSweeps = 400;
 
 class WholeDrive : public testing::Test {
 protected:
-    static const LidarSequence& drive() {
-        static const LidarSequence drive = test::drive_around_block(kSweeps);
+    static const Log& drive() {
+        static const Log drive = test::drive_around_block(kSweeps);
         return drive;
     }
 
     static RegistrationResult register_street(const PoseTrack& initial_poses, bool use_pose_motion) {
-        LidarSequence wrong = drive();
-        set_vehicle_poses(wrong, initial_poses);
+        Log wrong = drive();
+        set_trajectory(wrong, initial_poses);
         RegistrationOptions options;
         options.use_pose_motion = use_pose_motion;
-        return register_scans(wrong, split_frames_into_train_and_test(drive(), 10), options);
+        return register_scans(wrong, split_frames(drive(), 10), options);
     }
 
     /// Checks that the errors are at most 2 cm and 0.05 degrees over the complete drive,
@@ -64,7 +64,7 @@ TEST_F(WholeDrive, NeedsNoPoses) {
     for (Pose& pose : none.pose) pose = {};
     const RegistrationResult registration = register_street(none, false);
     expect_registered(registration, "no poses");
-    const std::vector<int> train = split_frames_into_train_and_test(drive(), 10).train;
+    const std::vector<int> train = split_frames(drive(), 10).train;
     EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(train[train.size() / 2])].translation,
               glm::dvec3(0.0))
         << "the middle pose stays";

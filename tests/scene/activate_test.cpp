@@ -61,8 +61,8 @@ protected:
         return bends() && index >= kOfBackground ? reference::move_to_phase(surfel, kPhase) : surfel;
     }
 
-    ImageFormationModel image_model(int sh_degree) const {
-        ImageFormationModel model;
+    ImageModel image_model(int sh_degree) const {
+        ImageModel model;
         model.primitive = primitive();
         model.sh_direction = ShDirection::surfel;
         model.sh_degree = sh_degree;
@@ -70,7 +70,7 @@ protected:
     }
     /// Uploads two models, both placed at the origin.
     std::unique_ptr<DeviceScene> on_device(const Surfels& surfels) {
-        Scene scene = make_background_scene(surfels);
+        Scene scene = wrap_background(surfels);
         const auto n = static_cast<std::uint32_t>(surfels.size());
         scene.models = {{"background", 0, kOfBackground}, {"actor", kOfBackground, n - kOfBackground}};
         if (bends()) scene.models[1].stride_m = 1.4f;
@@ -78,8 +78,7 @@ protected:
         auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
         Stream stream(device());
         // full turns of the phase must not matter
-        on_device->record_upload_of_instance_poses(stream,
-                                                   {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
+        on_device->stage_poses(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
         stream.submit_and_wait();
         return on_device;
     }
@@ -128,9 +127,9 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     const std::unique_ptr<DeviceScene> scene = on_device(test::to_surfels(surfels));
     for (const int degree : {3, 1}) {
         Stream stream(device());
-        scene->record_activation_of_surfel_parameters(stream, image_model(degree), view);
+        scene->activate(stream, image_model(degree), view);
         stream.submit_and_wait();
-        const std::vector<float> actual = test::to_floats(scene->get_surfel_records().download());
+        const std::vector<float> actual = test::to_floats(scene->surfel_records().download());
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const std::vector<double> expected =
                 compute_record(in_scene(surfels[i], i), glm::dvec3(view), degree);
@@ -143,7 +142,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
 
 /// Kernels search for the model of a surfel, which needs consecutive ranges.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
-    Scene scene = make_background_scene(test::to_surfels(make_some_surfels()));
+    Scene scene = wrap_background(test::to_surfels(make_some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
     using Ranges = std::vector<SurfelModel>;
     for (const Ranges& ranges :
@@ -162,9 +161,9 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();
     const std::unique_ptr<DeviceScene> scene = on_device(surfels);
     Stream stream(device());
-    scene->record_activation_of_surfel_parameters(stream, image_model(1), glm::vec3(0.0f));
+    scene->activate(stream, image_model(1), glm::vec3(0.0f));
     stream.submit_and_wait();
-    const std::vector<shared::SurfelRecord> records = scene->get_surfel_records().download();
+    const std::vector<shared::SurfelRecord> records = scene->surfel_records().download();
     for (std::size_t i = 0; i < surfels.size(); ++i)
         EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
@@ -218,8 +217,7 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
-        scene->record_activation_backpropagation(stream, image_model(degree), view,
-                                                 {&upstream, &d_surfels, &touched, &d_view});
+        scene->activate_vjp(stream, image_model(degree), view, {&upstream, &d_surfels, &touched, &d_view});
         stream.submit_and_wait();
         const Surfels actual = d_surfels.download();
         const std::vector<std::uint32_t> marks = touched.download();
@@ -260,8 +258,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                          "record gradient");
     Stream stream(device());
-    scene->record_activation_backpropagation(stream, image_model(3), glm::vec3(0.0f),
-                                             {&upstream, &d_surfels, &touched, nullptr, false});
+    scene->activate_vjp(stream, image_model(3), glm::vec3(0.0f),
+                        {&upstream, &d_surfels, &touched, nullptr, false});
     stream.submit_and_wait();
     const Surfels after = d_surfels.download();
     for (std::size_t i = 0; i < n; ++i) {
@@ -283,7 +281,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
     for (std::uint32_t i = 0; i < n; ++i)
         if (marks[i] == 0u) std::fill_n(d_records.begin() + 16 * i, 16, 0.0f);
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
-    EXPECT_EQ(placed->can_skip_surfels_without_gradient(), !stages_harmonics());
+    EXPECT_EQ(placed->can_skip_surfels(), !stages_harmonics());
     const auto run = [&](bool is_marked) {
         const Array<float, shared::RecordGradients> upstream(device(), std::span<const float>(d_records),
                                                              "record gradient");
@@ -292,22 +290,21 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
                                                              "touched");
         Array<float, shared::ViewGradients> d_view(device(), 3 * surfels.size(), "view gradient");
         Stream stream(device());
-        d_surfels.record_zero_fill(stream);
+        d_surfels.fill_zero(stream);
         stream.fill(d_view);
-        placed->record_activation_backpropagation(
-            stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
-            {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
+        placed->activate_vjp(stream, image_model(3), glm::vec3(0.3f, -0.2f, 0.1f),
+                             {&upstream, &d_surfels, &touched, &d_view, false, is_marked});
         stream.submit_and_wait();
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };
     const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
-    if (placed->can_skip_surfels_without_gradient())  // gradients of unmarked surfels, which must be ignored
+    if (placed->can_skip_surfels())  // gradients of unmarked surfels, which must be ignored
         for (std::uint32_t i = 0; i < n; ++i)
             if (marks[i] == 0u) d_records[16 * i] = 1.0f;
     const auto [surfels_listed, touched_listed, view_listed] = run(true);
     EXPECT_EQ(touched_listed, touched_of_all);
     EXPECT_EQ(view_listed, view_of_all);
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameters())) {
+    for (const SurfelParameterGroup& group : list_groups(parameters())) {
         const std::span<const float> actual = group.values(surfels_listed),
                                      expected = group.values(surfels_of_all);
         EXPECT_TRUE(std::ranges::equal(actual, expected)) << group.name;
@@ -348,7 +345,7 @@ TEST(KdOrder, IsAPermutationThatHalvesTheLongestAxis) {
     std::uniform_real_distribution<float> u(0.0f, 1.0f);
     std::vector<glm::vec3> points;
     for (int i = 0; i < 1001; ++i) points.push_back({10.0f * u(random), u(random), u(random)});
-    const std::vector<std::uint32_t> order = compute_kd_tree_order(points);
+    const std::vector<std::uint32_t> order = kd_tree_order(points);
     std::vector<std::uint32_t> sorted = order;
     std::sort(sorted.begin(), sorted.end());
     for (std::uint32_t i = 0; i < sorted.size(); ++i) ASSERT_EQ(sorted[i], i);

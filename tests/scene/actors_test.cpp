@@ -16,33 +16,31 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions make_street_options() {
+StreetOptions make_street_options() {
     return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0};
 }
 
-SceneInitialisationOptions make_options_with_actors() {
-    SceneInitialisationOptions options;
+InitOptions make_options_with_actors() {
+    InitOptions options;
     options.actor_classes = "Car";
     options.actor_min_points = 20;
     return options;
 }
 
-std::vector<int> train_of(const LidarSequence& street) {
-    return split_frames_into_train_and_test(street, 10).train;
+std::vector<int> train_of(const Log& street) { return split_frames(street, 10).train; }
+
+Scene make_scene(const Log& street, const InitOptions& options) {
+    return init_scene(street, train_of(street), options);
 }
 
-Scene make_scene(const LidarSequence& street, const SceneInitialisationOptions& options) {
-    return initialise_scene(street, train_of(street), options);
-}
-
-const BoxTrack& box_of(const LidarSequence& street, const Scene& scene, std::size_t instance) {
-    const BoxTrack* box = find_box_track_by_id(street, scene.instances[instance].track);
+const BoxTrack& box_of(const Log& street, const Scene& scene, std::size_t instance) {
+    const BoxTrack* box = find_box(street, scene.instances[instance].track);
     EXPECT_NE(box, nullptr);
     return *box;
 }
 
 TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
-    const LidarSequence street = make_synthetic_street(make_street_options());
+    const Log street = make_street_log(make_street_options());
     const Scene scene = make_scene(street, make_options_with_actors());
     ASSERT_EQ(scene.models.size(), 3u) << "the background and two cars";
     ASSERT_EQ(scene.instances.size(), 3u);
@@ -58,31 +56,30 @@ TEST(Actors, AreMadeOfMovingBoxesInTheirOwnFrame) {
             EXPECT_TRUE(glm::all(glm::lessThanEqual(p, 0.5 * box.size_m + 0.11)));
         }
     }
-    SceneInitialisationOptions by_kind = make_options_with_actors();
+    InitOptions by_kind = make_options_with_actors();
     by_kind.actor_classes = "cyclist, vehicle";
     EXPECT_EQ(make_scene(street, by_kind).models.size(), 3u) << "whatever a dataset calls them";
-    SceneInitialisationOptions nothing;
+    InitOptions nothing;
     nothing.actor_classes = "";
     EXPECT_EQ(make_scene(street, nothing).models.size(), 1u) << "no class is wanted: masked instead";
 }
 
 TEST(Actors, StandWhereTheirBoxIsAndAreAbsentOutsideItsLabels) {
-    LidarSequence street = make_synthetic_street(make_street_options());
+    Log street = make_street_log(make_street_options());
     street.rolling_shutter = false;
     const Scene scene = make_scene(street, make_options_with_actors());
     ASSERT_GE(scene.instances.size(), 2u);
     const PoseTrack& track = box_of(street, scene, 1).world_from_box;
     const double first = track.time_s.front(), last = track.time_s.back(),
                  middle = 0.37 * first + 0.63 * last;
-    const std::vector<InstancePose> placed = compute_instance_poses(scene, street, {middle});
+    const std::vector<InstancePose> placed = pose_instances(scene, street, {middle});
     EXPECT_TRUE(placed[0].present && placed[1].present);
     EXPECT_EQ(placed[0].world_from_model.translation, glm::dvec3(0.0));
-    EXPECT_LT(
-        glm::distance(placed[1].world_from_model.translation, track.interpolate_pose(middle).translation),
-        1e-12);
-    EXPECT_FALSE(compute_instance_poses(scene, street, {last + 1.0})[1].present);
-    EXPECT_FALSE(compute_instance_poses(scene, street, {first - 1.0})[1].present);
-    EXPECT_TRUE(compute_instance_poses(scene, street, {last + 1.0})[0].present);
+    EXPECT_LT(glm::distance(placed[1].world_from_model.translation, track.pose_at(middle).translation),
+              1e-12);
+    EXPECT_FALSE(pose_instances(scene, street, {last + 1.0})[1].present);
+    EXPECT_FALSE(pose_instances(scene, street, {first - 1.0})[1].present);
+    EXPECT_TRUE(pose_instances(scene, street, {last + 1.0})[0].present);
 }
 
 const SurfelModel& find_model_of_track(const Scene& scene, std::string_view track) {
@@ -92,8 +89,8 @@ const SurfelModel& find_model_of_track(const Scene& scene, std::string_view trac
 }
 
 TEST(Actors, AreChosenByClassOrTrack) {
-    const LidarSequence street = make_synthetic_street(make_street_options());
-    SceneInitialisationOptions options = make_options_with_actors();
+    const Log street = make_street_log(make_street_options());
+    InitOptions options = make_options_with_actors();
     options.actor_tracks = "1";
     const Scene one = make_scene(street, options);
     ASSERT_EQ(one.models.size(), 2u);
@@ -102,54 +99,54 @@ TEST(Actors, AreChosenByClassOrTrack) {
     EXPECT_THROW(make_scene(street, options), UsageError);
     options = make_options_with_actors();
     options.actor_classes = "";
-    EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
+    EXPECT_EQ(list_foreground(street, options).size(), 2u);
     EXPECT_EQ(make_scene(street, options).models.size(), 1u);
-    const std::size_t masked = initialise_background(street, train_of(street), options).size();
+    const std::size_t masked = init_background(street, train_of(street), options).size();
     options.mask_others = false;
-    EXPECT_TRUE(list_foreground_boxes(street, options).empty());
+    EXPECT_TRUE(list_foreground(street, options).empty());
     EXPECT_EQ(make_scene(street, options).models.size(), 1u);
-    EXPECT_GT(initialise_background(street, train_of(street), options).size(), masked + 100)
+    EXPECT_GT(init_background(street, train_of(street), options).size(), masked + 100)
         << "the cars' points are in it";
 }
 
 TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
-    LidarSequence street = make_synthetic_street(make_street_options());
+    Log street = make_street_log(make_street_options());
     ASSERT_EQ(street.boxes.size(), 2u);
     street.boxes[0].category = "Pedestrian";
-    SceneInitialisationOptions options = make_options_with_actors();
+    InitOptions options = make_options_with_actors();
     options.actor_classes = "person";
     const Scene masked = make_scene(street, options);
     ASSERT_EQ(masked.instances.size(), 2u);
-    EXPECT_EQ(find_boxes_without_model(masked, street, options).size(), 1u);
+    EXPECT_EQ(find_unmodelled(masked, street, options).size(), 1u);
     options.mask_others = false;
     const Scene unmasked = make_scene(street, options);
     ASSERT_EQ(unmasked.instances.size(), 2u) << "the actor stays one";
     EXPECT_EQ(unmasked.instances[1].track, "0");
-    EXPECT_TRUE(find_boxes_without_model(unmasked, street, options).empty());
-    EXPECT_TRUE(find_moving_boxes_not_selected_as_actors(street, options).empty());
+    EXPECT_TRUE(find_unmodelled(unmasked, street, options).empty());
+    EXPECT_TRUE(find_unselected(street, options).empty());
     EXPECT_GT(unmasked.models[0].count, masked.models[0].count + 100)
         << "the other car's points are in the background";
 }
 
 TEST(Actors, TrackChosenByNameNeedNotMove) {
-    LidarSequence street = make_synthetic_street(make_street_options());
+    Log street = make_street_log(make_street_options());
     BoxTrack& box = street.boxes[0];
     std::fill(box.world_from_box.pose.begin(), box.world_from_box.pose.end(), box.world_from_box.pose[6]);
-    EXPECT_EQ(list_foreground_boxes(street, make_options_with_actors()).size(), 1u) << "it stands";
-    SceneInitialisationOptions options = make_options_with_actors();
+    EXPECT_EQ(list_foreground(street, make_options_with_actors()).size(), 1u) << "it stands";
+    InitOptions options = make_options_with_actors();
     options.actor_tracks = "0";
-    EXPECT_EQ(list_foreground_boxes(street, options).size(), 2u);
+    EXPECT_EQ(list_foreground(street, options).size(), 2u);
     box.world_from_box = {{box.world_from_box.time_s[6]}, {box.world_from_box.pose[6]}};
     const Scene scene = make_scene(street, options);
     EXPECT_EQ(scene.instances.size(), 2u) << "one observation is enough";
-    EXPECT_TRUE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0]})[1].present);
-    EXPECT_FALSE(compute_instance_poses(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
+    EXPECT_TRUE(pose_instances(scene, street, {box.world_from_box.time_s[0]})[1].present);
+    EXPECT_FALSE(pose_instances(scene, street, {box.world_from_box.time_s[0] + 0.1})[1].present);
 }
 
 TEST(Actors, ArePaddedInTheirBox) {
-    const LidarSequence street = make_synthetic_street(make_street_options());
+    const Log street = make_street_log(make_street_options());
     const Scene plain = make_scene(street, make_options_with_actors());
-    SceneInitialisationOptions options = make_options_with_actors();
+    InitOptions options = make_options_with_actors();
     options.actor_pad_to = 3000;
     const Scene padded = make_scene(street, options);
     ASSERT_LT(find_model_of_track(plain, "0").count, 3000u);
@@ -170,17 +167,17 @@ TEST(Actors, ArePaddedInTheirBox) {
 
 TEST(Actors, BoxesThatHoldNothingAreRefused) {
     for (const double bad : {0.0, -1.0, std::nan("")}) {
-        LidarSequence street = make_synthetic_street(make_street_options());
+        Log street = make_street_log(make_street_options());
         street.boxes[1].size_m.y = bad;
-        EXPECT_THROW(initialise_scene(street, {0, 1}, make_options_with_actors()), DataError);
+        EXPECT_THROW(init_scene(street, {0, 1}, make_options_with_actors()), DataError);
     }
-    LidarSequence street = make_synthetic_street(make_street_options());
+    Log street = make_street_log(make_street_options());
     street.boxes[0].world_from_box.pose[3].translation.x = std::nan("");
-    EXPECT_THROW(initialise_scene(street, {0, 1}, make_options_with_actors()), DataError);
+    EXPECT_THROW(init_scene(street, {0, 1}, make_options_with_actors()), DataError);
 }
 
 TEST(Actors, OverlappingAndEmptyBoxesBecomeWhatTheyHold) {
-    LidarSequence street = make_synthetic_street(make_street_options());
+    Log street = make_street_log(make_street_options());
     street.boxes.push_back(street.boxes[0]);
     street.boxes.back().id = "twin";
     street.boxes.push_back(street.boxes[0]);
@@ -212,7 +209,7 @@ TEST_F(ActorsOnDevice, AbsentInstancesAreNotSeenByAnyTraversal) {
         Renderer renderer(device(), scene, {});
         const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
         const auto expect_depth = [&](const std::vector<InstancePose>& poses, float depth) {
-            renderer.record_instance_poses_and_view(poses, glm::vec3(0.0f));
+            renderer.record_poses(poses, glm::vec3(0.0f));
             EXPECT_NEAR(renderer.render_rays(ray).median_depth[0], depth, 1e-5f);
         };
         expect_depth({at(20, true), at(5, true), at(8, true)}, 5.0f);

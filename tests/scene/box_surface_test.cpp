@@ -24,59 +24,56 @@ void add_plane(ObservedBoxSurface& surface, int axis, double at_m) {
             point[axis] = at_m;
             point[first] = 0.5 * a * kSize_m[first];
             point[second] = 0.5 * b * kSize_m[second];
-            surface.mark_patch_of_point_as_observed(point, -point);
+            surface.mark_observed(point, -point);
         }
 }
 
 TEST(BoxSurface, OfOneSideItsShareOfTheAreaIsSeen) {
     ObservedBoxSurface surface(kSize_m);
     add_plane(surface, 1, 1.2);
-    EXPECT_DOUBLE_EQ(surface.compute_observed_area_fraction(BoxSide::left), 1.0);
+    EXPECT_DOUBLE_EQ(surface.observed_fraction(BoxSide::left), 1.0);
     for (const BoxSide side : {BoxSide::front, BoxSide::rear, BoxSide::right, BoxSide::top})
-        EXPECT_EQ(surface.compute_observed_area_fraction(side), 0.0);
-    EXPECT_NEAR(surface.compute_observed_area_fraction(), kSide_m2 / kAll_m2, 1e-12);
-    EXPECT_NEAR(surface.compute_mirrorable_area_fraction(), kSide_m2 / kAll_m2, 1e-12)
+        EXPECT_EQ(surface.observed_fraction(side), 0.0);
+    EXPECT_NEAR(surface.observed_fraction(), kSide_m2 / kAll_m2, 1e-12);
+    EXPECT_NEAR(surface.mirrorable_fraction(), kSide_m2 / kAll_m2, 1e-12)
         << "the right side is its mirror image";
     add_plane(surface, 1, -1.2);
-    EXPECT_NEAR(surface.compute_observed_area_fraction(), 2.0 * kSide_m2 / kAll_m2, 1e-12);
-    EXPECT_EQ(surface.compute_mirrorable_area_fraction(), 0.0) << "nothing is left to complete";
+    EXPECT_NEAR(surface.observed_fraction(), 2.0 * kSide_m2 / kAll_m2, 1e-12);
+    EXPECT_EQ(surface.mirrorable_fraction(), 0.0) << "nothing is left to complete";
     add_plane(surface, 0, -2.1);
     add_plane(surface, 2, 1.5);
-    EXPECT_DOUBLE_EQ(surface.compute_observed_area_fraction(BoxSide::rear), 1.0);
-    EXPECT_DOUBLE_EQ(surface.compute_observed_area_fraction(BoxSide::top), 1.0);
-    EXPECT_NEAR(surface.compute_observed_area_fraction(), 1.0 - kEnd_m2 / kAll_m2, 1e-12);
+    EXPECT_DOUBLE_EQ(surface.observed_fraction(BoxSide::rear), 1.0);
+    EXPECT_DOUBLE_EQ(surface.observed_fraction(BoxSide::top), 1.0);
+    EXPECT_NEAR(surface.observed_fraction(), 1.0 - kEnd_m2 / kAll_m2, 1e-12);
 }
 
 TEST(BoxSurface, HalfAnEndIsCompletedByItsOtherHalf) {
     ObservedBoxSurface surface(kSize_m);
     for (double y_m = 0.01; y_m < 1.2; y_m += 0.02)
-        for (double z_m = -1.49; z_m < 1.5; z_m += 0.02)
-            surface.mark_patch_of_point_as_observed({2.1, y_m, z_m}, {-1, 0, 0});
-    EXPECT_NEAR(surface.compute_observed_area_fraction(BoxSide::front), 0.5, 1e-12);
-    EXPECT_NEAR(surface.compute_mirrorable_area_fraction(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
-    EXPECT_TRUE(surface.is_observed_only_in_mirror_image({2.1, -0.5, 0.3}));
-    EXPECT_FALSE(surface.is_observed_only_in_mirror_image({2.1, 0.5, 0.3})) << "it was seen itself";
-    EXPECT_FALSE(surface.is_observed_only_in_mirror_image({-2.1, -0.5, 0.3}))
-        << "the rear was not seen at all";
+        for (double z_m = -1.49; z_m < 1.5; z_m += 0.02) surface.mark_observed({2.1, y_m, z_m}, {-1, 0, 0});
+    EXPECT_NEAR(surface.observed_fraction(BoxSide::front), 0.5, 1e-12);
+    EXPECT_NEAR(surface.mirrorable_fraction(), 0.5 * kEnd_m2 / kAll_m2, 1e-12);
+    EXPECT_TRUE(surface.is_mirror_observed({2.1, -0.5, 0.3}));
+    EXPECT_FALSE(surface.is_mirror_observed({2.1, 0.5, 0.3})) << "it was seen itself";
+    EXPECT_FALSE(surface.is_mirror_observed({-2.1, -0.5, 0.3})) << "the rear was not seen at all";
 }
 
 TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
     ObservedBoxSurface surface(kSize_m);
-    surface.mark_patch_of_point_as_observed({0.1, 0.4, 0.05}, {0, -1, 0});  // far inside
-    EXPECT_TRUE(surface.is_patch_of_point_observed({0.3, 1.2, 0.15}));
-    EXPECT_FALSE(surface.is_patch_of_point_observed({0.3, -1.2, 0.15}));
+    surface.mark_observed({0.1, 0.4, 0.05}, {0, -1, 0});  // far inside
+    EXPECT_TRUE(surface.is_observed({0.3, 1.2, 0.15}));
+    EXPECT_FALSE(surface.is_observed({0.3, -1.2, 0.15}));
 }
 
 TEST(BoxSurface, ASideIsSeenFromOutside) {
     ObservedBoxSurface surface(kSize_m);
     // a ray through the window on the right to the inside of the door on the left
-    surface.mark_patch_of_point_as_observed({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});
-    EXPECT_EQ(surface.compute_observed_area_fraction(), 0.0);
-    surface.mark_patch_of_point_as_observed({0.3, 1.1, 0.15},
-                                            {0.99, -0.1, 0.0});  // a ray parallel to the side
-    EXPECT_EQ(surface.compute_observed_area_fraction(), 0.0);
-    surface.mark_patch_of_point_as_observed({0.3, 1.1, 0.15}, {0.8, -0.6, 0.0});
-    EXPECT_TRUE(surface.is_patch_of_point_observed({0.3, 1.1, 0.15}));
+    surface.mark_observed({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});
+    EXPECT_EQ(surface.observed_fraction(), 0.0);
+    surface.mark_observed({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // a ray parallel to the side
+    EXPECT_EQ(surface.observed_fraction(), 0.0);
+    surface.mark_observed({0.3, 1.1, 0.15}, {0.8, -0.6, 0.0});
+    EXPECT_TRUE(surface.is_observed({0.3, 1.1, 0.15}));
 }
 
 TEST(BoxSurface, WhatHasNoPlaceOnItMarksNothing) {
@@ -84,10 +81,10 @@ TEST(BoxSurface, WhatHasNoPlaceOnItMarksNothing) {
     ObservedBoxSurface surface(kSize_m);
     for (const glm::dvec3& point :
          {glm::dvec3(0.0), glm::dvec3(0.1, 0.1, -1.5), glm::dvec3(2.1, 0.0, -1.49), glm::dvec3(kNan)}) {
-        surface.mark_patch_of_point_as_observed(point, -point);
-        EXPECT_FALSE(surface.is_patch_of_point_observed(point));
+        surface.mark_observed(point, -point);
+        EXPECT_FALSE(surface.is_observed(point));
     }
-    EXPECT_EQ(surface.compute_observed_area_fraction(), 0.0);
+    EXPECT_EQ(surface.observed_fraction(), 0.0);
 }
 
 TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
@@ -98,10 +95,10 @@ TEST(BoxSurface, EveryPatchHasItsMirrorImage) {
             const glm::dvec3 here = size_m * glm::dvec3(share(random), share(random), share(random)),
                              there(here.x, -here.y, here.z);
             ObservedBoxSurface surface(size_m);
-            surface.mark_patch_of_point_as_observed(here, -here);
-            const bool counts = surface.is_patch_of_point_observed(here);
-            EXPECT_EQ(surface.is_observed_only_in_mirror_image(there), counts) << i;
-            EXPECT_FALSE(surface.is_observed_only_in_mirror_image(here)) << i;
+            surface.mark_observed(here, -here);
+            const bool counts = surface.is_observed(here);
+            EXPECT_EQ(surface.is_mirror_observed(there), counts) << i;
+            EXPECT_FALSE(surface.is_mirror_observed(here)) << i;
         }
     }
 }

@@ -25,7 +25,7 @@ std::vector<LidarSample> make_points_of_door() {
 }
 
 TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
-    const DeformingActorSurfels actor = make_surfels_of_deforming_actor(make_points_of_door(), {}, 0.0, 8000);
+    const DeformingActorSurfels actor = make_deforming(make_points_of_door(), {}, 0.0, 8000);
     // Returns the highest visibility (M14) of the surfels at a distance y in a frame.
     const auto visible = [&](double frame, float y) {
         double most = 0.0;
@@ -43,8 +43,7 @@ TEST(ChangingSurfels, ADoorIsOpenOnlyWhenItWasOpen) {
         EXPECT_EQ(visible(frame, 1.0f), 1.0) << "the wall is always visible";
     }
     EXPECT_NEAR(visible(4.5, 0.0f), std::exp(-0.125), 1e-3) << "half a standard deviation";
-    EXPECT_EQ(make_surfels_of_deforming_actor({make_points_of_door().front()}, {}, 0.0, 8000).surfels.size(),
-              0u)
+    EXPECT_EQ(make_deforming({make_points_of_door().front()}, {}, 0.0, 8000).surfels.size(), 0u)
         << "a single frame does not show a change";
 }
 
@@ -57,7 +56,7 @@ TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
             for (float z = -0.2f; z < 0.21f; z += 0.04f)
                 samples.push_back(
                     {{0.1f * float(frame), y, z}, 0.5f, {-1.0f, 0.0f, 0.0f}, 0.1f * float(frame), frame});
-    const DeformingActorSurfels actor = make_surfels_of_deforming_actor(samples, {}, 0.0, 8000);
+    const DeformingActorSurfels actor = make_deforming(samples, {}, 0.0, 8000);
     int n_visible = 0;
     for (std::size_t i = 0; i < actor.surfels.size(); ++i) {
         const GaitPhaseWindow& gait = actor.surfels.gait[i];
@@ -74,7 +73,7 @@ TEST(ChangingSurfels, ALimbMovesBetweenFrames) {
 TEST(ChangingSurfels, AnActorThatStandsIsRigid) {
     std::vector<LidarSample> samples = make_points_of_door();
     for (LidarSample& sample : samples) sample.walked_m = 0.0f;
-    EXPECT_EQ(make_surfels_of_deforming_actor(samples, {}, 0.0, 8000).period_m, 0.0);
+    EXPECT_EQ(make_deforming(samples, {}, 0.0, 8000).period_m, 0.0);
 }
 
 }  // namespace

@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions make_small_street() {
+StreetOptions make_small_street() {
     return {.n_frames = 12, .rows = 24, .columns = 256, .range_noise_m = 0.0};
 }
 
@@ -29,9 +29,8 @@ glm::vec3 normal_of(const glm::vec4& quaternion) {
 }
 
 TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
-    const Surfels surfels = initialise_background(street, split_frames_into_train_and_test(street, 10).train,
-                                                  {.max_scale_m = 0.5});
+    const Log street = make_street_log(make_small_street());
+    const Surfels surfels = init_background(street, split_frames(street, 10).train, {.max_scale_m = 0.5});
     ASSERT_GT(surfels.size(), 5000u);
     float ground = 1e9f;
     for (const glm::vec3& p : surfels.mean) ground = std::min(ground, p.z);
@@ -52,23 +51,23 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
 
 /// Returns the surfels of one scan of a LiDAR at the origin.
 Surfels initialise_scan(int n_beams, double top_rad, int columns, double incidence,
-                        const SceneInitialisationOptions& options,
+                        const InitOptions& options,
                         const std::function<float(const glm::vec3& direction)>& range_m,
                         const std::function<float(const glm::vec3& direction)>& intensity) {
-    LidarSequence sequence;
+    Log sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (int b = 0; b < n_beams; ++b) sensor.beams.push_back({.elevation_rad = top_rad - 0.01 * b});
     sensor.columns = columns;
     sequence.rolling_shutter = false;
     sequence.world_from_vehicle = {{0.0}, {{}}};
     sequence.intensity_response.incidence = incidence;
-    LidarFrame frame{0, 0.0, {make_rays(sensor), {}, {}}};
+    Frame frame{0, 0.0, {make_rays(sensor), {}, {}}};
     for (const glm::vec3& d : frame.scan.rays.direction) {
         frame.scan.range_m.push_back(range_m(d));
         frame.scan.intensity.push_back(intensity(d));
     }
     sequence.frames.push_back(frame);
-    return initialise_background(sequence, {0}, options);
+    return init_background(sequence, {0}, options);
 }
 
 /// Flat ground of a single albedo, from a height of 2 m. Its intensity is 0.4 (0.3 + 0.7
@@ -94,7 +93,7 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
 /// Returns the mean of |n . d| over the surfels of a scan, where d is the direction to
 /// the surfel and n is the normal.
 double compute_mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
-    SceneInitialisationOptions options;
+    InitOptions options;
     options.normal_neighbours = 24;
     options.flatness = flatness;
     const Surfels surfels =
@@ -118,11 +117,11 @@ TEST(Initialise, WhatIsNoSurfaceFacesTheSensor) {
     EXPECT_LT(compute_mean_facing(road, 0.04), 0.5);
 }
 
-std::size_t count_in_moving_boxes(const LidarSequence& street, const Surfels& surfels) {
+std::size_t count_in_moving_boxes(const Log& street, const Surfels& surfels) {
     std::size_t n = 0;
     for (const glm::vec3& p : surfels.mean) {
         bool inside = false;
-        for (const LidarFrame& frame : street.frames)
+        for (const Frame& frame : street.frames)
             inside = inside || is_in_moving_box(street.boxes, glm::dvec3(p), frame.time_s, -0.1);
         n += inside && p.z > surfels.mean[0].z - 1e9f;
     }
@@ -133,17 +132,17 @@ std::size_t count_in_moving_boxes(const LidarSequence& street, const Surfels& su
 TEST(Initialise, AStreetThatStandsStillStays) {
     const std::string rig =
         test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
-    const LidarSequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
+    const Log street = make_street_log({.n_frames = 6, .moving_cars = false, .rig = rig});
     const std::size_t n_lidars = street.lidars.size();
     // tests each LiDAR separately, then all LiDARs together
     for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {
         std::vector<int> train;
         for (std::size_t i = 0; i < street.frames.size(); ++i)
             if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
-        SceneInitialisationOptions options;
-        const std::size_t all = initialise_background(street, train, options).size();
+        InitOptions options;
+        const std::size_t all = init_background(street, train, options).size();
         options.unlabelled_movers = UnlabelledMoverPolicy::removed;
-        EXPECT_GT(double(initialise_background(street, train, options).size()), 0.98 * double(all))
+        EXPECT_GT(double(init_background(street, train, options).size()), 0.98 * double(all))
             << "LiDAR " << lidar;
     }
 }
@@ -153,53 +152,48 @@ TEST(Initialise, AStreetThatStandsStillStays) {
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
-    const LidarSequence street =
-        make_synthetic_street({.n_frames = 12, .moving_cars = false, .rig = rig.string()});
+    const Log street = make_street_log({.n_frames = 12, .moving_cars = false, .rig = rig.string()});
     std::vector<int> train(street.frames.size());
     std::iota(train.begin(), train.end(), 0);
-    SceneInitialisationOptions options;
-    const std::size_t all = initialise_background(street, train, options).size();
+    InitOptions options;
+    const std::size_t all = init_background(street, train, options).size();
     options.unlabelled_movers = UnlabelledMoverPolicy::removed;
-    EXPECT_GT(double(initialise_background(street, train, options).size()), 0.99 * double(all));
-    EXPECT_TRUE(discover_moving_object_tracks(street, train).empty());
+    EXPECT_GT(double(init_background(street, train, options).size()), 0.99 * double(all));
+    EXPECT_TRUE(discover_tracks(street, train).empty());
 }
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
-    SyntheticOptions longer = make_small_street();
+    StreetOptions longer = make_small_street();
     longer.n_frames = 20;  // long enough to observe the surfaces that a car hid
-    const LidarSequence street = make_synthetic_street(longer);
-    const std::vector<int> train = split_frames_into_train_and_test(street, 10).train;
-    SceneInitialisationOptions options;
-    const std::size_t labelled = count_in_moving_boxes(street, initialise_background(street, train, options));
-    LidarSequence unlabelled = street;
+    const Log street = make_street_log(longer);
+    const std::vector<int> train = split_frames(street, 10).train;
+    InitOptions options;
+    const std::size_t labelled = count_in_moving_boxes(street, init_background(street, train, options));
+    Log unlabelled = street;
     unlabelled.boxes.clear();
-    const std::size_t left_in =
-        count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
+    const std::size_t left_in = count_in_moving_boxes(street, init_background(unlabelled, train, options));
     options.unlabelled_movers = UnlabelledMoverPolicy::removed;
-    const std::size_t removed =
-        count_in_moving_boxes(street, initialise_background(unlabelled, train, options));
+    const std::size_t removed = count_in_moving_boxes(street, init_background(unlabelled, train, options));
     EXPECT_GT(left_in, labelled + 50u) << "the cars leave a trail where nothing is done about it";
     EXPECT_LT(double(removed - std::min(removed, labelled)), 0.35 * double(left_in - labelled))
         << left_in << " in boxes without removal, " << removed << " with, " << labelled << " with labels";
 }
 
 TEST(Initialise, HeldOutFramesDoNotMatter) {
-    LidarSequence street = make_synthetic_street(make_small_street());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
-    const Surfels before = initialise_background(street, split.train, {});
+    Log street = make_street_log(make_small_street());
+    const Split split = split_frames(street, 10);
+    const Surfels before = init_background(street, split.train, {});
     for (const int position : split.test)
         for (float& range : street.frames[std::size_t(position)].scan.range_m) range *= 0.5f;
-    const Surfels after = initialise_background(street, split.train, {});
+    const Surfels after = init_background(street, split.train, {});
     EXPECT_EQ(before.mean, after.mean);
     EXPECT_EQ(before.sh, after.sh);
 }
 
 TEST(Initialise, NothingToStartFromIsAnError) {
-    LidarSequence street = make_synthetic_street(make_small_street());
-    for (LidarFrame& frame : street.frames)
-        std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
-    EXPECT_THROW(initialise_background(street, split_frames_into_train_and_test(street, 10).train, {}),
-                 DataError);
+    Log street = make_street_log(make_small_street());
+    for (Frame& frame : street.frames) std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
+    EXPECT_THROW(init_background(street, split_frames(street, 10).train, {}), DataError);
 }
 
 }  // namespace

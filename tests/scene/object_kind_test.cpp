@@ -11,15 +11,15 @@ TEST(ObjectKind, IsTheSameInEveryDataset) {
     for (const char* word :
          {"Car", "Van", "Truck", "Tram", "car", "truck", "bus", "vehicle", "vehicle.car", "vehicle.bus.rigid",
           "REGULAR_VEHICLE", "BOX_TRUCK", "ARTICULATED_BUS", "trailer"})
-        EXPECT_EQ(parse_object_kind(word), ObjectKind::vehicle) << word;
+        EXPECT_EQ(parse_kind(word), ObjectKind::vehicle) << word;
     for (const char* word : {"Cyclist", "cyclist", "bicycle", "rider", "motorcycle", "BICYCLIST",
                              "vehicle.bicycle", "vehicle.motorcycle"})
-        EXPECT_EQ(parse_object_kind(word), ObjectKind::cyclist) << word;
+        EXPECT_EQ(parse_kind(word), ObjectKind::cyclist) << word;
     for (const char* word :
          {"Pedestrian", "Person (sitting)", "person", "pedestrian", "PEDESTRIAN", "human.pedestrian.adult"})
-        EXPECT_EQ(parse_object_kind(word), ObjectKind::person) << word;
+        EXPECT_EQ(parse_kind(word), ObjectKind::person) << word;
     for (const char* word : {"Misc", "", "trafficSign", "movable_object.barrier", "Discovered", "cars"})
-        EXPECT_EQ(parse_object_kind(word), ObjectKind::other) << word;
+        EXPECT_EQ(parse_kind(word), ObjectKind::other) << word;
 }
 
 }  // namespace

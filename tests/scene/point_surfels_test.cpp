@@ -15,8 +15,8 @@ namespace {
 
 constexpr double kSpacing = 0.1;  // spacing of the points on a line, metres
 
-SceneInitialisationOptions make_standard_options() {
-    SceneInitialisationOptions options;
+InitOptions make_standard_options() {
+    InitOptions options;
     options.normal_neighbours = 24;
     options.flatness = 0.04;
     options.max_gap_m = 1.0;
@@ -31,9 +31,8 @@ std::vector<LidarSample> make_lines_at(const std::vector<double>& places,
     std::vector<LidarSample> samples;
     for (const double x : places)
         for (int k = -20; k <= 20; ++k) {
-            const glm::dvec3 noise(0.001 * random.sample_standard_normal(),
-                                   0.001 * random.sample_standard_normal(),
-                                   0.001 * random.sample_standard_normal());
+            const glm::dvec3 noise(0.001 * random.sample_normal(), 0.001 * random.sample_normal(),
+                                   0.001 * random.sample_normal());
             samples.push_back(
                 {glm::vec3(glm::dvec3(x, kSpacing * k, height(x)) + noise), 0.5f, {0.8f, 0.0f, -0.6f}});
         }
@@ -41,8 +40,8 @@ std::vector<LidarSample> make_lines_at(const std::vector<double>& places,
 }
 
 Surfels make_surfels(const std::vector<LidarSample>& samples,
-                     const SceneInitialisationOptions& options = make_standard_options()) {
-    return make_surfels_from_points(samples, options, 0.0);
+                     const InitOptions& options = make_standard_options()) {
+    return make_surfels(samples, options, 0.0);
 }
 double level(double) { return 0.0; }
 
@@ -83,7 +82,7 @@ TEST(PointSurfels, ReachAcrossGapsBetweenLines) {
 }
 
 TEST(PointSurfels, AreRoundByThemselves) {
-    SceneInitialisationOptions options = make_standard_options();
+    InitOptions options = make_standard_options();
     options.max_gap_m = 0.0;
     const Surfels surfels = make_surfels(make_lines_at(places(7, 0.5), level), options);
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
@@ -95,9 +94,9 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     std::vector<LidarSample> samples;
     for (int i = -20; i <= 20; ++i)
         for (int j = -20; j <= 20; ++j) {
-            const double x = i + random.sample_uniform_number(-0.25, 0.25),
-                         y = j + random.sample_uniform_number(-0.25, 0.25);
-            samples.push_back({glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.sample_standard_normal()),
+            const double x = i + random.sample_uniform(-0.25, 0.25),
+                         y = j + random.sample_uniform(-0.25, 0.25);
+            samples.push_back({glm::vec3(kSpacing * x, kSpacing * y, 0.001 * random.sample_normal()),
                                0.5f,
                                {0.8f, 0.0f, -0.6f}});
         }
@@ -110,7 +109,7 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
 /// Lines are so far apart that the 24 nearest neighbours of a point belong to one line.
 /// Only a wider search shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
-    SceneInitialisationOptions options = make_standard_options();
+    InitOptions options = make_standard_options();
     options.max_gap_m = 2.0;
     const std::vector<LidarSample> samples = make_lines_at(places(5, 1.5), level);
     const Disc disc = make_disc_at(make_surfels(samples, options), {});
@@ -146,7 +145,7 @@ TEST(PointSurfels, DoNotReachFartherThanTheyMay) {
         x.push_back(0.6 + kSpacing * k);
     }
     EXPECT_NEAR(make_disc_at(make_surfels(make_lines_at(x, level)), {}).along_x, 6.0, 0.5);
-    SceneInitialisationOptions options = make_standard_options();
+    InitOptions options = make_standard_options();
     options.max_gap_m = 0.5;
     EXPECT_LT(make_disc_at(make_surfels(make_lines_at(x, level), options), {}).along_x, 1.6);
 }

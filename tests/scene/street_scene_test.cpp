@@ -82,8 +82,8 @@ const StreetSurfel kLastOf1000{999,
                                {-0.0703125f, 0.0078125f, 0.0234375f}};
 
 TEST(Street, FamilyAOf1000) {
-    const Surfels s = make_benchmark_street_surfels(1000);
-    s.require_equal_array_lengths();
+    const Surfels s = make_street_surfels(1000);
+    s.check_lengths();
     expect_sample(s, kFirstOf1000);
     expect_sample(s, kLastOf1000);
     expect_sums(s, {50157.65320637668, 1531.3510222060395, 361.5212205052376, 545.7502571195364,
@@ -91,7 +91,7 @@ TEST(Street, FamilyAOf1000) {
 }
 
 TEST(Street, FamilyBScalesWithTheCount) {
-    const Surfels s = make_benchmark_street_surfels(1000, 20261120, true);
+    const Surfels s = make_street_surfels(1000, 20261120, true);
     StreetSurfel first = kFirstOf1000, last = kLastOf1000;
     first.scale = {1.1845113f, 1.23938191f};
     last.scale = {2.95972896f, 1.32527745f};
@@ -101,7 +101,7 @@ TEST(Street, FamilyBScalesWithTheCount) {
 }
 
 TEST(Street, FamilyAOf100000) {
-    const Surfels s = make_benchmark_street_surfels(100000);
+    const Surfels s = make_street_surfels(100000);
     expect_sample(s, {0,
                       {66.1117859f, 8.53628254f, 0.608389974f},
                       {-0.562476873f, 0.639396787f, -0.358642876f, -0.382317722f},
@@ -121,8 +121,8 @@ TEST(Street, FamilyAOf100000) {
 }
 
 TEST(Street, OtherSeedsAndEmpty) {
-    EXPECT_NE(make_benchmark_street_surfels(10, 1).mean[0], make_benchmark_street_surfels(10, 2).mean[0]);
-    EXPECT_EQ(make_benchmark_street_surfels(0).size(), 0u);
+    EXPECT_NE(make_street_surfels(10, 1).mean[0], make_street_surfels(10, 2).mean[0]);
+    EXPECT_EQ(make_street_surfels(0).size(), 0u);
 }
 
 void expect_rays(const RayTable& table, int rows, int columns, const glm::vec3& first, const glm::vec3& last,
@@ -146,15 +146,15 @@ void expect_rays(const RayTable& table, int rows, int columns, const glm::vec3& 
 }
 
 TEST(Street, Rays) {
-    expect_rays(make_benchmark_rays("waymo"), 64, 2650,
+    expect_rays(make_street_rays("waymo"), 64, 2650,
                 {-0.9992325901985168f, 0.0011845974950119853f, 0.03915081545710564f},
                 {-0.9540110230445862f, -0.0011309869587421417f, -0.2997693419456482f}, 236127.60035995278);
-    expect_rays(make_benchmark_rays("kitti"), 66, 1030,
+    expect_rays(make_street_rays("kitti"), 66, 1030,
                 {-0.9995039701461792f, 0.0030485864263027906f, 0.03134468197822571f},
                 {-0.9085315465927124f, -0.0027711116708815098f, -0.417807012796402f}, 97603.03340174304);
-    EXPECT_EQ(make_benchmark_rays(4, 8, 10.0, -10.0).size(), 32u);
-    EXPECT_THROW(make_benchmark_rays("ouster"), UsageError);
-    EXPECT_THROW(make_benchmark_rays(0, 8, 10.0, -10.0), UsageError);
+    EXPECT_EQ(make_street_rays(4, 8, 10.0, -10.0).size(), 32u);
+    EXPECT_THROW(make_street_rays("ouster"), UsageError);
+    EXPECT_THROW(make_street_rays(0, 8, 10.0, -10.0), UsageError);
 }
 
 }  // namespace

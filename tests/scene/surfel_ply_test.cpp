@@ -72,7 +72,7 @@ void expect_equal(const Scene& first, const Scene& second) {
 /// Reads a file of the scene, without its surfels.
 Scene read_edited(const std::filesystem::path& file, const Scene& scene,
                   PrimitiveType primitive = PrimitiveType::surfel) {
-    return read_surfel_ply(file, copy_scene_without_surfels(scene), primitive);
+    return read_surfel_ply(file, strip_surfels(scene), primitive);
 }
 
 /// Header and records of a written file.
@@ -97,10 +97,10 @@ struct Parts {
 
 TEST_F(SurfelPly, ComesBackBitEqual) {
     const Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     expect_equal(read_edited(folder / "a.ply", scene), scene);
-    const Scene empty = make_background_scene({});
-    write_surfel_ply(folder / "b.ply", empty);
+    const Scene empty = wrap_background({});
+    write_surfels(folder / "b.ply", empty);
     expect_equal(read_surfel_ply(folder / "b.ply", empty), empty);
     EXPECT_EQ(files().size(), 2u);
 }
@@ -110,7 +110,7 @@ TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     Scene scene = make_some_scene();
     scene.surfels.primitive = PrimitiveType::gaussian;
     for (std::size_t i = 0; i < 7; ++i) scene.surfels.log_scale_w.push_back(-0.1f - float(i) / 7.0f);
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     expect_equal(read_edited(folder / "a.ply", scene, PrimitiveType::gaussian), scene);
     EXPECT_TRUE(read_edited(folder / "a.ply", scene).surfels.log_scale_w.empty());
     Parts file(read_contents(folder / "a.ply"));
@@ -124,7 +124,7 @@ TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
 
 TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     const Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     Parts file(read_contents(folder / "a.ply"));
     std::string expected =
         "ply\nformat binary_little_endian 1.0\ncomment relidar surfels: metres, frame of each model; scale_2 "
@@ -163,7 +163,7 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
 /// properties.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     Parts file(read_contents(folder / "a.ply"));
     const std::size_t order[] = {6, 0, 5, 2};
     std::string data;
@@ -176,7 +176,7 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     for (const char* name : {"nx", "ny", "nz"}) file.replace(fmt::format("property float {}\n", name), "");
     put(folder / "b.ply", file.header + data);
     const Scene read = read_edited(folder / "b.ply", scene);
-    Scene expected = copy_scene_without_surfels(scene);
+    Scene expected = strip_surfels(scene);
     expected.surfels = scene.surfels.reorder({0, 2, 6, 5});
     expected.models = {{"background", 0, 2}, {"empty", 2, 0}, {"7", 2, 2}};
     expect_equal(read, expected);
@@ -212,7 +212,7 @@ std::string select_from_ply(const std::string& file, const std::vector<std::stri
 TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
     Scene scene = make_some_scene();
     scene.surfels.mean[6] = scene.surfels.mean[2];  // in two models
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     const std::string all = read_contents(folder / "a.ply");
     for (const int n_rest : {45, 24, 9, 0}) {
         std::string text = select_from_ply(all, list_usual_properties(n_rest), {6, 5, 2, 0});
@@ -229,7 +229,7 @@ TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
         put(folder / "b.ply", text);
         std::string note;
         const Scene read = read_surfel_ply(folder / "b.ply", scene, PrimitiveType::surfel, &note);
-        Scene expected = copy_scene_without_surfels(scene);
+        Scene expected = strip_surfels(scene);
         expected.surfels = scene.surfels.reorder({2, 0, 6, 5});
         expected.models = {{"background", 0, 2}, {"empty", 2, 0}, {"7", 2, 2}};
         expect_equal(read, expected);
@@ -244,7 +244,7 @@ TEST_F(SurfelPly, RestoresWhatEditorsDrop) {
 TEST_F(SurfelPly, RefusesDeletedSurfelsOfEqualModels) {
     Scene scene = make_some_scene();
     scene.surfels = scene.surfels.reorder({0, 1, 2, 3, 4, 5, 2});  // 2 and 6 are in different models
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     const std::string all = read_contents(folder / "a.ply");
     put(folder / "b.ply", select_from_ply(all, list_usual_properties(0), {0, 1, 2, 3, 4, 5, 6}));
     EXPECT_EQ(read_surfel_ply(folder / "b.ply", scene).surfels.size(), 7u);
@@ -254,7 +254,7 @@ TEST_F(SurfelPly, RefusesDeletedSurfelsOfEqualModels) {
 
 TEST_F(SurfelPly, MatchesRoundedPositionsAndKeepsEditedValues) {
     Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     std::string text = select_from_ply(read_contents(folder / "a.ply"), list_usual_properties(0), {3});
     auto* values = reinterpret_cast<float*>(text.data() + text.find("end_header\n") + 11);
     values[0] += 1e-5f;
@@ -275,7 +275,7 @@ TEST_F(SurfelPly, MatchesRoundedPositionsAndKeepsEditedValues) {
 
 TEST_F(SurfelPly, ReadsHeadersWithLineEndsOfWindows) {
     const Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     const Parts file(read_contents(folder / "a.ply"));
     std::string header;
     for (const char c : file.header) header += c == '\n' ? std::string("\r\n") : std::string(1, c);
@@ -284,8 +284,8 @@ TEST_F(SurfelPly, ReadsHeadersWithLineEndsOfWindows) {
 }
 
 TEST_F(SurfelPly, RefusesFilesThatLie) {
-    const Scene scene = make_some_scene(), layout = copy_scene_without_surfels(scene);
-    write_surfel_ply(folder / "a.ply", scene);
+    const Scene scene = make_some_scene(), layout = strip_surfels(scene);
+    write_surfels(folder / "a.ply", scene);
     const Parts good(read_contents(folder / "a.ply"));
     const auto refused = [&](const std::string& pattern, const std::function<void(Parts&)>& change) {
         Parts bad = good;
@@ -326,18 +326,20 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
 
 TEST_F(SurfelPly, SurfelsInTheWorldAreNotReadBackAsAScene) {
     const Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene.surfels,
-                     {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
+    write_surfels(folder / "a.ply", scene.surfels,
+                  {{"time_s", "1.5"}, {"add_to_positions_m", "1 2 3\nelement vertex 9"}});
     const std::string bytes = read_contents(folder / "a.ply");
     EXPECT_NE(bytes.find(": metres, world"), std::string::npos);
-    EXPECT_THAT(bytes, testing::HasSubstr("\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element "
-                                          "vertex 9\nelement vertex 7\n"));
+    EXPECT_THAT(
+        bytes,
+        testing::HasSubstr(
+            "\ncomment time_s 1.5\ncomment add_to_positions_m 1 2 3 element vertex 9\nelement vertex 7\n"));
     EXPECT_THROW((void)read_surfel_ply(folder / "a.ply", scene), DataError);
 }
 
 TEST_F(SurfelPly, RefusesEveryTruncation) {
     const Scene scene = make_some_scene();
-    write_surfel_ply(folder / "a.ply", scene);
+    write_surfels(folder / "a.ply", scene);
     const std::string good = read_contents(folder / "a.ply");
     for (std::size_t size = 0; size < good.size(); size += 13) {
         put(folder / "cut.ply", good.substr(0, size));
@@ -349,8 +351,8 @@ TEST_F(SurfelPly, WritesOnlyWholeScenes) {
     Scene gap = make_some_scene(), ragged = make_some_scene();
     gap.models[2].first = 5;
     ragged.surfels.sh.pop_back();
-    get_data_error_message([&] { write_surfel_ply(folder / "a.ply", gap); });
-    get_data_error_message([&] { write_surfel_ply(folder / "a.ply", ragged); });
+    get_data_error_message([&] { write_surfels(folder / "a.ply", gap); });
+    get_data_error_message([&] { write_surfels(folder / "a.ply", ragged); });
     EXPECT_TRUE(files().empty());
 }
 

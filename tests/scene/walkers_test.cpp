@@ -19,29 +19,26 @@ PoseTrack make_straight_walk(double speed_mps, double jitter_m, double from_s = 
     Random random(3);
     for (double t = from_s; t < from_s + 5.05; t += 0.1) {
         track.time_s.push_back(t);
-        track.pose.push_back({glm::dquat(1, 0, 0, 0),
-                              {speed_mps * t, jitter_m * random.sample_standard_normal(),
-                               jitter_m * random.sample_standard_normal()}});
+        track.pose.push_back(
+            {glm::dquat(1, 0, 0, 0),
+             {speed_mps * t, jitter_m * random.sample_normal(), jitter_m * random.sample_normal()}});
     }
     return track;
 }
 
 TEST(WalkedDistance, IsTheWayAndNotTheJitterOfLabels) {
     const WalkedDistanceTrack exact(make_straight_walk(1.4, 0.0));
-    for (const double t : {0.0, 0.33, 2.0, 5.0, 6.0})
-        EXPECT_NEAR(exact.compute_walked_distance_m(t), 1.4 * t, 1e-9) << t;
+    for (const double t : {0.0, 0.33, 2.0, 5.0, 6.0}) EXPECT_NEAR(exact.walked_m(t), 1.4 * t, 1e-9) << t;
     const WalkedDistanceTrack labelled(make_straight_walk(1.4, 0.03));
-    EXPECT_NEAR(labelled.compute_walked_distance_m(4.5) - labelled.compute_walked_distance_m(0.5), 1.4 * 4.0,
-                0.15);
-    EXPECT_LT(WalkedDistanceTrack(make_straight_walk(0.0, 0.03)).compute_walked_distance_m(5.0), 0.2)
-        << "it stands";
-    EXPECT_EQ(WalkedDistanceTrack(PoseTrack{{0.0}, {Pose{}}}).compute_walked_distance_m(3.0), 0.0);
+    EXPECT_NEAR(labelled.walked_m(4.5) - labelled.walked_m(0.5), 1.4 * 4.0, 0.15);
+    EXPECT_LT(WalkedDistanceTrack(make_straight_walk(0.0, 0.03)).walked_m(5.0), 0.2) << "it stands";
+    EXPECT_EQ(WalkedDistanceTrack(PoseTrack{{0.0}, {Pose{}}}).walked_m(3.0), 0.0);
 }
 
 /// Makes three walkers and a rigid cyclist.
 class Walkers : public test::DeviceTest {
 protected:
-    static SyntheticOptions options() {
+    static StreetOptions options() {
         return {.seed = 3,
                 .n_frames = 40,
                 .rows = 64,
@@ -52,13 +49,13 @@ protected:
                 .gait = true};
     }
     static void SetUpTestSuite() {
-        log = make_synthetic_street(options());
-        split = split_frames_into_train_and_test(log, 10);
+        log = make_street_log(options());
+        split = split_frames(log, 10);
         start.opacity = 0.99;
         start.scale_factor = 0.5;  // opaque and small, as after training
-        walking = initialise_scene(log, split.train, start, {}, &notes);
+        walking = init_scene(log, split.train, start, {}, &notes);
         start.deform = "";
-        rigid = initialise_scene(log, split.train, start);
+        rigid = init_scene(log, split.train, start);
     }
     static void TearDownTestSuite() {
         log = {};
@@ -70,17 +67,17 @@ protected:
     }
     /// Returns the errors of the rendered surface in metres, for all rays that hit a
     /// walker.
-    std::vector<double> errors(const Scene& scene, const LidarSequence& at, const LidarFrame& frame,
-                               const Scan& exact, const std::string& track) {
-        const BoxTrack& box = *find_box_track_by_id(at, track);
-        const PoseTrack world_from_sensor = at.get_world_from_sensor(frame.lidar);
+    std::vector<double> errors(const Scene& scene, const Log& at, const Frame& frame, const Scan& exact,
+                               const std::string& track) {
+        const BoxTrack& box = *find_box(at, track);
+        const PoseTrack world_from_sensor = at.lidar_track(frame.lidar);
         WorldRays rays;
         std::vector<double> truth;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             if (!(exact.range_m[i] > 0.0f)) continue;
             const WorldRay ray = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 point = ray.origin_m + double(exact.range_m[i]) * ray.direction;
-            const glm::dvec3 local = inverse(box.world_from_box.interpolate_pose(frame.time_s)) * point;
+            const glm::dvec3 local = inverse(box.world_from_box.pose_at(frame.time_s)) * point;
             if (!box.contains_point(point, frame.time_s, 0.05) || local.z < -0.5 * box.size_m.z + 0.2)
                 continue;
             rays.origin.emplace_back(ray.origin_m);
@@ -89,11 +86,9 @@ protected:
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
         // moves the scene to a different phase of the stride first
-        renderer.record_instance_poses_and_view(
-            compute_instance_poses(scene, log, get_sweep_timing_of_frame(log.frames[0])), glm::vec3(0.0f));
-        renderer.record_instance_poses_and_view(
-            compute_instance_poses(scene, at, get_sweep_timing_of_frame(frame)),
-            glm::vec3(world_from_sensor.interpolate_pose(frame.time_s).translation));
+        renderer.record_poses(pose_instances(scene, log, timing_of(log.frames[0])), glm::vec3(0.0f));
+        renderer.record_poses(pose_instances(scene, at, timing_of(frame)),
+                              glm::vec3(world_from_sensor.pose_at(frame.time_s).translation));
         const RenderedRayValues r = renderer.render_rays(rays);
         std::vector<double> off;
         for (std::size_t i = 0; i < truth.size(); ++i)
@@ -105,16 +100,16 @@ protected:
                double(errors.size());
     }
 
-    inline static LidarSequence log;
-    inline static TrainTestSplit split;
-    inline static SceneInitialisationOptions start;
+    inline static Log log;
+    inline static Split split;
+    inline static InitOptions start;
     inline static Scene walking, rigid;
     inline static std::vector<std::string> notes;
 };
 
 TEST_F(Walkers, PeopleAndCyclistsChangeAndTheBackgroundDoesNot) {
     for (const char* track : {"0", "1", "3"}) {
-        const std::vector<Pose>& poses = find_box_track_by_id(log, track)->world_from_box.pose;
+        const std::vector<Pose>& poses = find_box(log, track)->world_from_box.pose;
         EXPECT_GT(double(model_of(walking, track).stride_m),
                   0.8 * glm::distance(poses.front().translation, poses.back().translation))
             << track << ": the motion repeats after the recorded distance";
@@ -130,9 +125,8 @@ TEST_F(Walkers, PeopleAndCyclistsChangeAndTheBackgroundDoesNot) {
 TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
     std::vector<double> bent, stiff;
     for (const int position : split.test) {
-        const LidarFrame& frame = log.frames[std::size_t(position)];
-        const Scan exact = cast_rays_into_synthetic_street(options(), frame.scan.rays,
-                                                           log.get_world_from_sensor(0), frame.time_s);
+        const Frame& frame = log.frames[std::size_t(position)];
+        const Scan exact = cast_street_rays(options(), frame.scan.rays, log.lidar_track(0), frame.time_s);
         for (const char* track : {"0", "1"}) {
             for (const double e : errors(walking, log, frame, exact, track)) bent.push_back(e);
             for (const double e : errors(rigid, log, frame, exact, track)) stiff.push_back(e);
@@ -146,17 +140,17 @@ TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
 /// The phase depends on distance, in the exact street too.
 TEST_F(Walkers, StepByDistance) {
     const std::string walker = "0";
-    LidarSequence slow = log;
+    Log slow = log;
     BoxTrack& box = *std::ranges::find(slow.boxes, walker, &BoxTrack::id);
     for (double& t : box.world_from_box.time_s) t *= 2.0;
     const auto at =
         std::size_t(std::ranges::find(walking.models, walker, &SurfelModel::name) - walking.models.begin());
-    const LidarFrame& frame = log.frames[30];
-    const double before = compute_instance_poses(walking, log, SweepTiming{log.frames[15].time_s})[at].phase;
-    const double phase = compute_instance_poses(walking, slow, get_sweep_timing_of_frame(frame))[at].phase;
+    const Frame& frame = log.frames[30];
+    const double before = pose_instances(walking, log, SweepTiming{log.frames[15].time_s})[at].phase;
+    const double phase = pose_instances(walking, slow, timing_of(frame))[at].phase;
     EXPECT_NEAR(phase, before, 0.03) << "turns, half way";
-    const Scan exact = cast_rays_into_synthetic_street(
-        options(), {{std::stoul(walker), box}}, frame.scan.rays, log.get_world_from_sensor(0), frame.time_s);
+    const Scan exact = cast_street_rays(options(), {{std::stoul(walker), box}}, frame.scan.rays,
+                                        log.lidar_track(0), frame.time_s);
     EXPECT_GT(share_within(errors(walking, slow, frame, exact, walker), 0.03),
               share_within(errors(rigid, slow, frame, exact, walker), 0.03) + 0.05);
 }

@@ -50,7 +50,7 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     start();
     v1::RenderLidarRequest request = make_standing_request();
     request.mutable_sensor()->set_name("VLP-16:128x10");
-    const v1::LidarScan truth = ScanClient(address()).render_lidar_scan(request);
+    const v1::LidarScan truth = ScanClient(address()).render_scan(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
     // afterwards, threads, arenas and caches exist
     EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);

@@ -23,8 +23,8 @@ struct FunctionsRequest : QueuedRequest {
     std::function<void()> on_finish = [] {};
     std::function<bool()> cancelled = [] { return false; };
 
-    void submit_to_device(bool is_last) override { on_submit(is_last); }
-    void wait_for_device_and_store_response() override { on_finish(); }
+    void submit(bool is_last) override { on_submit(is_last); }
+    void finish() override { on_finish(); }
     bool is_cancelled() const override { return cancelled(); }
 };
 using Outcome = RenderQueue::RequestOutcome;
@@ -34,7 +34,7 @@ class Blocker {
 public:
     explicit Blocker(RenderQueue& queue)
         : slot_(std::move(*queue.reserve_slot())),
-          thread_([this] { slot_.run_on_render_thread([this] { block(); }); }) {
+          thread_([this] { slot_.run_function([this] { block(); }); }) {
         begun_.get_future().wait();
     }
     ~Blocker() {
@@ -69,13 +69,13 @@ TEST(RenderQueue, HasSlotsForPendingRequestsAndTheCurrentOne) {
 TEST(RenderQueue, RunsAllRequestsOnOneThread) {
     RenderQueue queue(8);
     std::thread::id worker;
-    queue.reserve_slot()->run_on_render_thread([&] { worker = std::this_thread::get_id(); });
+    queue.reserve_slot()->run_function([&] { worker = std::this_thread::get_id(); });
     EXPECT_NE(worker, std::this_thread::get_id());
     std::atomic<int> elsewhere = 0, done = 0;
     std::vector<std::jthread> clients;
     for (int i = 0; i < 8; ++i)
         clients.emplace_back([&] {
-            queue.reserve_slot()->run_on_render_thread([&] {
+            queue.reserve_slot()->run_function([&] {
                 elsewhere += std::this_thread::get_id() != worker;
                 ++done;
             });
@@ -94,7 +94,7 @@ TEST(RenderQueue, RunsAllRequestsOnOneThread) {
 std::string list_parts(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
                        char fails = ' ') {
     RenderQueue queue(8);
-    queue.set_max_requests_per_batch(together);
+    queue.set_batch_size(together);
     std::string parts;  // accessed only by the queue's thread
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);
@@ -115,7 +115,7 @@ std::string list_parts(const std::vector<std::pair<char, std::size_t>>& line, st
             };
             if (scene > 0) request.scene = scene;
             try {
-                queue.reserve_slot()->run_request_and_wait(request);
+                queue.reserve_slot()->run_request(request);
             } catch (const std::runtime_error&) {}
         });
         // When the queue has polled whether the request is cancelled, the request is
@@ -149,16 +149,16 @@ TEST(RenderQueue, ARequestThatFailsIsNotFinishedAndStopsNoOther) {
     fails.scene = 1;
     fails.on_submit = [](bool) { throw std::runtime_error("submit"); };
     fails.on_finish = [&] { finished = true; };
-    EXPECT_THROW(queue.reserve_slot()->run_request_and_wait(fails), std::runtime_error);
+    EXPECT_THROW(queue.reserve_slot()->run_request(fails), std::runtime_error);
     EXPECT_FALSE(finished);
     FunctionsRequest fails_late;
     fails_late.scene = 1;
     fails_late.on_finish = [] { throw std::runtime_error("finish"); };
-    EXPECT_THROW(queue.reserve_slot()->run_request_and_wait(fails_late), std::runtime_error);
+    EXPECT_THROW(queue.reserve_slot()->run_request(fails_late), std::runtime_error);
     FunctionsRequest works;
     works.scene = 1;
     works.on_finish = [&] { finished = true; };
-    EXPECT_EQ(queue.reserve_slot()->run_request_and_wait(works), Outcome::done) << "nobody comes after it";
+    EXPECT_EQ(queue.reserve_slot()->run_request(works), Outcome::done) << "nobody comes after it";
     EXPECT_TRUE(finished);
 }
 
@@ -171,14 +171,14 @@ TEST(RenderQueue, ACancelledRequestIsNeverSubmitted) {
     request.cancelled = [&] { return cancelled.load(); };
     {
         Blocker blocker(queue);
-        std::jthread client([&] { outcome = queue.reserve_slot()->run_request_and_wait(request); });
+        std::jthread client([&] { outcome = queue.reserve_slot()->run_request(request); });
         cancelled = true;
         // joins the client while the queue is busy, because a cancelled request must not
         // wait for other requests
         client.join();
         EXPECT_EQ(outcome, Outcome::cancelled);
     }
-    queue.reserve_slot()->run_on_render_thread([] {});  // afterwards, all earlier work has been processed
+    queue.reserve_slot()->run_function([] {});  // afterwards, all earlier work has been processed
     EXPECT_FALSE(ran);
 }
 
@@ -188,16 +188,16 @@ TEST(RenderQueue, ChecksOnceMoreBeforeItSubmits) {
     FunctionsRequest request;
     request.on_submit = [&](bool) { ran = true; };
     request.cancelled = [] { return true; };
-    EXPECT_EQ(queue.reserve_slot()->run_request_and_wait(request), Outcome::cancelled);
+    EXPECT_EQ(queue.reserve_slot()->run_request(request), Outcome::cancelled);
     EXPECT_FALSE(ran);
 }
 
 TEST(RenderQueue, AFailureEndsOnlyItsRequest) {
     RenderQueue queue(4);
-    EXPECT_THROW(queue.reserve_slot()->run_on_render_thread([] { throw std::runtime_error("of this one"); }),
+    EXPECT_THROW(queue.reserve_slot()->run_function([] { throw std::runtime_error("of this one"); }),
                  std::runtime_error);
     FunctionsRequest request;
-    EXPECT_EQ(queue.reserve_slot()->run_request_and_wait(request), Outcome::done);
+    EXPECT_EQ(queue.reserve_slot()->run_request(request), Outcome::done);
 }
 
 }  // namespace

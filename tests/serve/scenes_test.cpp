@@ -31,11 +31,10 @@ protected:
         }
     }
     std::vector<float> ranges(SceneSet& scenes, std::size_t scene) {
-        const relidar::TrainedRun& run = scenes.get_runs_without_surfels()[scene];
+        const relidar::Run& run = scenes.runs()[scene];
         std::vector<float> range_m;
-        scenes.load_scene_and_call_with_renderer(scene, {}, [&](ScanRenderer& renderer) {
-            range_m =
-                renderer.render(make_sensor_from_config(run.config, run.sequence), request).image.range_m;
+        scenes.use_scene(scene, {}, [&](ScanRenderer& renderer) {
+            range_m = renderer.render(make_sensor(run.config, run.sequence), request).image.range_m;
         });
         return range_m;
     }
@@ -72,13 +71,13 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     SceneSet scenes(device(), sources, std::uint64_t(1) << 40, no_assets);
     const auto nothing = [](ScanRenderer&) {};
     const auto fails = [](ScanRenderer&) { throw DeviceError("planted"); };
-    const SceneSet::SceneLoadNumber first = scenes.load_scene_and_call_with_renderer(0, {}, nothing);
-    EXPECT_NO_THROW(scenes.call_if_scene_was_not_reloaded(0, first, nothing));
-    EXPECT_THROW(scenes.load_scene_and_call_with_renderer(0, {}, fails), DeviceError);
-    EXPECT_THROW(scenes.call_if_scene_was_not_reloaded(0, first, nothing), DeviceError) << "nothing there";
-    const SceneSet::SceneLoadNumber second = scenes.load_scene_and_call_with_renderer(0, {}, nothing);
-    EXPECT_THROW(scenes.call_if_scene_was_not_reloaded(0, first, nothing), DeviceError) << "another one";
-    EXPECT_NO_THROW(scenes.call_if_scene_was_not_reloaded(0, second, nothing));
+    const SceneSet::SceneLoadNumber first = scenes.use_scene(0, {}, nothing);
+    EXPECT_NO_THROW(scenes.reuse_scene(0, first, nothing));
+    EXPECT_THROW(scenes.use_scene(0, {}, fails), DeviceError);
+    EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "nothing there";
+    const SceneSet::SceneLoadNumber second = scenes.use_scene(0, {}, nothing);
+    EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "another one";
+    EXPECT_NO_THROW(scenes.reuse_scene(0, second, nothing));
 }
 
 /// A scene is copied for parallel scans. The memory of the copies must count towards the
@@ -91,8 +90,7 @@ TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
         SceneSet scenes(device(), {sources[0]}, budget, no_assets);
         one = device().allocated_bytes() - around;
         int n = 0;
-        scenes.load_scene_and_call_with_renderer(
-            0, {}, [&](ScanRenderer& renderer) { n = renderer.get_max_parallel_scans(); });
+        scenes.use_scene(0, {}, [&](ScanRenderer& renderer) { n = renderer.max_parallel(); });
         return n;
     };
     EXPECT_EQ(side_by_side(std::uint64_t(1) << 40), 4);
@@ -114,16 +112,15 @@ TEST_F(Scenes, MissingAndBrokenRunsAreNamed) {
 }
 
 TEST(SceneSources, NamesAreTheFoldersOrGiven) {
-    const std::vector<SceneSource> sources =
-        parse_named_run_folders({"runs/17", "town=runs/18/", "runs/19/."});
+    const std::vector<SceneSource> sources = parse_sources({"runs/17", "town=runs/18/", "runs/19/."});
     ASSERT_EQ(sources.size(), 3u);
     EXPECT_EQ(sources[0].name, "17");
     EXPECT_EQ(sources[1].name, "town");
     EXPECT_EQ(sources[1].folder, "runs/18/");
     EXPECT_EQ(sources[2].name, "19");
-    EXPECT_THROW(parse_named_run_folders({"a/run", "b/run"}), UsageError);
-    EXPECT_NO_THROW(parse_named_run_folders({"a/run", "b=b/run"}));
-    EXPECT_THROW(parse_named_run_folders({"=run"}), UsageError);
+    EXPECT_THROW(parse_sources({"a/run", "b/run"}), UsageError);
+    EXPECT_NO_THROW(parse_sources({"a/run", "b=b/run"}));
+    EXPECT_THROW(parse_sources({"=run"}), UsageError);
 }
 
 }  // namespace

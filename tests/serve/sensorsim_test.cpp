@@ -61,7 +61,7 @@ protected:
     void start_sensorsim(PoseTransformOrder order = PoseTransformOrder::rotation_first) {
         sensorsim = order;
         start();
-        calls = wire::SensorsimService::NewStub(open_insecure_channel(address()));
+        calls = wire::SensorsimService::NewStub(open_channel(address()));
     }
     wire::LidarRenderReturn render(const wire::LidarRenderRequest& request) {
         grpc::ClientContext context;
@@ -198,7 +198,7 @@ TEST_F(Sensorsim, AggregatesLidarScansAlone) {
 
 TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {
     start();
-    calls = wire::SensorsimService::NewStub(open_insecure_channel(address()));
+    calls = wire::SensorsimService::NewStub(open_channel(address()));
     EXPECT_EQ(refused(moving()).error_code(), Code::UNIMPLEMENTED);
 }
 
@@ -261,7 +261,7 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
 
 /// Calls a method of the service with raw bytes under the package name of NuRec 26.10.
 std::string call_renamed(const std::string& address, const std::string& method, const std::string& request) {
-    grpc::GenericStub stub(open_insecure_channel(address));
+    grpc::GenericStub stub(open_channel(address));
     grpc::ClientContext context;
     grpc::CompletionQueue queue;
     const grpc::Slice slice(request);
@@ -294,7 +294,7 @@ TEST_F(Sensorsim, AnswersUnderTheNameOfNuRec2610) {
 }
 
 TEST_F(Sensorsim, LogicalIdTellsTheLidarsOfTheLogApart) {
-    relidar::TrainedRun run = make_small_run(folder / "small");
+    relidar::Run run = make_small_run(folder / "small");
     run.sequence.lidars.push_back(run.sequence.lidars[0]);
     run.sequence.lidars[0].name = "front";
     run.sequence.lidars[1].name = "rear";

@@ -21,16 +21,16 @@ namespace {
 class Service : public ServiceTest {
 protected:
     v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
-        return ScanClient(address()).render_lidar_scan(request);
+        return ScanClient(address()).render_scan(request);
     }
 
     RenderedScan rendered(const ScanRequest& request, const std::string& sensor,
                           std::optional<std::uint64_t> sample, const std::string& in_weather = "") {
-        const relidar::TrainedRun run = load_run(folder / "small");
+        const relidar::Run run = load_run(folder / "small");
         ScanRenderer renderer(device(), run);
         renderer.set_weather(parse_weather(in_weather));
-        const SimulatedSensor choice = sensor.empty() ? make_sensor_from_config(run.config, run.sequence)
-                                                      : find_or_load_sensor(sensor, run.config, run.sequence);
+        const SimulatedSensor choice = sensor.empty() ? make_sensor(run.config, run.sequence)
+                                                      : choose_sensor(sensor, run.config, run.sequence);
         return renderer.render(choice, request, sample);
     }
     static void expect_same(const v1::LidarScan& scan, const RenderedScan& truth) {
@@ -93,7 +93,7 @@ std::vector<float> list_returned_positions(const std::vector<float>& ends, const
 }
 
 /// Compares the points of the service with the points in files, of the viewer, and of
-/// Python's Run.render(), which returns make_scan_arrays(). The sensor moves and turns.
+/// Python's Run.render(), which returns scan_arrays(). The sensor moves and turns.
 /// At the time of the scan its frame is the world frame of the scene, so that the viewer
 /// uses the same frame.
 TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
@@ -110,26 +110,24 @@ TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
     request.mutable_wanted()->clear_drop_probability();
     EXPECT_EQ(values<float>(scan_of(request).points().xyz_m()), beside_image) << "without an image";
 
-    const relidar::TrainedRun run = load_run(folder / "small");
+    const relidar::Run run = load_run(folder / "small");
     const RenderedScan scan = rendered({0.45, sensor_path}, "", {});
-    ScanOutputOptions format =
-        make_default_output_options(run, make_sensor_from_config(run.config, run.sequence));
+    ScanOutputOptions format = default_options(run, make_sensor(run.config, run.sequence));
     format.formats = {"ply"};
     format.deskew = true;
     ScanFolderWriter(folder / "files", format).write_scan(0, scan);
     EXPECT_EQ(read_ply_positions(folder / "files" / "frame_000000.ply"), beside_image)
         << "render --format ply";
 
-    const view::ScanColumns in_viewer =
-        view::convert_simulated_scan_to_columns(scan, run.config, kDatasetOrigin_m);
+    const view::ScanColumns in_viewer = view::simulated_columns(scan, run.config, kDatasetOrigin_m);
     std::vector<float> ends;
     for (const glm::vec3& end : in_viewer.position_m) ends.insert(ends.end(), {end.x, end.y, end.z});
     EXPECT_EQ(list_returned_positions(ends, scan), beside_image) << "viewer";
 
-    const std::vector<NamedArray> arrays = make_scan_arrays(scan, 0, format);
+    const std::vector<NamedArray> arrays = scan_arrays(scan, 0, format);
     const auto of_python = std::ranges::find(arrays, "points", &NamedArray::name);
     ASSERT_NE(of_python, arrays.end());
-    EXPECT_EQ(list_returned_positions(of_python->convert_to_floats(), scan), beside_image) << "Python";
+    EXPECT_EQ(list_returned_positions(of_python->to_floats(), scan), beside_image) << "Python";
 }
 
 /// Each request is rendered with the weather in the request. A request without weather
@@ -149,8 +147,7 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
             const v1::LidarScan scan = scan_of(request);
             const RenderedScan truth = rendered({0.5, sensor_path, ActorTracksByName{}}, "", seed, expected);
             expect_same(scan, truth);
-            const std::vector<std::int32_t>* sources =
-                find_channel_values<std::int32_t>(truth.channels, "source");
+            const std::vector<std::int32_t>* sources = find_values<std::int32_t>(truth.channels, "source");
             ASSERT_EQ(scan.image().channels_size(), sources ? 1 : 0) << expected;
             ASSERT_EQ(sources == nullptr, expected == "clear");
             if (!sources) continue;
@@ -238,7 +235,7 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
 /// the log's sensor must have time 0. Points of another sensor must have their firing
 /// times.
 TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
-    relidar::TrainedRun run = make_small_run(folder / "small");
+    relidar::Run run = make_small_run(folder / "small");
     run.sequence.rolling_shutter = false;
     save_run(run);
     start();
@@ -286,7 +283,7 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
 /// The image and the points must have the same number of returns. Uses a network that
 /// predicts a return for every ray, and a sensor for which most rays hit nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
-    relidar::TrainedRun run = make_small_run(folder / "small");
+    relidar::Run run = make_small_run(folder / "small");
     run.config.refine.enabled = true;
     run.drop_network = test::make_network_that_never_drops();
     save_run(run);
@@ -517,7 +514,7 @@ TEST_F(Service, TellsWhatItServes) {
     EXPECT_THAT(list.sensors(), testing::Contains("VLP-16"));
     v1::GetTracksRequest which;
     which.set_scene("other");
-    const v1::GetTracksResponse tracks = client.get_tracks(which);
+    const v1::GetTracksResponse tracks = client.tracks(which);
     ASSERT_EQ(tracks.dataset_from_sensor_size(), 3);
     EXPECT_EQ(tracks.dataset_from_sensor(2).pose().translation().x(), kDatasetOrigin_m.x);
     ASSERT_EQ(tracks.actors_size(), 1);
@@ -526,9 +523,9 @@ TEST_F(Service, TellsWhatItServes) {
 
 TEST(Addresses, OnlyThoseOfThisMachineAreLoopback) {
     for (const char* host : {"127.0.0.1", "127.8.9.1", "localhost", "[::1]", "::1"})
-        EXPECT_TRUE(is_loopback_host(host)) << host;
+        EXPECT_TRUE(is_loopback(host)) << host;
     for (const char* host : {"0.0.0.0", "[::]", "127.example.com", "10.0.0.1", "127.1"})
-        EXPECT_FALSE(is_loopback_host(host)) << host;
+        EXPECT_FALSE(is_loopback(host)) << host;
 }
 
 }  // namespace

@@ -29,8 +29,8 @@ inline Pose make_pose_at_x(double x_m) {
     return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)};
 }
 
-inline TrainedRun make_small_run(const std::filesystem::path& folder) {
-    TrainedRun run;
+inline Run make_small_run(const std::filesystem::path& folder) {
+    Run run;
     run.folder = folder;
     Surfels& surfels = run.scene.surfels;
     surfels.resize(2);
@@ -42,7 +42,7 @@ inline TrainedRun make_small_run(const std::filesystem::path& folder) {
     for (std::size_t i = 0; i < 2; ++i) surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
     run.scene.models = {{"background", 0, 1}, {"car", 1, 1}};
     run.scene.instances = {{0, ""}, {1, "car"}};
-    LidarSequence& log = run.sequence;
+    Log& log = run.sequence;
     log.lidars[0].sensor = {"small", {{0.1}, {0.0}, {-0.1}}, 64};
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / 64;
     const Pose car{{1, 0, 0, 0}, {4, 0, 0}};
@@ -57,7 +57,7 @@ inline TrainedRun make_small_run(const std::filesystem::path& folder) {
     // rays over a quarter turn ahead, to the wall and past its edges
     for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)
         for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5)
-            run.coverage.add_voxels_on_line_segment(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
+            run.coverage.add_segment(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
     return run;
 }
 
@@ -97,12 +97,12 @@ protected:
         options.listen = "127.0.0.1:0";
         options.waiting = waiting;
         options.memory_mib = memory_mib;
-        options.device = apply_environment_variables({.traversal = device().get_ray_tracing_backend()});
+        options.device = apply_environment({.traversal = device().backend()});
         server.emplace(options);
     }
     std::string address() const { return "127.0.0.1:" + std::to_string(server->port()); }
     std::unique_ptr<v1::RenderService::Stub> stub() const {
-        return v1::RenderService::NewStub(open_insecure_channel(address()));
+        return v1::RenderService::NewStub(open_channel(address()));
     }
 };
 

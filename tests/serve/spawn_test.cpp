@@ -27,7 +27,7 @@ using Code = grpc::StatusCode;
 /// small run and has a different brightness.
 ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
                             PrimitiveType primitive = PrimitiveType::surfel) {
-    relidar::TrainedRun run = make_small_run("");
+    relidar::Run run = make_small_run("");
     Surfels& surfels = run.scene.surfels;
     surfels = surfels.slice(0, 1);
     surfels.log_scale[0] = glm::vec2(std::log(0.8f));
@@ -35,7 +35,7 @@ ActorAsset make_plate_asset(const std::string& name, std::size_t n_surfels = 1,
     surfels.sh[0] = 1.0f;
     const Surfels one = surfels;
     for (std::size_t i = 1; i < n_surfels; ++i) surfels.append_surfels(one);
-    if (primitive == PrimitiveType::gaussian) convert_to_primitive(surfels, PrimitiveType::gaussian, 0.1);
+    if (primitive == PrimitiveType::gaussian) convert_surfels(surfels, PrimitiveType::gaussian, 0.1);
     run.scene.models = {{"background", 0, 0}, {name, 0, std::uint32_t(n_surfels)}};
     run.scene.instances = {{0, ""}, {1, name}};
     run.sequence.boxes[0].id = name;
@@ -110,7 +110,7 @@ protected:
         return status;
     }
     v1::LidarScan scan_of(const v1::RenderLidarRequest& request) {
-        return ScanClient(address()).render_lidar_scan(request);
+        return ScanClient(address()).render_scan(request);
     }
     std::vector<std::string> listed() {
         const v1::ListScenesResponse scenes = ScanClient(address()).list_scenes();
@@ -131,15 +131,14 @@ TEST_F(Spawn, CopiesRenderAsThoseOfEdits) {
     for (const auto& [name, pose] : actor_poses) place(request, name, pose);
     const v1::LidarScan scan = scan_of(request);
 
-    const relidar::TrainedRun run = load_run(folder / "small"), asset = load_run(folder / "assets" / "van-1");
-    SceneWithLog edited = copy_track(run.copy_driving_scene(), "car", {actor_poses[0].second});
+    const relidar::Run run = load_run(folder / "small"), asset = load_run(folder / "assets" / "van-1");
+    SceneWithLog edited = copy_track(run.driving_scene(), "car", {actor_poses[0].second});
     for (const std::size_t i : {1u, 2u})
-        edited =
-            insert_track(std::move(edited), asset.copy_driving_scene(), "van-1", {actor_poses[i].second});
+        edited = insert_track(std::move(edited), asset.driving_scene(), "van-1", {actor_poses[i].second});
     edited = remove_track(std::move(edited), "car");
     ScanRenderer renderer(device(), edited.scene, run.config, edited.sequence);
-    const RenderedScan truth = renderer.render(make_sensor_from_config(run.config, run.sequence),
-                                               {0.5, {{0.5}, {make_pose_at_x(0.0)}}});
+    const RenderedScan truth =
+        renderer.render(make_sensor(run.config, run.sequence), {0.5, {{0.5}, {make_pose_at_x(0.0)}}});
     EXPECT_EQ(values<float>(scan.image().range_m()), truth.image.range_m);
     EXPECT_EQ(values<float>(scan.image().intensity()), truth.image.intensity);
     EXPECT_EQ(values<float>(scan.image().drop_probability()), truth.image.drop_prob);
@@ -293,11 +292,10 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     }
     const AssetCatalogue shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
-    const SimulatedSensor sensor = make_sensor_from_config(scenes.get_runs_without_surfels()[0].config,
-                                                           scenes.get_runs_without_surfels()[0].sequence);
+    const SimulatedSensor sensor = make_sensor(scenes.runs()[0].config, scenes.runs()[0].sequence);
     const auto ranges = [&] {
         std::vector<float> range_m;
-        scenes.load_scene_and_call_with_renderer(
+        scenes.use_scene(
             0, {}, [&](ScanRenderer& renderer) { range_m = renderer.render(sensor, request).image.range_m; });
         return range_m;
     };
@@ -312,11 +310,11 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         return std::string();
     };
     EXPECT_THAT(refused({"x", {true, "large"}, {1, 1, 1}, 20000}), Names("memory"));
-    EXPECT_TRUE(scenes.get_spawned_actors().list_occupied_slots(0).empty());
-    EXPECT_EQ(scenes.get_spawned_actors().count_spawn_slots_of_scene(0), 0u);
+    EXPECT_TRUE(scenes.spawned().list_occupied(0).empty());
+    EXPECT_EQ(scenes.spawned().slot_count(0), 0u);
     EXPECT_EQ(ranges(), truth);
     EXPECT_EQ(refused({"x", {false, "car"}, {1, 1, 1}, 1}), "") << "the name is free, and this one fits";
-    EXPECT_EQ(scenes.get_spawned_actors().list_occupied_slots(0).size(), 1u);
+    EXPECT_EQ(scenes.spawned().list_occupied(0).size(), 1u);
 }
 
 TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
@@ -324,15 +322,15 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
     const SpawnedModelSource car{false, "car"}, van{true, "van"};
     std::vector<std::size_t> sizes;
     for (int i = 0; i < 17; ++i) {
-        actors.assign_actors_to_slots(1, {{fmt::format("{}", i), car}});
-        sizes.push_back(actors.count_spawn_slots_of_scene(1));
+        actors.assign_slots(1, {{fmt::format("{}", i), car}});
+        sizes.push_back(actors.slot_count(1));
     }
     EXPECT_THAT(sizes,
                 ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
-    EXPECT_EQ(actors.count_spawn_slots_of_scene(0), 0u) << "of another scene";
-    actors.remove_actors_and_free_slots(1, {"1", "3"});
-    EXPECT_EQ(actors.assign_actors_to_slots(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
-    EXPECT_EQ(actors.assign_actors_to_slots(1, {{"c", car}})[0].position, 1u);
+    EXPECT_EQ(actors.slot_count(0), 0u) << "of another scene";
+    actors.remove_actors(1, {"1", "3"});
+    EXPECT_EQ(actors.assign_slots(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
+    EXPECT_EQ(actors.assign_slots(1, {{"c", car}})[0].position, 1u);
 }
 
 TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {

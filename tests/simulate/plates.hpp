@@ -25,8 +25,8 @@ inline Surfels make_plate(const glm::vec3& middle_m, const glm::vec2& scale_m, b
 }
 
 /// A static LiDAR at the origin. Column 0 is behind it, and all rays have the same time.
-inline LidarSequence make_static_log(const std::vector<double>& elevations_rad, int columns) {
-    LidarSequence log;
+inline Log make_static_log(const std::vector<double>& elevations_rad, int columns) {
+    Log log;
     for (const double elevation_rad : elevations_rad) log.lidars[0].sensor.beams.push_back({elevation_rad});
     log.lidars[0].sensor.columns = columns;
     log.lidars[0].sensor.first_azimuth_rad = kPi;

@@ -48,8 +48,8 @@ public:
     /// @return members that a kernel with a barrier loads and stores, with at least one
     /// access that is not coherent
     std::vector<std::string> read(std::span<const std::uint32_t> words) {
-        for_each_spirv_instruction(
-            words, [&](std::uint32_t opcode, SpirvInstruction i) { visit(opcode, i.subspan(1)); });
+        for_instructions(words,
+                         [&](std::uint32_t opcode, SpirvInstruction i) { visit(opcode, i.subspan(1)); });
         std::vector<std::string> result;
         for (const auto& [member, a] : accesses_)
             if (barrier_ && a.loaded && a.stored && !a.coherent) result.push_back(member);

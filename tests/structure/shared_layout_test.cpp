@@ -35,7 +35,7 @@ struct Struct {
 /// variable. These copies are omitted.
 std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
     std::map<std::uint32_t, Struct> structs;
-    for_each_spirv_instruction(words, [&](std::uint32_t opcode, SpirvInstruction i) {
+    for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction i) {
         if (opcode == kOpName) structs[i[1]].name = read_spirv_string(i.subspan(2));
         if (opcode == kOpMemberName) structs[i[1]].member_name[i[2]] = read_spirv_string(i.subspan(3));
         if (opcode == kOpMemberDecorate && i[3] == kOffset) structs[i[1]].member_offset[i[2]] = i[4];
@@ -79,7 +79,7 @@ TEST(Kernels, HaveNo64BitIntegers) {
     constexpr std::uint32_t kCapabilityInt64 = 11;
     ASSERT_FALSE(embedded_kernels().empty());
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        for_each_spirv_instruction(kernel.words, [&](std::uint32_t opcode, SpirvInstruction i) {
+        for_instructions(kernel.words, [&](std::uint32_t opcode, SpirvInstruction i) {
             EXPECT_FALSE(opcode == kOpCapability && i[1] == kCapabilityInt64)
                 << kernel.name << ": see RELIDAR_DECLARE_POINTER in relidar/base/lang.h";
         });
@@ -94,8 +94,8 @@ struct Addresses {
 class AddressReader {
 public:
     explicit AddressReader(std::span<const std::uint32_t> words) {
-        for_each_spirv_instruction(
-            words, [&](std::uint32_t opcode, SpirvInstruction i) { read(opcode, i.subspan(1)); });
+        for_instructions(words,
+                         [&](std::uint32_t opcode, SpirvInstruction i) { read(opcode, i.subspan(1)); });
         for (const std::uint32_t entry : entries_) address_counts_.n_in_arrays += holds_address(entry);
     }
     Addresses found() const { return address_counts_; }
@@ -148,14 +148,14 @@ TEST(Kernels, GetNoAddressZero) {
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())
-            if (kernel.name == name) return list_pointer_offsets_in_parameter_block(kernel.words);
+            if (kernel.name == name) return list_pointers(kernel.words);
         return std::vector<std::uint32_t>();
     };
     EXPECT_THAT(addresses("gpu/copy"), testing::ElementsAre(0u, 8u));
     EXPECT_THAT(addresses("scene/activate"),
                 testing::ElementsAre(0u, 8u, 16u, 24u, 32u, 40u, 48u, 56u, 64u, 72u, 80u));
     for (const EmbeddedKernel& kernel : embedded_kernels())
-        EXPECT_FALSE(list_pointer_offsets_in_parameter_block(kernel.words).empty()) << kernel.name;
+        EXPECT_FALSE(list_pointers(kernel.words).empty()) << kernel.name;
 }
 
 }  // namespace

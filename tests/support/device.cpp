@@ -38,8 +38,8 @@ public:
 private:
     void open() {
         try {
-            device_ = std::make_unique<Device>(
-                apply_environment_variables({.traversal = traversal_from_environment()}));
+            device_ =
+                std::make_unique<Device>(apply_environment({.traversal = traversal_from_environment()}));
         } catch (const Error& error) {
             failure_ = error.what();
         }
@@ -59,7 +59,7 @@ Device* find_device() { return process_device->find(); }
 void DeviceTest::SetUp() {
     device_ = find_device();
     if (device_) {
-        messages_before_ = get_validation_message_count(*device_);
+        messages_before_ = validation_count(*device_);
         return;
     }
     const char* required = std::getenv("RELIDAR_REQUIRE_GPU");
@@ -70,8 +70,7 @@ void DeviceTest::SetUp() {
 
 void DeviceTest::TearDown() {
     if (!device_) return;
-    EXPECT_EQ(get_validation_message_count(*device_), messages_before_)
-        << "the validation layer complained (see stderr)";
+    EXPECT_EQ(validation_count(*device_), messages_before_) << "the validation layer complained (see stderr)";
 }
 
 }  // namespace relidar::test

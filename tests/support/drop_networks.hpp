@@ -17,10 +17,10 @@ namespace relidar::test {
 inline RayDropNetwork make_network_of_rays(std::uint64_t seed = 1) {
     RayDropNetworkOptions options;
     options.network = "pixel";
-    RayDropNetwork network = network::make_network_architecture(options);
+    RayDropNetwork network = network::make_network(options);
     const network::UnetParameterLayout plan(network);
     network.residual = false;
-    network::initialise_network_parameters(network, plan, seed);
+    network::init_parameters(network, plan, seed);
     network.residual = true;
     for (std::size_t c = 0; c < network.inputs.size(); ++c)
         network.normalisation.insert(network.normalisation.end(), {1.0f, 0.0f});

@@ -53,7 +53,7 @@ struct LogFolder {
     LogFolder(const LogFolder&) = delete;
     LogFolder& operator=(const LogFolder&) = delete;
 
-    LidarSequence load(const DatasetOptions& options = {}) const {
+    Log load(const DatasetOptions& options = {}) const {
         return load_sequence(kind + folder.string(), options);
     }
     /// Checks that reading fails with a message that contains `parts`, see Names().
@@ -84,16 +84,16 @@ struct PlacedReturn {
     glm::dvec3 origin_m, point_m;
 };
 /// @param world_from_sensor poses of the LiDAR in relidar's world
-inline PlacedReturn place_return(const LidarSequence& log, const PoseTrack& world_from_sensor,
-                                 const LidarFrame& frame, std::size_t ray) {
+inline PlacedReturn place_return(const Log& log, const PoseTrack& world_from_sensor, const Frame& frame,
+                                 std::size_t ray) {
     const WorldRay placed = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, ray, true);
     const glm::dvec3 origin_m = placed.origin_m + log.world_offset_m;
     return {origin_m, origin_m + double(frame.scan.range_m[ray]) * placed.direction};
 }
 
 /// Compares a pose in relidar's world with a pose in the dataset's world.
-inline void expect_pose(const LidarSequence& log, const Pose& pose, const Pose& truth,
-                        double tolerance_m = 1e-8, double cosine_tolerance = 1e-12) {
+inline void expect_pose(const Log& log, const Pose& pose, const Pose& truth, double tolerance_m = 1e-8,
+                        double cosine_tolerance = 1e-12) {
     EXPECT_LT(glm::distance(pose.translation + log.world_offset_m, truth.translation), tolerance_m);
     EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, cosine_tolerance);
 }

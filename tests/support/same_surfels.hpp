@@ -11,8 +11,8 @@ namespace relidar::test {
 
 /// Expects that all parameters have the same bits.
 inline void expect_same_surfels(const Surfels& first, const Surfels& second) {
-    ASSERT_EQ(first.get_parameter_set(), second.get_parameter_set());
-    for (const SurfelParameterGroup& group : list_parameter_groups(first.get_parameter_set()))
+    ASSERT_EQ(first.parameters_used(), second.parameters_used());
+    for (const SurfelParameterGroup& group : list_groups(first.parameters_used()))
         EXPECT_TRUE(std::ranges::equal(group.values(first), group.values(second))) << group.name;
 }
 

@@ -13,8 +13,7 @@ std::vector<reference::Surfel> to_reference(const Surfels& surfels) {
         s.rotation = glm::dvec4(surfels.rotation[i]);
         s.log_scale = glm::dvec2(surfels.log_scale[i]);
         s.opacity_logit = double(surfels.opacity_logit[i]);
-        if (get_primitive_properties(surfels.primitive).third_scale)
-            s.log_scale_w = double(surfels.log_scale_w[i]);
+        if (properties_of(surfels.primitive).third_scale) s.log_scale_w = double(surfels.log_scale_w[i]);
         if (surfels.bends) {
             const GaitPhaseWindow& gait = surfels.gait[i];
             s.gait_phase = double(gait.phase);
@@ -64,7 +63,7 @@ Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order) {
         result.rotation.push_back(surfels.rotation[i]);
         result.log_scale.push_back(surfels.log_scale[i]);
         result.opacity_logit.push_back(surfels.opacity_logit[i]);
-        if (get_primitive_properties(surfels.primitive).third_scale)
+        if (properties_of(surfels.primitive).third_scale)
             result.log_scale_w.push_back(surfels.log_scale_w[i]);
         const auto sh = surfels.sh.begin() + std::ptrdiff_t(i) * kShFloats;
         result.sh.insert(result.sh.end(), sh, sh + kShFloats);

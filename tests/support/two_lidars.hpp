@@ -10,9 +10,9 @@
 
 namespace relidar::test {
 
-inline LidarSequence make_two_lidar_street(const SyntheticOptions& options) {
-    const LidarSequence one = make_synthetic_street(options);
-    LidarSequence street = one;
+inline Log make_two_lidar_street(const StreetOptions& options) {
+    const Log one = make_street_log(options);
+    Log street = one;
     street.lidars[0].name = "front";
     Lidar rear{"rear",
                one.lidars[0].sensor,
@@ -22,13 +22,13 @@ inline LidarSequence make_two_lidar_street(const SyntheticOptions& options) {
     street.lidars.push_back(rear);
     street.frames.clear();
     const RayTable rays = make_rays(rear.sensor);
-    const PoseTrack track = street.get_world_from_sensor(1);
-    for (const LidarFrame& frame : one.frames) {
+    const PoseTrack track = street.lidar_track(1);
+    for (const Frame& frame : one.frames) {
         street.frames.push_back(frame);
-        street.frames.push_back({frame.index, frame.time_s,
-                                 cast_rays_into_synthetic_street(options, rays, track, frame.time_s), 1});
+        street.frames.push_back(
+            {frame.index, frame.time_s, cast_street_rays(options, rays, track, frame.time_s), 1});
     }
-    require_valid_sequence(street);
+    check_sequence(street);
     return street;
 }
 

@@ -48,7 +48,7 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     Random random(3);
     std::set<int> firsts;
     for (int trial = 0; trial < 40; ++trial) {
-        const SampledBatch batch = sampler.sample_random_batch(stream, frames[0], random);
+        const SampledBatch batch = sampler.draw_batch(stream, frames[0], random);
         stream.submit_and_wait();
         ASSERT_EQ(batch.rays.n_rays, 44u);
         ASSERT_EQ(batch.targets.image.columns, 11u);
@@ -77,7 +77,7 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     Random random(7);
     std::vector<int> drawn(kColumns, 0);
     for (int trial = 0; trial < kTrials; ++trial) {
-        const SampledBatch batch = sampler.sample_random_batch(stream, frames[0], random);
+        const SampledBatch batch = sampler.draw_batch(stream, frames[0], random);
         stream.submit_and_wait();
         ASSERT_EQ(batch.rays.n_rays, kRows * kBatchColumns);
         ASSERT_EQ(batch.rays.columns, kBatchColumns);
@@ -106,11 +106,11 @@ TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
         Stream stream(device());
         std::vector<int> draw_counts(180, 0);
         for (std::uint32_t k = 0; k < 5; ++k) {
-            const SampledBatch batch = sampler.gather_nth_batch(stream, frames[0], 3, k);
+            const SampledBatch batch = sampler.gather(stream, frames[0], 3, k);
             stream.submit_and_wait();
             const std::vector<DeviceRay> rays = batch.rays.rays->download();
             for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
-                const std::size_t ray = batch.convert_batch_to_frame_ray_index(j);
+                const std::size_t ray = batch.frame_ray(j);
                 ASSERT_LT(ray, draw_counts.size());
                 ++draw_counts[ray];
                 EXPECT_EQ(rays[batch.rays.first + j * batch.rays.stride].origin.x, float(ray));
@@ -124,8 +124,8 @@ TEST_F(Batch, StridesBeyondTheColumnsTakeOne) {
     const std::vector<TrainingFrameData> frames = make_numbered_frame(device(), 8, 5, true);
     Stream stream(device());
     Random random(3);
-    const SampledBatch one = BatchSampler(device(), make_config_for("rays", 3), frames)
-                                 .sample_random_batch(stream, frames[0], random);
+    const SampledBatch one =
+        BatchSampler(device(), make_config_for("rays", 3), frames).draw_batch(stream, frames[0], random);
     EXPECT_EQ(one.rays.n_rays, 8u);
     EXPECT_EQ(one.rays.columns, 1u);
 }
@@ -135,14 +135,14 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
                                          list = make_numbered_frame(device(), 4, 50, false);
     Stream stream(device());
     Random random(3);
-    const SampledBatch some = BatchSampler(device(), make_config_for("rays", 40), list)
-                                  .sample_random_batch(stream, list[0], random);
+    const SampledBatch some =
+        BatchSampler(device(), make_config_for("rays", 40), list).draw_batch(stream, list[0], random);
     EXPECT_EQ(some.rays.stride, 5u);
     EXPECT_EQ(some.rays.n_rays, 40u);
-    EXPECT_FALSE(some.targets.image.has_image_rows_and_columns());
+    EXPECT_FALSE(some.targets.image.is_image());
     for (const char* batch : {"rays", "columns"}) {
-        const SampledBatch all = BatchSampler(device(), make_config_for(batch, 0), frames)
-                                     .sample_random_batch(stream, frames[0], random);
+        const SampledBatch all =
+            BatchSampler(device(), make_config_for(batch, 0), frames).draw_batch(stream, frames[0], random);
         EXPECT_EQ(all.rays.n_rays, 200u);
         EXPECT_TRUE(all.targets.image.circular);
         EXPECT_EQ(all.targets.image.columns, 50u);
@@ -156,7 +156,7 @@ TEST_F(Batch, RaysBringTheirTargets) {
         BatchSampler sampler(device(), make_config_for(way, 17), *frames);
         Stream stream(device());
         Random random(5);
-        const SampledBatch batch = sampler.sample_random_batch(stream, frames->front(), random);
+        const SampledBatch batch = sampler.draw_batch(stream, frames->front(), random);
         stream.submit_and_wait();
         ASSERT_NE(batch.rays.targets, nullptr);
         EXPECT_EQ(batch.rays.targets, batch.targets.targets);
@@ -179,7 +179,7 @@ TEST_F(Batch, SimilaritySeesWindows) {
     BatchSampler sampler(device(), config, image);
     Stream stream(device());
     Random random(3);
-    const SampledBatch batch = sampler.sample_random_batch(stream, image[0], random);
+    const SampledBatch batch = sampler.draw_batch(stream, image[0], random);
     stream.submit_and_wait();
     EXPECT_EQ(batch.targets.image.columns, 10u);
     EXPECT_EQ(batch.window.stride, 1u);

@@ -46,7 +46,7 @@ void write_scan(const fs::path& folder, int frame, const Scan& scan) {
             // Columns are sorted by decreasing azimuth from +180 degrees.
             const auto ray = std::size_t(row * columns + (columns / 2 - 1 - k + columns) % columns);
             if (scan.range_m[ray] == 0.0f) continue;
-            const glm::vec4 point(scan.compute_return_point_in_sensor_frame(ray), scan.intensity[ray]);
+            const glm::vec4 point(scan.return_point(ray), scan.intensity[ray]);
             const std::uint32_t label = get_label(scan.classes[ray]) | 77u << 16;
             points.append(reinterpret_cast<const char*>(&point), sizeof point);
             labels.append(reinterpret_cast<const char*>(&label), sizeof label);
@@ -57,18 +57,18 @@ void write_scan(const fs::path& folder, int frame, const Scan& scan) {
 
 /// Writes a street without moving objects as a KITTI odometry sequence with labels. All
 /// rays of a scan start at the same pose.
-void write_semantic_kitti(const fs::path& folder, const SyntheticOptions& options) {
-    const LidarSequence street = make_synthetic_street(options);
+void write_semantic_kitti(const fs::path& folder, const StreetOptions& options) {
+    const Log street = make_street_log(options);
     std::string poses, times;
-    for (const LidarFrame& frame : street.frames) {
-        const Pose pose = street.world_from_vehicle.pose[street.get_vehicle_pose_index_of_frame(frame)];
+    for (const Frame& frame : street.frames) {
+        const Pose pose = street.world_from_vehicle.pose[street.find_pose_index(frame)];
         const glm::dmat4 m = to_matrix(pose);
         for (int i = 0; i < 12; ++i) poses += fmt::format("{}{}", m[i % 4][i / 4], i == 11 ? "\n" : " ");
         times += fmt::format("{}\n", frame.time_s);
         RayTable rays = make_rays(street.lidars[0].sensor);
         std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
         write_scan(folder, frame.index,
-                   cast_rays_into_synthetic_street(options, rays, {{frame.time_s}, {pose}}, frame.time_s));
+                   cast_street_rays(options, rays, {{frame.time_s}, {pose}}, frame.time_s));
     }
     test::write_text(folder / "calib.txt", "Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n");
     test::write_text(folder / "poses.txt", poses);
@@ -80,10 +80,10 @@ class TrainedClasses : public test::DeviceTest {};
 TEST_F(TrainedClasses, OfHeldOutScansAreThoseOfTheStreet) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_semantic_kitti/sequences/00";
     write_semantic_kitti(folder, {.n_frames = 7, .rows = 64, .columns = 200, .moving_cars = false});
-    const LidarSequence log = load_sequence(folder.string(), {});
+    const Log log = load_sequence(folder.string(), {});
     fs::remove_all(folder.parent_path().parent_path());
-    const TrainTestSplit split = split_frames_into_train_and_test(log, 0, "3");
-    Config config = make_preset_config("quick");
+    const Split split = split_frames(log, 0, "3");
+    Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = 60;
     config.train.rays_per_iteration = 0;
@@ -91,7 +91,7 @@ TEST_F(TrainedClasses, OfHeldOutScansAreThoseOfTheStreet) {
 
     ScanRenderer renderer(device(), result.scene, config, log);
     EXPECT_FALSE(evaluate_frames(renderer, config, log, split.test).mean.contains("classes/accuracy"));
-    renderer.set_background_classes(result.classes);
+    renderer.use_classes(result.classes);
     const MetricValues scores = evaluate_frames(renderer, config, log, split.test).mean;
     EXPECT_GT(scores.at("classes/accuracy"), 0.9);
     EXPECT_GT(scores.at("classes/mean_iou"), 0.7);

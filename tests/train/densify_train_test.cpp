@@ -13,12 +13,10 @@ namespace {
 
 class DensifyTrain : public test::DeviceTest {};
 
-LidarSequence make_growing_street() {
-    return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
-}
+Log make_growing_street() { return make_street_log({.n_frames = 11, .rows = 16, .columns = 256}); }
 
 Config make_sparse_config() {
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.init.voxel_m = 1.2;
     config.init.max_scale_m = 1.0;
     config.init.scale_factor = 0.7;
@@ -49,8 +47,8 @@ double get_final_loss(const TrainResult& result) {
 }
 
 TEST_F(DensifyTrain, GrowthLowersTheLoss) {
-    const LidarSequence sequence = make_growing_street();
-    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
+    const Log sequence = make_growing_street();
+    const Split split = split_frames(sequence, 10);
     std::map<DensifyStrategy, double> loss;
     for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = make_sparse_config();
@@ -59,7 +57,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         loss[strategy] = get_final_loss(result);
         std::uint32_t n = result.log.front().n_surfels;
         for (const TrainProgress& line : result.log) {
-            n = n + line.densified.added - line.densified.count_removed_surfels();
+            n = n + line.densified.added - line.densified.n_removed();
             EXPECT_EQ(line.n_surfels, n) << "the log accounts for every surfel";
         }
         EXPECT_EQ(result.scene.surfels.size(), n);
@@ -70,8 +68,8 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
 }
 
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
-    const LidarSequence sequence = make_growing_street();
-    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
+    const Log sequence = make_growing_street();
+    const Split split = split_frames(sequence, 10);
     Config config = make_sparse_config();
     config.init.actor_classes = "Car";
     config.init.actor_min_points = 20;
@@ -95,8 +93,8 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
 }
 
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
-    const LidarSequence sequence = make_growing_street();
-    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
+    const Log sequence = make_growing_street();
+    const Split split = split_frames(sequence, 10);
     Config config = make_sparse_config();
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;
@@ -107,7 +105,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
         Device unlimited;
         train(unlimited, sequence, split, config,
               [](const TrainProgress& progress) { return progress.iteration < 1; });
-        needed = unlimited.peak_allocated_bytes();
+        needed = unlimited.peak_bytes();
     }
     Device limited({.memory_limit_bytes = needed + (std::uint64_t(2) << 20)});
     const TrainResult result = train(limited, sequence, split, config);

@@ -15,9 +15,9 @@ namespace {
 
 class KeptHits : public test::DeviceTest {
 protected:
-    LidarSequence street = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 128});
-    TrainTestSplit split = split_frames_into_train_and_test(street, 0);
-    Config config = make_preset_config("quick");
+    Log street = make_street_log({.n_frames = 4, .rows = 16, .columns = 128});
+    Split split = split_frames(street, 0);
+    Config config = make_preset("quick");
 
     void SetUp() override {
         test::DeviceTest::SetUp();
@@ -34,25 +34,23 @@ protected:
     };
     Trained train(int keep_hits) {
         config.trace.keep_hits = keep_hits;
-        TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
+        TrainLoop loop(device(), street, split, init_scene(street, split.train, config.init), config);
         for (int step = 1; step <= config.train.iterations; ++step) loop.run_iteration(step, step % 4 == 0);
-        loop.complete_training();
-        return {loop.download_current_scene(), loop.get_max_stored_hits_per_ray()};
+        loop.finish();
+        return {loop.download_scene(), loop.max_stored_hits()};
     }
 
     /// For each n in `counts`, returns the share of rays with more than n hits.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
-        Renderer renderer(device(), scene, config.image,
-                          {.accel = {}, .trace = make_common_trace_options(config)});
+        Renderer renderer(device(), scene, config.image, {.accel = {}, .trace = common_options(config)});
         std::vector<double> shares(counts.size(), 0.0);
         std::size_t n_rays = 0;
         for (const int position : split.train) {
-            const LidarFrame& frame = street.frames[std::size_t(position)];
-            const PoseTrack track = street.get_world_from_sensor(frame.lidar);
-            renderer.record_scene_update_for_view(
-                compute_instance_poses(scene, street, get_sweep_timing_of_frame(frame)),
-                glm::vec3(track.interpolate_pose(frame.time_s).translation));
-            const RayTable table = make_nominal_rays(street.get_lidar(frame), frame.time_s);
+            const Frame& frame = street.frames[std::size_t(position)];
+            const PoseTrack track = street.lidar_track(frame.lidar);
+            renderer.update(pose_instances(scene, street, timing_of(frame)),
+                            glm::vec3(track.pose_at(frame.time_s).translation));
+            const RayTable table = make_lidar_rays(street.lidar_of(frame), frame.time_s);
             WorldRays rays;
             for (std::size_t i = 0; i < table.size(); ++i) {
                 const WorldRay ray = make_world_ray(track, frame.time_s, table, i, true);
@@ -89,12 +87,12 @@ TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
 }
 
 TEST(KeptHitsWanted, TwiceAsManyWhileAnyRayHasMore) {
-    EXPECT_EQ(recommend_stored_hits_per_ray(64, 0), 64u);
-    EXPECT_EQ(recommend_stored_hits_per_ray(64, 1), 128u);
-    EXPECT_EQ(recommend_stored_hits_per_ray(128, 1000), 256u);
-    EXPECT_EQ(recommend_stored_hits_per_ray(256, 1000), 256u) << "bounded";
-    EXPECT_EQ(recommend_stored_hits_per_ray(1000, 1000), 1000u) << "as asked for";
-    EXPECT_EQ(recommend_stored_hits_per_ray(0, 1000), 0u) << "the paper's way";
+    EXPECT_EQ(grow_stored_hits(64, 0), 64u);
+    EXPECT_EQ(grow_stored_hits(64, 1), 128u);
+    EXPECT_EQ(grow_stored_hits(128, 1000), 256u);
+    EXPECT_EQ(grow_stored_hits(256, 1000), 256u) << "bounded";
+    EXPECT_EQ(grow_stored_hits(1000, 1000), 1000u) << "as asked for";
+    EXPECT_EQ(grow_stored_hits(0, 1000), 0u) << "the paper's way";
 }
 
 }  // namespace

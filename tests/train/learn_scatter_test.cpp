@@ -20,35 +20,33 @@ class LearnScatter : public test::DeviceTest {};
 constexpr float kStep = 1.0f / 64.0f;
 
 /// The untrained scene consists of the points of the log.
-TrainedRun make_grainy_run() {
-    TrainedRun run;
+Run make_grainy_run() {
+    Run run;
     run.sequence =
-        make_synthetic_street({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
+        make_street_log({.seed = 3, .n_frames = 10, .rows = 32, .columns = 512, .moving_cars = false});
     Random random(8);
-    for (LidarFrame& frame : run.sequence.frames)
+    for (Frame& frame : run.sequence.frames)
         for (float& intensity : frame.scan.intensity)
             intensity =
-                std::max(
-                    std::round((intensity + 0.05f * static_cast<float>(random.sample_standard_normal())) /
-                               kStep),
-                    0.0f) *
+                std::max(std::round((intensity + 0.05f * static_cast<float>(random.sample_normal())) / kStep),
+                         0.0f) *
                 kStep;
-    run.split = split_frames_into_train_and_test(run.sequence, 5);
-    run.config = make_preset_config("quick");
-    run.scene = initialise_scene(run.sequence, run.split.train, run.config.init);
+    run.split = split_frames(run.sequence, 5);
+    run.config = make_preset("quick");
+    run.scene = init_scene(run.sequence, run.split.train, run.config.init);
     return run;
 }
 
 TEST_F(LearnScatter, TrainingFramesScatterAlike) {
-    relidar::TrainedRun run = make_grainy_run();
-    run.intensity_scatter = fit_intensity_scatter_model_per_lidar(device(), run);
+    relidar::Run run = make_grainy_run();
+    run.intensity_scatter = learn_scatter(device(), run);
     ASSERT_EQ(run.intensity_scatter.size(), 1u);
     EXPECT_EQ(run.intensity_scatter[0].step, double(kStep));
     ScanRenderer exact(device(), run.scene, run.config, run.sequence), renderer(device(), run);
-    const SimulatedSensor sensor = find_or_load_sensor("native", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("native", run.config, run.sequence);
     double real = 0.0, drawn = 0.0, n = 0.0;
     for (const int position : run.split.train) {
-        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
         const RenderedScan likely = exact.render(sensor, frame.time_s),
                            stepped = renderer.render(sensor, frame.time_s),
                            sample = renderer.render(sensor, frame.time_s, {}, 4);
@@ -72,8 +70,8 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
 }
 
 TEST_F(LearnScatter, StopsWhereItIsAskedTo) {
-    const relidar::TrainedRun run = make_grainy_run();
-    EXPECT_TRUE(fit_intensity_scatter_model_per_lidar(device(), run, {.stop = [] { return true; }}).empty());
+    const relidar::Run run = make_grainy_run();
+    EXPECT_TRUE(learn_scatter(device(), run, {.stop = [] { return true; }}).empty());
 }
 
 }  // namespace

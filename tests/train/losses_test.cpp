@@ -12,9 +12,9 @@ namespace {
 class Losses : public test::DeviceTest {};
 
 TEST_F(Losses, EveryTermIsLogged) {
-    const LidarSequence street = make_synthetic_street({.n_frames = 5, .rows = 16, .columns = 256});
+    const Log street = make_street_log({.n_frames = 5, .rows = 16, .columns = 256});
     for (const std::string batch : {"columns", "rays"}) {
-        Config config = make_preset_config("quick");
+        Config config = make_preset("quick");
         config.init.voxel_m = 0.4;
         config.init.actor_min_points = 20;
         config.init.max_scale_m = 2.0;
@@ -24,8 +24,7 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.loss.box_scale_share = 0.01f;  // so that some surfel is too large
         config.train.iterations = 3;
         config.train.rays_per_iteration = 1024;
-        const TrainResult result =
-            train(device(), street, split_frames_into_train_and_test(street, 0), config);
+        const TrainResult result = train(device(), street, split_frames(street, 0), config);
         ASSERT_GT(result.scene.models.size(), 1u) << "an actor";
         for (std::size_t k = 0; k < kLossTerms; ++k) {
             const double term = result.log.back().terms[k];

@@ -19,9 +19,9 @@ namespace {
 
 class NoWait : public test::DeviceTest {
 protected:
-    LidarSequence street = make_synthetic_street({.n_frames = 6, .rows = 16, .columns = 128});
-    TrainTestSplit split = split_frames_into_train_and_test(street, 0);
-    Config config = make_preset_config("quick");
+    Log street = make_street_log({.n_frames = 6, .rows = 16, .columns = 128});
+    Split split = split_frames(street, 0);
+    Config config = make_preset("quick");
 
     void SetUp() override {
         test::DeviceTest::SetUp();
@@ -36,7 +36,7 @@ protected:
 TEST_F(NoWait, NorAllocationInAnIteration) {
     for (const bool deterministic : {false, true}) {
         config.train.deterministic = deterministic;
-        const Scene initial = initialise_scene(street, split.train, config.init);
+        const Scene initial = init_scene(street, split.train, config.init);
         ASSERT_GT(initial.instances.size(), 1u) << "actors are to be refined too";
         TrainLoop loop(device(), street, split, initial, config);
         const Device::Impl& d = device().impl();
@@ -51,7 +51,7 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
         EXPECT_EQ(loop.take_log_lines().size(), 10u);
-        loop.complete_training();
+        loop.finish();
         EXPECT_GT(d.n_full_waits, waits) << "waits are counted";
     }
 }
@@ -59,14 +59,14 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
 TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     FrameSampler sampler(split.train.size(), config.train.seed);
     int poisoned_step = 1;
-    while (sampler.sample_next_frame_index() != 3) {
+    while (sampler.next_frame() != 3) {
         ++poisoned_step;
-        sampler.get_random_generator().sample_random_uint64();
+        sampler.generator().next_uint64();
     }
-    LidarFrame& frame = street.frames[std::size_t(split.train[3])];
+    Frame& frame = street.frames[std::size_t(split.train[3])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());
-    TrainLoop loop(device(), street, split, initialise_scene(street, split.train, config.init), config);
+    TrainLoop loop(device(), street, split, init_scene(street, split.train, config.init), config);
     int step = 0;
     const std::string message = error_message<DataError>([&] {
         while (step < 150) loop.run_iteration(++step);

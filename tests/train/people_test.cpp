@@ -16,7 +16,7 @@ namespace {
 class People : public test::DeviceTest {};
 
 template <class Returned>
-int list_returns_in(const LidarSequence& street, const LidarFrame& frame, const BoxTrack& box,
+int list_returns_in(const Log& street, const Frame& frame, const BoxTrack& box,
                     const std::vector<float>& range_m, const Returned& returned) {
     int n = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i) {
@@ -37,15 +37,15 @@ BoxTrack raise_above_ground(BoxTrack box) {
 /// Compares median ranges, because mean ranges would lie behind such a narrow object for
 /// up to a quarter of the points.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
-    const LidarSequence street = make_synthetic_street({.seed = 3,
-                                                        .n_frames = 20,
-                                                        .rows = 64,
-                                                        .columns = 512,
-                                                        .range_noise_m = 0.01,
-                                                        .speed_mps = 5.0,
-                                                        .people = true});
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 6);
-    Config config = make_preset_config("quick");
+    const Log street = make_street_log({.seed = 3,
+                                        .n_frames = 20,
+                                        .rows = 64,
+                                        .columns = 512,
+                                        .range_noise_m = 0.01,
+                                        .speed_mps = 5.0,
+                                        .people = true});
+    const Split split = split_frames(street, 6);
+    Config config = make_preset("quick");
     config.train.iterations = 110;
     config.train.rays_per_iteration = 4096;
     config.train.refine_poses = "none";
@@ -53,7 +53,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     ScanRenderer renderer(device(), result.scene, config, street);
     std::map<std::string, std::pair<int, int>> counts;  // number of real and simulated returns
     for (const int position : split.test) {
-        const LidarFrame& frame = street.frames[std::size_t(position)];
+        const Frame& frame = street.frames[std::size_t(position)];
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         for (const BoxTrack& labelled : street.boxes) {
             if (labelled.category == "Car") continue;
@@ -79,16 +79,15 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
 }
 
 TEST_F(People, MaskedBoxesAreReported) {
-    const LidarSequence street =
-        make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
-    Config config = make_preset_config("quick");
+    const Log street = make_street_log({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
+    Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.init.actor_classes = "Car";
     config.train.iterations = 1;
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& line) { notes.push_back(line); };
-    train(device(), street, split_frames_into_train_and_test(street, 0), config, {}, session);
+    train(device(), street, split_frames(street, 0), config, {}, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"), std::string::npos)
         << notes[0];

@@ -13,12 +13,12 @@ namespace {
 
 class PlaceHeldOut : public test::DeviceTest {};
 
-TrainedRun train_small_run(Device& device) {
-    TrainedRun run;
+Run train_small_run(Device& device) {
+    Run run;
     run.sequence =
-        make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
-    run.split = split_frames_into_train_and_test(run.sequence, 4);
-    run.config = make_preset_config("quick");
+        make_street_log({.seed = 7, .n_frames = 12, .rows = 32, .columns = 512, .range_noise_m = 0.01});
+    run.split = split_frames(run.sequence, 4);
+    run.config = make_preset("quick");
     run.config.train.iterations = 60;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
@@ -28,9 +28,9 @@ TrainedRun train_small_run(Device& device) {
 }
 
 /// All tests share the same training.
-TrainedRun move_run(Device& device, const Twist& off) {
-    static const TrainedRun trained = train_small_run(device);
-    TrainedRun run = trained;
+Run move_run(Device& device, const Twist& off) {
+    static const Run trained = train_small_run(device);
+    Run run = trained;
     for (const int k : run.split.test) {
         Pose& pose = run.sequence.world_from_vehicle.pose[std::size_t(k)];
         pose = apply_twist(pose, off);
@@ -40,11 +40,11 @@ TrainedRun move_run(Device& device, const Twist& off) {
 
 TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     const PoseTrack exact =
-        make_synthetic_street({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
+        make_street_log({.seed = 7, .n_frames = 12, .rows = 2, .columns = 8}).world_from_vehicle;
     const Twist off{0.03, -0.02, 0.02, 1e-3, -2e-3, 2e-3};
-    relidar::TrainedRun run = move_run(device(), off);
-    const relidar::TrainedRun before = run;
-    const HeldOutPoseReport placed = estimate_held_out_vehicle_poses(device(), run);
+    relidar::Run run = move_run(device(), off);
+    const relidar::Run before = run;
+    const HeldOutPoseReport placed = register_held_out(device(), run);
     ASSERT_EQ(placed.scans, run.split.test.size());
     EXPECT_TRUE(run.held_out_placed);
     EXPECT_EQ(placed.placed, placed.scans);
@@ -59,15 +59,15 @@ TEST_F(PlaceHeldOut, FindsWhereTheyWereAndMovesNothingElse) {
     for (const int k : run.split.train)
         EXPECT_EQ(run.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
                   before.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
-    relidar::TrainedRun again = before;
-    estimate_held_out_vehicle_poses(device(), again);
+    relidar::Run again = before;
+    register_held_out(device(), again);
     for (const int k : run.split.test)
         EXPECT_EQ(again.sequence.world_from_vehicle.pose[std::size_t(k)].translation,
                   run.sequence.world_from_vehicle.pose[std::size_t(k)].translation);
 }
 
 TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
-    relidar::TrainedRun run = move_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
+    relidar::Run run = move_run(device(), {0.03, 0.0, 0.0, 0.0, 0.0, 0.0});
     const std::vector<Pose> before = run.sequence.world_from_vehicle.pose;
     const auto stays = [&] {
         for (std::size_t k = 0; k < before.size(); ++k)
@@ -75,17 +75,16 @@ TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
         return true;
     };
     int n_stop_calls = 0;
-    EXPECT_EQ(estimate_held_out_vehicle_poses(device(), run, {{}, [&] { return ++n_stop_calls > 1; }}).scans,
-              0u);
+    EXPECT_EQ(register_held_out(device(), run, {{}, [&] { return ++n_stop_calls > 1; }}).scans, 0u);
     EXPECT_TRUE(stays()) << "stopped at the second scan";
     EXPECT_FALSE(run.held_out_placed);
     run.config.train.place_held_out = false;
-    EXPECT_EQ(estimate_held_out_vehicle_poses(device(), run).scans, 0u);
+    EXPECT_EQ(register_held_out(device(), run).scans, 0u);
     EXPECT_TRUE(stays());
     EXPECT_TRUE(run.held_out_placed) << "it was asked, and there was nothing to do";
     run.config.train.place_held_out = true;
     run.config.train.pose_register = false;
-    EXPECT_EQ(estimate_held_out_vehicle_poses(device(), run).scans, 0u);
+    EXPECT_EQ(register_held_out(device(), run).scans, 0u);
     EXPECT_TRUE(stays());
 }
 

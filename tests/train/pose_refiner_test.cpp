@@ -27,13 +27,13 @@ using test::PoseError;
 
 constexpr double kDegree = kPi / 180.0;
 
-LidarSequence street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
-    SyntheticOptions options;
+Log street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
+    StreetOptions options;
     options.n_frames = n_frames;
     options.rows = rows;
     options.columns = columns;
     options.moving_cars = moving_cars;
-    return make_synthetic_street(options);
+    return make_street_log(options);
 }
 
 Twist draw_random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
@@ -47,7 +47,7 @@ TrackCorrection draw_random_correction(const PoseTrack& track, std::mt19937_64& 
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
         for (std::size_t k = 0; k < track.pose.size(); ++k)
-            correction.add_pose_gradient(k, 1.0, draw_random_twist(random, 1.0, 1.0));
+            correction.add_gradient(k, 1.0, draw_random_twist(random, 1.0, 1.0));
         correction.run_adam_step({.rate_m = 0.05, .rate_rad = 0.005});
     }
     return correction;
@@ -59,19 +59,19 @@ double dot(const glm::dvec3& a, const std::vector<float>& b, std::size_t first) 
 
 TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     for (const bool rolling : {true, false}) {
-        LidarSequence street = street_of(5, 8, 64);
+        Log street = street_of(5, 8, 64);
         street.rolling_shutter = rolling;
         TrainingFrames frames(device(), street, {0, 1, 3}, {.unknown = {}, .moves_rays = true});
-        PoseCorrectedRays rays(device(), frames.get_all_frames());
+        PoseCorrectedRays rays(device(), frames.all());
         std::mt19937_64 random(7);
         const TrackCorrection correction = draw_random_correction(street.world_from_vehicle, random);
-        const PoseTrack corrected = correction.make_corrected_track();
+        const PoseTrack corrected = correction.corrected_track();
         Stream stream(device());
-        for (std::size_t f = 0; f < frames.get_all_frames().size(); ++f) {
-            rays.move_rays_to_corrected_poses(stream, correction, frames[f]);
+        for (std::size_t f = 0; f < frames.all().size(); ++f) {
+            rays.move_rays(stream, correction, frames[f]);
             stream.submit_and_wait();
-            const std::vector<DeviceRay> moved = frames[f].get_device_rays().download(frames[f].n_rays);
-            const LidarFrame& frame = street.frames[std::size_t(frames[f].position)];
+            const std::vector<DeviceRay> moved = frames[f].device_rays().download(frames[f].n_rays);
+            const Frame& frame = street.frames[std::size_t(frames[f].position)];
             double farthest = 0.0, base = 0.0;
             for (std::size_t i = 0; i < moved.size(); ++i) {
                 const WorldRay expected =
@@ -104,9 +104,9 @@ std::vector<std::size_t> list_frame_ray_ids(const SampledBatch& batch,
 
 /// L = sum a . origin' + b . direction' over the batch, differentiated in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
-    const LidarSequence street = street_of(5, 8, 64);
+    const Log street = street_of(5, 8, 64);
     TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
-    PoseCorrectedRays rays(device(), frames.get_all_frames());
+    PoseCorrectedRays rays(device(), frames.all());
     std::mt19937_64 random(9);
     std::normal_distribution<float> normal;
     TrackCorrection correction = draw_random_correction(street.world_from_vehicle, random);
@@ -116,20 +116,20 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
         Config config;
         config.loss.intensity_ssim = batch_kind == std::string("columns") ? 0.15f : 0.0f;
         config.train.rays_per_iteration = 130;
-        BatchSampler sampler(device(), config, frames.get_all_frames());
-        rays.move_rays_to_corrected_poses(stream, correction, frames[f]);
-        const SampledBatch batch = sampler.sample_random_batch(stream, frames[f], draw);
+        BatchSampler sampler(device(), config, frames.all());
+        rays.move_rays(stream, correction, frames[f]);
+        const SampledBatch batch = sampler.draw_batch(stream, frames[f], draw);
         std::vector<float> upstream(6 * std::size_t(batch.rays.n_rays));
         for (float& x : upstream) x = normal(random);
         const Array<float, shared::DeviceRayGradients> d_rays(device(), std::span<const float>(upstream),
                                                               "ray gradients");
-        rays.record_pose_gradient_sums(stream, frames[f], batch, d_rays);
+        rays.record_sums(stream, frames[f], batch, d_rays);
         stream.submit_and_wait();
         const std::vector<PoseGradient> actual =
-            rays.sum_pose_gradients(rays.get_partial_gradient_sums().download(), frames[f]);
+            rays.sum_gradients(rays.gradient_sums().download(), frames[f]);
         const std::vector<DeviceRay> batch_rays = batch.rays.rays->download();
-        const std::vector<DeviceRay> all = frames[f].get_device_rays().download(frames[f].n_rays);
-        const LidarFrame& frame = street.frames[std::size_t(frames[f].position)];
+        const std::vector<DeviceRay> all = frames[f].device_rays().download(frames[f].n_rays);
+        const Frame& frame = street.frames[std::size_t(frames[f].position)];
         const std::vector<std::size_t> ids = list_frame_ray_ids(batch, batch_rays, all);
         const auto loss = [&](const PoseTrack& track) {
             double sum = 0.0;
@@ -143,7 +143,7 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
             double worst = 0.0, size = 0.0;
             for (std::size_t i = 0; i < 6; ++i) {
                 const auto at = [&](double h) {
-                    PoseTrack track = correction.make_corrected_track();
+                    PoseTrack track = correction.corrected_track();
                     Twist twist{};
                     twist[i] = h;
                     track.pose[g.pose] = apply_twist(track.pose[g.pose], twist);
@@ -174,29 +174,27 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
         for (std::size_t k = 0; k < 8; ++k) {
             if (k == 5) continue;  // held out
             Twist g;
-            for (std::size_t j = 0; j < 6; ++j)
-                g[j] = correction.get_or_interpolate_correction(k)[j] - target_twists[k][j];
-            correction.add_pose_gradient(k, 1.0, g);
+            for (std::size_t j = 0; j < 6; ++j) g[j] = correction.correction_at(k)[j] - target_twists[k][j];
+            correction.add_gradient(k, 1.0, g);
         }
         correction.run_adam_step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
     }
     for (std::size_t k = 0; k < 8; ++k)
         for (std::size_t j = 0; j < 6; ++j)
-            EXPECT_NEAR(correction.get_or_interpolate_correction(k)[j],
+            EXPECT_NEAR(correction.correction_at(k)[j],
                         k == 5 ? 0.5 * (target_twists[4][j] + target_twists[6][j]) : target_twists[k][j],
                         j < 3 ? 1e-3 : 1e-4)
                 << k;
     TrackCorrection strict(track);
     for (int i = 0; i < 200; ++i) {
-        strict.add_pose_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
+        strict.add_gradient(2, 1.0, {1e-3, 0, 0, 0, 0, 0});
         strict.run_adam_step({.rate_m = 1e-3, .rate_rad = 1e-3, .prior_per_m2 = 0.05});
     }
-    EXPECT_NEAR(strict.get_or_interpolate_correction(2)[0], -0.01, 1e-3)
-        << "where the prior's pull is the loss's";
+    EXPECT_NEAR(strict.correction_at(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
 }
 
 Config make_refining_config(const std::string& description, int iterations) {
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.init.voxel_m = 0.2;
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 0;
@@ -207,12 +205,12 @@ Config make_refining_config(const std::string& description, int iterations) {
 
 std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const Config& config,
                                                            const char* description) {
-    LidarSequence street = street_of(11, 32, 256);
+    Log street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
-    set_vehicle_poses(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 0);
+    set_trajectory(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
+    const Split split = split_frames(street, 0);
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
-    prepare_log_for_training(street, split, config);
+    prepare_log(street, split, config);
     const TrainResult result = train(device, street, split, config);
     const std::pair<PoseError, PoseError> errors{
         before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
@@ -239,12 +237,12 @@ TEST_F(Poses, OfTheSensorComeBack) {
 }
 
 /// The other rays do not affect the box and would take most of the time.
-void keep_rays_near_boxes(LidarSequence& street, double margin_m) {
-    for (LidarFrame& frame : street.frames) {
+void keep_rays_near_boxes(Log& street, double margin_m) {
+    for (Frame& frame : street.frames) {
         std::vector<std::size_t> near;
         Scan kept;
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-            const WorldReturn w = compute_world_return(street, frame, ray);
+            const WorldReturn w = locate_return(street, frame, ray);
             if (std::none_of(street.boxes.begin(), street.boxes.end(), [&](const BoxTrack& box) {
                     return box.contains_point(w.point_m, w.time_s, margin_m);
                 }))
@@ -259,11 +257,11 @@ void keep_rays_near_boxes(LidarSequence& street, double margin_m) {
 }
 
 TEST_F(Poses, OfTheActorsComeBack) {
-    SyntheticOptions options;
+    StreetOptions options;
     options.n_frames = 7;
     options.rows = 32;
     options.columns = 512;
-    LidarSequence street = make_synthetic_street(options);
+    Log street = make_street_log(options);
     const std::vector<BoxTrack> exact = street.boxes;
     keep_rays_near_boxes(street, 1.5);
     for (BoxTrack& box : street.boxes) box.world_from_box = perturb_track(box.world_from_box, 0.1, 0.0, 3);
@@ -271,7 +269,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
     config.init.scale_factor = 0.8;  // uses larger surfels without holes, because a car has few points
-    const TrainResult result = train(device(), street, split_frames_into_train_and_test(street, 0), config);
+    const TrainResult result = train(device(), street, split_frames(street, 0), config);
     ASSERT_TRUE(result.poses);
     const std::vector<int> all{0, 1, 2, 3, 4, 5, 6};
     for (std::size_t b = 0; b < exact.size(); ++b) {
@@ -284,32 +282,30 @@ TEST_F(Poses, OfTheActorsComeBack) {
 }
 
 TEST_F(Poses, AreKeptWhereNoneIsRefined) {
-    const LidarSequence street = street_of(4, 8, 64, true);
-    EXPECT_FALSE(
-        train(device(), street, split_frames_into_train_and_test(street, 0), make_refining_config("none", 2))
-            .poses);
+    const Log street = street_of(4, 8, 64, true);
+    EXPECT_FALSE(train(device(), street, split_frames(street, 0), make_refining_config("none", 2)).poses);
     Config config;
-    EXPECT_THROW(set_config_value(config, "train.refine_poses", "sensors"), UsageError);
+    EXPECT_THROW(set_value(config, "train.refine_poses", "sensors"), UsageError);
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
     config = make_refining_config("actors", 2);
     config.init.actor_classes = "";
     config.init.mask_others = false;
-    train(device(), street, split_frames_into_train_and_test(street, 0), config, {}, session);
+    train(device(), street, split_frames(street, 0), config, {}, session);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_THAT(notes[0], test::Names("train.refine_poses=actors"));
 }
 
 /// If the pose followed the scene of its own sweep, it would move away from the others.
 TEST_F(Poses, OfASingleSweepStays) {
-    const LidarSequence street = street_of(4, 8, 64, true);
+    const Log street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;
     TrainSession session;
     session.note = [&](const std::string& note) { notes.push_back(note); };
     const auto poses = [&](const std::string& held_out) {
-        return train(device(), street, split_frames_into_train_and_test(street, 0, held_out),
-                     make_refining_config("sensor", 2), {}, session)
+        return train(device(), street, split_frames(street, 0, held_out), make_refining_config("sensor", 2),
+                     {}, session)
             .poses;
     };
     EXPECT_FALSE(poses("0:2,3"));

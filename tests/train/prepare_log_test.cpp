@@ -59,14 +59,14 @@ private:
 
 /// Returns a log whose poses drift, whose moving objects have no labels, and whose beams
 /// have offsets.
-LidarSequence street(const SyntheticOptions& options) {
-    LidarSequence street = make_synthetic_street(options);
+Log street(const StreetOptions& options) {
+    Log street = make_street_log(options);
     street.boxes.clear();
     PoseTrack track = street.world_from_vehicle;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
         track.pose[k].translation.y += 0.3 * std::sin(0.02 * double(k));
-    set_vehicle_poses(street, track);
-    for (LidarFrame& frame : street.frames)
+    set_trajectory(street, track);
+    for (Frame& frame : street.frames)
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f)
                 frame.scan.range_m[ray] += 0.04f * float(frame.scan.rays.channel[ray] % 3);
@@ -79,7 +79,7 @@ std::vector<double> numbers(const Pose& pose) {
     return {q.w, q.x, q.y, q.z, t.x, t.y, t.z};
 }
 
-void expect_same(const LidarSequence& first, const LidarSequence& second) {
+void expect_same(const Log& first, const Log& second) {
     for (std::size_t k = 0; k < first.world_from_vehicle.pose.size(); ++k)
         ASSERT_EQ(numbers(first.world_from_vehicle.pose[k]), numbers(second.world_from_vehicle.pose[k]))
             << "pose " << k;
@@ -105,24 +105,24 @@ void expect_same(const LidarSequence& first, const LidarSequence& second) {
 }
 
 TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
-    const LidarSequence original_log =
+    const Log original_log =
         street({.n_frames = 400, .rows = 16, .columns = 128, .range_noise_m = 0.01, .people = true});
-    const TrainTestSplit split = split_frames_into_train_and_test(original_log, 10);
+    const Split split = split_frames(original_log, 10);
     Config config;
     config.train.refine_poses = "sensor";
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
     config.sensor.calibrate = "range,intensity";
-    LidarSequence alone = original_log;
+    Log alone = original_log;
     std::vector<std::string> separate_notes;
-    prepare_log_for_training(alone, split, config,
-                             {[&](const std::string& line) { separate_notes.push_back(line); }, {}, {}});
+    prepare_log(alone, split, config,
+                {[&](const std::string& line) { separate_notes.push_back(line); }, {}, {}});
     ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
     ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(original_log.world_from_vehicle.pose[50]))
         << "no pose is registered";
     constexpr int kSize = 3;
     GroupOfThreads group(kSize);
-    std::vector<LidarSequence> logs(std::size_t(kSize), original_log);
+    std::vector<Log> logs(std::size_t(kSize), original_log);
     std::vector<std::vector<std::string>> reported_lines(std::size_t(kSize), std::vector<std::string>{});
     std::vector<std::thread> processes;
     for (int rank = 0; rank < kSize; ++rank)
@@ -130,11 +130,11 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
             const auto report_line = [&, rank](const std::string& line) {
                 reported_lines[std::size_t(rank)].push_back(line);
             };
-            prepare_log_for_training(logs[std::size_t(rank)], split, config,
-                                     {.report_line = report_line, .stop = {}, .group = group.of(rank)});
+            prepare_log(logs[std::size_t(rank)], split, config,
+                        {.report_line = report_line, .stop = {}, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
-    for (const LidarSequence& log : logs) expect_same(log, alone);
+    for (const Log& log : logs) expect_same(log, alone);
     EXPECT_EQ(reported_lines[0], separate_notes);
     for (int rank = 1; rank < kSize; ++rank)
         EXPECT_TRUE(reported_lines[std::size_t(rank)].empty()) << "the first one tells";
@@ -142,21 +142,21 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
 }
 
 TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
-    const LidarSequence good = street({.n_frames = 40, .rows = 32, .columns = 128, .range_noise_m = 0.01});
+    const Log good = street({.n_frames = 40, .rows = 32, .columns = 128, .range_noise_m = 0.01});
     Config config;
     config.train.allow_lost_scans = true;
     config.train.refine_poses = "sensor";
-    const TrainTestSplit split = split_frames_into_train_and_test(good, 10);
-    const auto warning_of = [&](LidarSequence log) {
+    const Split split = split_frames(good, 10);
+    const auto warning_of = [&](Log log) {
         std::string report_text;
-        prepare_log_for_training(log, split, config,
-                                 {[&](const std::string& line) { report_text += line + "\n"; }, {}, {}});
+        prepare_log(log, split, config,
+                    {[&](const std::string& line) { report_text += line + "\n"; }, {}, {}});
         const std::size_t at = report_text.find("warning: ");
         EXPECT_EQ(at != std::string::npos, !log.notes.empty()) << "info shows what training has said";
         return at == std::string::npos ? std::string() : report_text.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    LidarSequence bad = good;  // moves every second pose ahead by a metre
+    Log bad = good;  // moves every second pose ahead by a metre
     for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
         bad.world_from_vehicle.pose[k].translation.x += 1.0;
     const std::string warning = warning_of(bad);

@@ -29,21 +29,21 @@ bool is_weak(const glm::vec3& direction) { return direction.z < 0.0f; }
 bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
 /// Rays that point down have no returns beyond 9 m.
-LidarSequence make_weak_street() {
-    LidarSequence street = make_synthetic_street(
+Log make_weak_street() {
+    Log street = make_street_log(
         {.seed = 5, .n_frames = 11, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
-    for (LidarFrame& frame : street.frames)
+    for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_weak(frame.scan.rays.direction[i]) && frame.scan.range_m[i] > kReach_m)
                 frame.scan.range_m[i] = 0.0f;
     return street;
 }
 
-TrainedRun trained(Device& device, LidarSequence street) {
-    TrainedRun run;
+Run trained(Device& device, Log street) {
+    Run run;
     run.sequence = std::move(street);
-    run.split = split_frames_into_train_and_test(run.sequence, 5);
-    run.config = make_preset_config("quick");
+    run.split = split_frames(run.sequence, 5);
+    run.config = make_preset("quick");
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 4096;
     run.config.train.refine_poses = "none";
@@ -54,13 +54,13 @@ TrainedRun trained(Device& device, LidarSequence street) {
     run.config.image.sh_degree = 0;
     run.scene = train(device, run.sequence, run.split, run.config).scene;
     // a run with a different flatness cannot be saved
-    run.config.init.flatness = make_preset_config("quick").init.flatness;
+    run.config.init.flatness = make_preset("quick").init.flatness;
     return run;
 }
 
-const TrainedRun& make_weak_run(Device& device) {
-    static const TrainedRun run = [&] {
-        TrainedRun made = trained(device, make_weak_street());
+const Run& make_weak_run(Device& device) {
+    static const Run run = [&] {
+        Run made = trained(device, make_weak_street());
         made.config.refine.epochs = 16;
         made.config.refine.rate = 0.01;
         return made;
@@ -70,13 +70,13 @@ const TrainedRun& make_weak_run(Device& device) {
 
 /// The first share is for weak beams that hit a surface near or beyond their maximum
 /// range, the second for all remaining pixels.
-std::pair<double, double> measure_accuracies(Device& device, const TrainedRun& run) {
+std::pair<double, double> measure_accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
     for (const int position : run.split.test) {
-        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
         const RenderedScan scan =
-            renderer.render(find_or_load_sensor("native", run.config, run.sequence), frame.time_s);
+            renderer.render(choose_sensor("native", run.config, run.sequence), frame.time_s);
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const bool is_far = scan.median_range_m[i] > 0.8f * kReach_m && scan.weight[i] > 0.9f;
             const bool of_weak = is_far && is_well_inside(frame.scan.rays.direction[i]);
@@ -96,9 +96,9 @@ private:
 };
 
 TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
-    relidar::TrainedRun run = make_weak_run(device());
+    relidar::Run run = make_weak_run(device());
     const auto [weak_before, others_before] = measure_accuracies(device(), run);
-    run.drop_network = train_ray_drop_network_of_run(device(), run);
+    run.drop_network = train_drops(device(), run);
     const auto [weak_after, others_after] = measure_accuracies(device(), run);
     EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before))
         << weak_before << " before, " << weak_after << " after";
@@ -107,14 +107,13 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     EXPECT_EQ(measure_accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
-double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const TrainedRun& run,
+double compute_exact_accuracy(ScanRenderer& renderer, const StreetOptions& options, const Run& run,
                               const SimulatedSensor& sensor) {
     double n = 0.0, right = 0.0;
     for (const int position : run.split.test) {
         const double time_s = run.sequence.frames[std::size_t(position)].time_s;
         const RenderedScan scan = renderer.render(sensor, time_s);
-        const Scan exact = cast_rays_into_synthetic_street(options, sensor.rays,
-                                                           run.sequence.get_world_from_sensor(0), time_s);
+        const Scan exact = cast_street_rays(options, sensor.rays, run.sequence.lidar_track(0), time_s);
         for (std::size_t i = 0; i < exact.range_m.size(); ++i, n += 1.0)
             right += (scan.image.drop_prob[i] > 0.5f) == !sensor.limits.contains(exact.range_m[i]);
     }
@@ -122,41 +121,41 @@ double compute_exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& op
 }
 
 TEST_F(RefineDrops, AnotherSensorIsNotWorse) {
-    const SyntheticOptions options{
+    const StreetOptions options{
         .seed = 6, .n_frames = 11, .rows = 32, .columns = 512, .speed_mps = 4.0, .people = true};
-    relidar::TrainedRun run = trained(device(), make_synthetic_street(options));
+    relidar::Run run = trained(device(), make_street_log(options));
     run.config.refine.epochs = 6;
-    const SimulatedSensor sensor = find_or_load_sensor("VLP-32C", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("VLP-32C", run.config, run.sequence);
     ScanRenderer renderer(device(), run);
     const double before = compute_exact_accuracy(renderer, options, run, sensor);
-    renderer.set_drop_network(train_ray_drop_network_of_run(device(), run));
-    ASSERT_TRUE(renderer.has_drop_network_for(sensor));
+    renderer.use_network(train_drops(device(), run));
+    ASSERT_TRUE(renderer.has_network_for(sensor));
     EXPECT_GT(compute_exact_accuracy(renderer, options, run, sensor), before);
 }
 
 TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
-    relidar::TrainedRun run = make_weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.sensor.grid = "kitti360";
     run.config.refine.image = "grid";
     run.config.refine.epochs = 1;
-    run.drop_network = train_ray_drop_network_of_run(device(), run);
+    run.drop_network = train_drops(device(), run);
     EXPECT_EQ(run.drop_network.image, "kitti360");
     ScanRenderer renderer(device(), run);
-    const SimulatedSensor grid = make_sensor_from_config(run.config, run.sequence),
-                          native = find_or_load_sensor("native", run.config, run.sequence);
-    EXPECT_TRUE(renderer.has_drop_network_for(grid));
-    EXPECT_FALSE(renderer.has_drop_network_for(native));
-    renderer.enable_optional_channels("surfel_drop_prob");
+    const SimulatedSensor grid = make_sensor(run.config, run.sequence),
+                          native = choose_sensor("native", run.config, run.sequence);
+    EXPECT_TRUE(renderer.has_network_for(grid));
+    EXPECT_FALSE(renderer.has_network_for(native));
+    renderer.add_channels("surfel_drop_prob");
     const RenderedScan refined = renderer.render(grid, 0.5);
-    renderer.set_drop_network({});
-    EXPECT_FALSE(renderer.has_drop_network_for(grid));
+    renderer.use_network({});
+    EXPECT_FALSE(renderer.has_network_for(grid));
     const RenderedScan plain = renderer.render(grid, 0.5);
-    EXPECT_EQ(*find_channel_values<float>(refined.channels, "surfel_drop_prob"), plain.image.drop_prob);
+    EXPECT_EQ(*find_values<float>(refined.channels, "surfel_drop_prob"), plain.image.drop_prob);
     EXPECT_NE(refined.image.drop_prob, plain.image.drop_prob);
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
 }
 
-void train_until(Device& device, const TrainedRun& run, int step, const std::filesystem::path& folder,
+void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder,
                  const Checkpoint* start = nullptr) {
     int done = 0;
     RayDropTrainingSession session;
@@ -164,23 +163,23 @@ void train_until(Device& device, const TrainedRun& run, int step, const std::fil
     session.stop = [&] { return done >= step; };
     session.checkpoints = folder;
     session.start = start;
-    EXPECT_TRUE(train_ray_drop_network_of_run(device, run, session).empty());
+    EXPECT_TRUE(train_drops(device, run, session).empty());
     EXPECT_EQ(done, step);
 }
 
 Checkpoint newest(const std::filesystem::path& folder) {
     std::optional<Checkpoint> checkpoint =
-        load_newest_checkpoint(folder, [](const std::string& line) { ADD_FAILURE() << line; });
+        load_newest(folder, [](const std::string& line) { ADD_FAILURE() << line; });
     if (!checkpoint) throw DataError("no checkpoint in " + folder.string());
     return std::move(*checkpoint);
 }
 
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
-    relidar::TrainedRun run = make_weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.refine.epochs = 4;
     run.config.refine.frames = 3;
     const std::filesystem::path checkpoints = folder() / "checkpoints";
-    const RayDropNetwork expected = train_ray_drop_network_of_run(device(), run);
+    const RayDropNetwork expected = train_drops(device(), run);
     const int of_epoch = run.config.refine.frames;
     train_until(device(), run, 2 * of_epoch + 1, checkpoints);
     EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u)
@@ -191,44 +190,44 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
 
     run.folder = folder() / "run";
     save_run(run);
-    relidar::TrainedRun loaded = load_run(run.folder);
-    copy_scans_into_run(loaded, loaded.split.train, run.sequence);
-    require_network_training_is_resumable(half, loaded);
-    const RayDropNetwork resumed = train_ray_drop_network_of_run(device(), loaded, {.start = &half});
+    relidar::Run loaded = load_run(run.folder);
+    copy_scans(loaded, loaded.split.train, run.sequence);
+    check_drop_resume(half, loaded);
+    const RayDropNetwork resumed = train_drops(device(), loaded, {.start = &half});
     EXPECT_EQ(resumed.parameters, expected.parameters);
     EXPECT_EQ(resumed.running, expected.running);
     EXPECT_EQ(resumed.normalisation, expected.normalisation);
 
     train_until(device(), run, 3 * of_epoch, checkpoints, &half);
     const Checkpoint later = newest(checkpoints);
-    EXPECT_EQ(train_ray_drop_network_of_run(device(), run, {.start = &later}).parameters, expected.parameters)
+    EXPECT_EQ(train_drops(device(), run, {.start = &later}).parameters, expected.parameters)
         << "stopped twice";
 }
 
 TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
-    relidar::TrainedRun run = make_weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.refine.epochs = 1;
     run.config.refine.frames = 3;
     train_until(device(), run, 2, folder());
     const Checkpoint checkpoint = newest(folder());
-    const auto message = [&](const relidar::TrainedRun& other) {
+    const auto message = [&](const relidar::Run& other) {
         try {
-            train_ray_drop_network_of_run(device(), other, {.start = &checkpoint});
+            train_drops(device(), other, {.start = &checkpoint});
         } catch (const Error& error) {
             return fmt::format("{} {}", int(error.code()), error.what());
         }
         return std::string("nothing thrown");
     };
-    relidar::TrainedRun other = run;
+    relidar::Run other = run;
     other.config.refine.rate = 0.5;
     EXPECT_THAT(message(other),
                 test::Names("2 ... step 2 ... setting refine.rate: found 0.5, expected 0.01"));
-    copy_network_settings_into_config(checkpoint, other.config);
+    read_drop_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7;
     other.config.train.checkpoint_minutes = 3.0;
     other.config.refine.enabled = false;
-    require_network_training_is_resumable(checkpoint, other);
+    check_drop_resume(checkpoint, other);
     other = run;
     other.scene.surfels.sh[5] += 0.001f;
     EXPECT_THAT(message(other), test::Names("3 ... step 2 ... scene"));
@@ -237,11 +236,11 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     EXPECT_THAT(message(other), test::Names("scans"));
     Checkpoint of_surfels = checkpoint;
     std::erase_if(of_surfels.arrays, [](const NamedArray& array) { return array.name == "moment2"; });
-    EXPECT_THROW(train_ray_drop_network_of_run(device(), run, {.start = &of_surfels}), DataError);
+    EXPECT_THROW(train_drops(device(), run, {.start = &of_surfels}), DataError);
 }
 
 TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
-    relidar::TrainedRun run = make_weak_run(device());
+    relidar::Run run = make_weak_run(device());
     run.config.refine.epochs = 1;
     run.config.refine.frames = 3;
     write_text_file(folder() / "taken", "");
@@ -249,29 +248,26 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
     RayDropTrainingSession session;
     session.checkpoints = folder() / "taken";
     session.note = [&](const std::string& line) { notes.push_back(line); };
-    EXPECT_FALSE(train_ray_drop_network_of_run(device(), run, session).empty());
+    EXPECT_FALSE(train_drops(device(), run, session).empty());
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_THAT(notes[0], test::Names("checkpoint"));
 }
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
-    relidar::TrainedRun run = make_weak_run(device());
+    relidar::Run run = make_weak_run(device());
     int n_stop_calls = 0;
-    EXPECT_TRUE(
-        train_ray_drop_network_of_run(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty())
+    EXPECT_TRUE(train_drops(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty())
         << "in the network's training";
-    EXPECT_TRUE(train_ray_drop_network_of_run(device(), run, {.stop = [] { return true; }}).empty())
+    EXPECT_TRUE(train_drops(device(), run, {.stop = [] { return true; }}).empty())
         << "while frames are rendered";
-    const auto message = [&] {
-        return get_data_error_message([&] { train_ray_drop_network_of_run(device(), run); });
-    };
-    for (LidarFrame& frame : run.sequence.frames) {
+    const auto message = [&] { return get_data_error_message([&] { train_drops(device(), run); }); };
+    for (Frame& frame : run.sequence.frames) {
         frame.scan.rays.rows = 1;
         frame.scan.rays.columns = int(frame.scan.rays.size());
     }
     EXPECT_THAT(message(), test::Names("rows and columns"));
     run.sequence = make_weak_street();
-    for (LidarFrame& frame : run.sequence.frames)
+    for (Frame& frame : run.sequence.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
     EXPECT_THAT(message(), test::Names("dropped"));
 }

@@ -28,7 +28,7 @@ constexpr int kIterations = 40;
 constexpr int kStoppedAfter = 17;
 
 Config make_resumed_config() {
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
     config.train.rays_per_iteration = 1000;
@@ -47,30 +47,29 @@ protected:
         return train(device(), street, split, config, {}, session);
     }
     std::optional<Checkpoint> newest() {
-        return load_newest_checkpoint(folder, [this](const std::string& note) { notes.push_back(note); });
+        return load_newest(folder, [this](const std::string& note) { notes.push_back(note); });
     }
 
     ScratchFolder scratch;
     const fs::path folder = scratch.path;
-    LidarSequence street = make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256});
-    TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    Log street = make_street_log({.n_frames = 11, .rows = 16, .columns = 256});
+    Split split = split_frames(street, 10);
     std::vector<std::string> notes;
 };
 
 TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
     FrameSampler sampler(10, 3), other(10, 99);
     for (int i = 0; i < 27; ++i) {
-        sampler.sample_next_frame_index();
-        sampler.get_random_generator().sample_random_uint64();
+        sampler.next_frame();
+        sampler.generator().next_uint64();
     }
     Checkpoint checkpoint;
-    sampler.visit_checkpoint_state(CheckpointWriter(checkpoint));
-    other.sample_next_frame_index();
-    other.visit_checkpoint_state(CheckpointReader(checkpoint));
+    sampler.visit_state(CheckpointWriter(checkpoint));
+    other.next_frame();
+    other.visit_state(CheckpointReader(checkpoint));
     for (int i = 0; i < 100; ++i) {
-        ASSERT_EQ(sampler.sample_next_frame_index(), other.sample_next_frame_index());
-        ASSERT_EQ(sampler.get_random_generator().sample_random_uint64(),
-                  other.get_random_generator().sample_random_uint64());
+        ASSERT_EQ(sampler.next_frame(), other.next_frame());
+        ASSERT_EQ(sampler.generator().next_uint64(), other.generator().next_uint64());
     }
 }
 
@@ -138,8 +137,8 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 }
 
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
-    set_vehicle_poses(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.005, 1));
-    const LidarSequence original_street = street;
+    set_trajectory(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.005, 1));
+    const Log original_street = street;
     const auto same = [](const Pose& a, const Pose& b) { return a.translation == b.translation; };
     for (const char* refined : {"actors", "sensor,actors"}) {
         Config config = make_resumed_config();
@@ -149,7 +148,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
         config.train.iterations = 12;
         const auto prepare = [&] {
             street = original_street;
-            prepare_log_for_training(street, split, config);
+            prepare_log(street, split, config);
         };
         prepare();
         const bool is_registered = refined == std::string("sensor,actors");
@@ -177,7 +176,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
         EXPECT_THROW(run(config, &*checkpoint), DataError) << "a log that was not prepared is another log";
         LogPreparationCallbacks session;
         session.stop = [] { return true; };
-        EXPECT_THAT([&] { prepare_log_for_training(street, split, config, session); },
+        EXPECT_THAT([&] { prepare_log(street, split, config, session); },
                     testing::Throws<Error>(testing::Property(&Error::code, ExitCode::interrupted)));
     }
 }
@@ -188,26 +187,26 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     config.init.actor_min_points = 10;
     Config other = config;
     other.train.seed = 99;
-    const Scene initial = initialise_scene(street, split.train, config.init);
+    const Scene initial = init_scene(street, split.train, config.init);
     TrainLoop trained(device(), street, split, initial, config),
         fresh(device(), street, split, initial, other);
     for (int step = 1; step <= kStoppedAfter; ++step) trained.run_iteration(step);
     Checkpoint saved, again;
-    trained.save_training_state_to_checkpoint(saved);
+    trained.save_to(saved);
     fresh.run_iteration(1);
-    fresh.restore_training_state_from_checkpoint(saved);
-    fresh.save_training_state_to_checkpoint(again);
+    fresh.restore_from(saved);
+    fresh.save_to(again);
     ASSERT_EQ(saved.arrays.size(), again.arrays.size());
     const auto same = [](const Pose& first, const Pose& second) {
         return first.rotation == second.rotation && first.translation == second.translation;
     };
-    EXPECT_TRUE(std::ranges::equal(trained.get_refined_poses()->world_from_vehicle.pose,
-                                   fresh.get_refined_poses()->world_from_vehicle.pose, same));
+    EXPECT_TRUE(std::ranges::equal(trained.refined_poses()->world_from_vehicle.pose,
+                                   fresh.refined_poses()->world_from_vehicle.pose, same));
     for (const NamedArray& array : saved.arrays)
-        EXPECT_TRUE(array.bytes == again.get_array(array.name).bytes) << array.name;
+        EXPECT_TRUE(array.bytes == again.array(array.name).bytes) << array.name;
     for (const char* name :
          {"moment1/mean", "moment2/sh", "term_sums", "poses/sensor/correction", "poses/actor 0/correction"}) {
-        const std::vector<float> values = saved.get_array(name).convert_to_floats();
+        const std::vector<float> values = saved.array(name).to_floats();
         EXPECT_TRUE(std::any_of(values.begin(), values.end(), [](float v) { return v != 0.0f; }))
             << name << " is saved as zeros";
     }
@@ -235,9 +234,8 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     const Checkpoint start = *newest();
     const auto setting = [&](const char* key, const char* value) {
         Config config = make_resumed_config();
-        set_config_value(config, key, value);
-        return error_message<UsageError>(
-            [&] { require_training_is_resumable(start, street, split, config); });
+        set_value(config, key, value);
+        return error_message<UsageError>([&] { check_resume(start, street, split, config); });
     };
     EXPECT_NE(setting("loss.depth", "0.3").find("setting loss.depth: found 0.3, expected 0.1"),
               std::string::npos);
@@ -249,13 +247,13 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
                                      {"train.iterations", "99"},
                                      {"render.range", "median"},
                                      {"dataset.path", "moved"}})
-        set_config_value(free, key, value);
-    EXPECT_NO_THROW(require_training_is_resumable(start, street, split, free));
+        set_value(free, key, value);
+    EXPECT_NO_THROW(check_resume(start, street, split, free));
 
     Checkpoint other_version = start;
     const auto error = [&] {
         return get_data_error_message(
-            [&] { require_training_is_resumable(other_version, street, split, make_resumed_config()); });
+            [&] { check_resume(other_version, street, split, make_resumed_config()); });
     };
     other_version.texts["setting/train.colour"] = "red";
     EXPECT_THAT(error(), test::Names("train.colour"));
@@ -263,13 +261,13 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
     other_version.texts.erase("setting/loss.depth");
     EXPECT_THAT(error(), test::Names("setting loss.depth"));
 
-    const auto log = [&](const char* part, const LidarSequence& other, const TrainTestSplit& frames) {
-        const std::string message = get_data_error_message(
-            [&] { require_training_is_resumable(start, other, frames, make_resumed_config()); });
+    const auto log = [&](const char* part, const Log& other, const Split& frames) {
+        const std::string message =
+            get_data_error_message([&] { check_resume(start, other, frames, make_resumed_config()); });
         EXPECT_THAT(message, test::Names(std::string("log's ... ") + part));
     };
-    log("training frames", street, split_frames_into_train_and_test(street, 5));
-    LidarSequence other = street;
+    log("training frames", street, split_frames(street, 5));
+    Log other = street;
     other.frames[3].scan.range_m[100] += 1e-3f;
     log("scans", other, split);
     other = street;
@@ -292,7 +290,7 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         const test::FileSizeLimit limit(4096);
         const TrainResult result = run(config, &start);
         EXPECT_EQ(result.iterations, kIterations);
-        EXPECT_EQ(result.scene.surfels.size(), start.get_array("parameters/mean").shape[0]);
+        EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
     }
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
     EXPECT_THAT(notes[0], test::Names("write ... iteration 10 ... iteration 5"));
@@ -303,28 +301,28 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
 
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const Config config = make_resumed_config();
-    const Scene initial = initialise_scene(street, split.train, config.init);
+    const Scene initial = init_scene(street, split.train, config.init);
     const std::size_t poisoned = 6;  // index among the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
     int expected = 1;
-    while (sampler.sample_next_frame_index() != poisoned) {
+    while (sampler.next_frame() != poisoned) {
         ++expected;
-        sampler.get_random_generator().sample_random_uint64();
+        sampler.generator().next_uint64();
     }
-    LidarFrame& frame = street.frames[std::size_t(split.train[poisoned])];
+    Frame& frame = street.frames[std::size_t(split.train[poisoned])];
     std::fill(frame.scan.intensity.begin(), frame.scan.intensity.end(),
               std::numeric_limits<float>::quiet_NaN());
     TrainLoop loop(device(), street, split, initial, config);
     Checkpoint checkpoint;
     for (int step = 1; step <= 10; ++step) {
         loop.run_iteration(step);
-        if (step == expected - 1) loop.save_training_state_to_checkpoint(checkpoint);
+        if (step == expected - 1) loop.save_to(checkpoint);
     }
-    const std::string message = get_data_error_message([&] { loop.wait_for_iterations(); });
+    const std::string message = get_data_error_message([&] { loop.finish_steps(); });
     ASSERT_GT(expected, 1);
     EXPECT_THAT(message, test::Names("iteration " + std::to_string(expected) + ", frame " +
                                      std::to_string(frame.index) + " ... intensity"));
-    EXPECT_NO_THROW(require_finite_checkpoint_arrays(checkpoint)) << "of the iteration before";
+    EXPECT_NO_THROW(check_finite_arrays(checkpoint)) << "of the iteration before";
 }
 
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {

@@ -50,7 +50,7 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
 }
 
 Config make_rig_config(int iterations) {
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 8192;
     config.train.refine_poses = "none";
@@ -60,29 +60,28 @@ Config make_rig_config(int iterations) {
 
 TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     const std::string rig = test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_rig_street");
-    const SyntheticOptions options{.n_frames = 11, .rig = rig};
-    LidarSequence street = make_synthetic_street(options);
+    const StreetOptions options{.n_frames = 11, .rig = rig};
+    Log street = make_street_log(options);
     ASSERT_EQ(street.lidars.size(), 4u);
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    const Split split = split_frames(street, 10);
     ASSERT_EQ(split.test.size(), 4u);
     const Config config = make_rig_config(100);
-    prepare_log_for_training(street, split, config, {});
+    prepare_log(street, split, config, {});
     const TrainResult result = train(device(), street, split, config);
     ScanRenderer renderer(device(), result.scene, config, street);
     std::vector<Score> scores(4);
     for (const int position : split.test) {
-        const LidarFrame& frame = street.frames[std::size_t(position)];
-        SimulatedSensor sensor = make_sensor_from_config(config, street, frame.lidar);
+        const Frame& frame = street.frames[std::size_t(position)];
+        SimulatedSensor sensor = make_sensor(config, street, frame.lidar);
         sensor.returns = frame.lidar == test::kTwoReturns ? 2 : 1;
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         ASSERT_EQ(scan.image.direction, to_vector(frame.scan.rays.direction))
             << "nominal rays are those of the scan, LiDAR " << frame.lidar;
-        const PoseTrack track = street.get_world_from_sensor(frame.lidar);
+        const PoseTrack track = street.lidar_track(frame.lidar);
         const RayTable& rays = frame.scan.rays;
-        Scan truth = sensor.returns == 2
-                         ? cast_beams_into_synthetic_street(options, rays, track, frame.time_s)
-                         : cast_rays_into_synthetic_street(options, rays, track, frame.time_s);
-        remove_returns_outside_limits(truth, street.get_lidar(frame).sensor.range_limits());
+        Scan truth = sensor.returns == 2 ? cast_street_beams(options, rays, track, frame.time_s)
+                                         : cast_street_rays(options, rays, track, frame.time_s);
+        limit_ranges(truth, street.lidar_of(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }
     // The goal is that 90 % of the second returns are rendered, and that at most 5 % of
@@ -106,17 +105,16 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
 
 /// Share of a sensor's ground rays, 5 to 25 m away in the exact street, that an untrained
 /// scene misses in the first held-out frame.
-double measure_missed_ground(Device& device, const LidarSequence& street, const TrainTestSplit& split,
-                             const SyntheticOptions& options, double max_gap_m) {
+double measure_missed_ground(Device& device, const Log& street, const Split& split,
+                             const StreetOptions& options, double max_gap_m) {
     Config config = make_rig_config(0);
     config.init.max_gap_m = max_gap_m;
     const TrainResult result = train(device, street, split, config, {});
     ScanRenderer renderer(device, result.scene, config, street);
     const double time_s = street.frames[std::size_t(split.test[0])].time_s;
-    const SimulatedSensor sensor = make_simulated_sensor(find_sensor("OS1-64"));
+    const SimulatedSensor sensor = simulate_sensor(find_sensor("OS1-64"));
     const RenderedScan scan = renderer.render(sensor, time_s);
-    const Scan truth =
-        cast_rays_into_synthetic_street(options, sensor.rays, street.get_world_from_sensor(0), time_s);
+    const Scan truth = cast_street_rays(options, sensor.rays, street.lidar_track(0), time_s);
     double missed = 0.0, ground = 0.0;
     for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
         if (truth.range_m[i] < 5.0f || truth.range_m[i] > 25.0f ||
@@ -134,10 +132,10 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     const std::filesystem::path rig =
         std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
-    const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
-    LidarSequence log = make_synthetic_street(options);
-    const TrainTestSplit split = split_frames_into_train_and_test(log, int(log.frames.size()) / 2);
-    prepare_log_for_training(log, split, make_rig_config(0), {});
+    const StreetOptions options{.n_frames = 11, .rig = rig.string()};
+    Log log = make_street_log(options);
+    const Split split = split_frames(log, int(log.frames.size()) / 2);
+    prepare_log(log, split, make_rig_config(0), {});
     const double with = measure_missed_ground(device(), log, split, options, 2.0),
                  without = measure_missed_ground(device(), log, split, options, 0.0);
     std::cout << "ground missed: " << with << ", by round discs " << without << "\n";

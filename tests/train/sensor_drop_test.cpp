@@ -13,7 +13,7 @@ namespace {
 
 constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // columns of beam 1
 
-void add_ray(LidarFrame& frame, int beam, int column, bool returns) {
+void add_ray(Frame& frame, int beam, int column, bool returns) {
     const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
     frame.scan.rays.origin.emplace_back(0.0f);
     frame.scan.rays.direction.emplace_back(std::cos(azimuth), std::sin(azimuth), 0.0);
@@ -25,12 +25,12 @@ void add_ray(LidarFrame& frame, int beam, int column, bool returns) {
 
 /// Four beams with every `step`-th column. The second beam has no returns in a sector.
 /// The third drops every seventh ray. The fourth drops six of 24 rays, like windows.
-LidarSequence log_of(int n_frames, int step = 1) {
-    LidarSequence log;
+Log log_of(int n_frames, int step = 1) {
+    Log log;
     log.lidars[0].sensor.columns = kColumns;
     log.lidars[0].sensor.beams.resize(4);
     for (int f = 0; f < n_frames; ++f) {
-        LidarFrame frame{f, 0.1 * f, {}};
+        Frame frame{f, 0.1 * f, {}};
         for (int beam = 0; beam < 4; ++beam)
             for (int column = 0; column < kColumns; column += step) {
                 const bool is_blind = beam == 1 && column >= kBlindFrom && column < kBlindTo;
@@ -43,17 +43,17 @@ LidarSequence log_of(int n_frames, int step = 1) {
     return log;
 }
 
-RayDropTable table_of(const LidarSequence& log) {
+RayDropTable table_of(const Log& log) {
     RayDropCounts counts(log);
-    for (const LidarFrame& frame : log.frames)
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add_ray_to_drop_counts(frame, i);
-    return counts.estimate_smoothed_drop_rates();
+    for (const Frame& frame : log.frames)
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add_ray(frame, i);
+    return counts.smoothed_rates();
 }
 
 float at(const RayDropTable& table, int beam, int column) {
     const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / kColumns;
-    return table.get_drop_probability(static_cast<std::uint16_t>(beam),
-                                      glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0));
+    return table.probability_of(static_cast<std::uint16_t>(beam),
+                                glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0));
 }
 
 TEST(SensorDrop, ABlindSectorIsFoundToItsBordersInTwoSweeps) {
@@ -85,16 +85,16 @@ TEST(SensorDrop, NothingIsKnownWhereNoRayWasCounted) {
 }
 
 TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
-    struct Log {
+    struct Case {
         int n_frames, step;
     };
     // the last case combines a coarse LiDAR with a fine LiDAR
-    for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
-        const LidarSequence log = log_of(n_frames, step);
+    for (const auto& [n_frames, step] : {Case{1, 1}, Case{2, 1}, Case{40, 1}, Case{3, 4}}) {
+        const Log log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
         std::iota(positions.begin(), positions.end(), 0);
-        const RayDropTable observed = estimate_observed_drop_rates(log, positions);
-        const LidarFrame& frame = log.frames[0];
+        const RayDropTable observed = measure_drops(log, positions);
+        const Frame& frame = log.frames[0];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             const int beam = frame.scan.rays.channel[ray],
                       column = int(ray % std::size_t(kColumns / step)) * step;
@@ -103,7 +103,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
             const bool in_sector = beam == 1 && column >= kBlindFrom && column < kBlindTo;
             // too few rays to fill the last bin
             if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;
-            EXPECT_EQ(is_ray_in_blind_sector(observed, log, frame, ray), in_sector || is_window)
+            EXPECT_EQ(is_blind_ray(observed, log, frame, ray), in_sector || is_window)
                 << n_frames << " sweeps, beam " << beam << ", column " << column;
         }
     }
@@ -111,11 +111,11 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
 
 /// The first LiDAR does not fire in a sector, and gets no return in a different sector.
 /// Its highest beam never returns.
-LidarSequence log_with_sectors() {
-    LidarSequence log = log_of(0);
+Log log_with_sectors() {
+    Log log = log_of(0);
     log.lidars.push_back(log.lidars[0]);
     for (int f = 0; f < 6; ++f) {
-        LidarFrame frame{f / 2, 0.1 * (f / 2), {}, f % 2};
+        Frame frame{f / 2, 0.1 * (f / 2), {}, f % 2};
         for (int beam = 0; beam < 4; ++beam)
             for (int column = 0; column < kColumns; ++column) {
                 if (frame.lidar == 0 && column >= 60 && column < 120) continue;
@@ -128,11 +128,11 @@ LidarSequence log_with_sectors() {
 }
 
 TEST(SensorDrop, ASectorWithoutReturnsIsNotSeenWhateverTheSceneHas) {
-    const LidarSequence log = log_with_sectors();
-    const RayDropTable observed = estimate_observed_drop_rates(log, {0, 1, 2, 3, 4, 5});
+    const Log log = log_with_sectors();
+    const RayDropTable observed = measure_drops(log, {0, 1, 2, 3, 4, 5});
     RayDropTable drops = observed;
     std::ranges::fill(drops.probability, 0.25f);
-    mark_unobserved_sectors_as_dropped(drops, observed, log);
+    drop_unobserved(drops, observed, log);
     for (int beam = 0; beam < 8; ++beam)
         for (int column = 1; column < kColumns; column += 3) {  // the middle of each bin
             const bool is_in = (column >= 60 && column < 120) || (column >= 201 && column < 240);

@@ -25,19 +25,19 @@ protected:
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
         run.folder = folder;
-        run.sequence = make_synthetic_street({.n_frames = 11, .rows = 24, .columns = 384});
-        run.split = split_frames_into_train_and_test(run.sequence, 10);
-        run.config = make_preset_config("quick");
+        run.sequence = make_street_log({.n_frames = 11, .rows = 24, .columns = 384});
+        run.split = split_frames(run.sequence, 10);
+        run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
         // large enough to close the holes between the points of a car
         run.config.init.scale_factor = 0.8;
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
-        Scene full_scene = initialise_scene(run.sequence, run.split.train, run.config.init);
+        Scene full_scene = init_scene(run.sequence, run.split.train, run.config.init);
         for (std::size_t i = 0; i < full_scene.surfels.size(); ++i)
             full_scene.surfels.opacity_logit[i] = i < full_scene.models[0].count ? 6.0f : -1.5f;
-        run.scene = copy_scene_with_new_background(full_scene, {});
+        run.scene = replace_background(full_scene, {});
         for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(full_scene, right));
     }
 
@@ -45,27 +45,27 @@ protected:
         std::vector<std::uint32_t> order;
         for (std::uint32_t i = 0; i < scene.models[0].count; ++i)
             if ((scene.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
-        const Scene half = make_background_scene(scene.surfels.reorder(order));
+        const Scene half = wrap_background(scene.surfels.reorder(order));
         SceneBlock block{folder / (right ? "right.safetensors" : "left.safetensors"), half.models[0].count,
                          half.surfels.mean[0], half.surfels.mean[0]};
         for (const glm::vec3& mean : half.surfels.mean) {
             block.low_m = glm::min(block.low_m, mean);
             block.high_m = glm::max(block.high_m, mean);
         }
-        save_scene_to_model_file(block.file, half);
+        save_model(block.file, half);
         return block;
     }
 
     /// Median error of the mean range on a held-out frame, of rays with a return from a
     /// car.
     double measure_error_on_cars() {
-        const LidarFrame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
+        const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
         std::vector<double> errors;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
-            const WorldReturn at = compute_world_return(run.sequence, frame, i);
+            const WorldReturn at = locate_return(run.sequence, frame, i);
             if (!is_in_moving_box(run.sequence.boxes, at.point_m, at.time_s, -0.05)) continue;
             errors.push_back(std::abs(scan.image.range_m[i] - frame.scan.range_m[i]));
         }
@@ -76,7 +76,7 @@ protected:
 
     ScratchFolder scratch;
     const std::filesystem::path folder = scratch.path;
-    relidar::TrainedRun run;
+    relidar::Run run;
 };
 
 TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
@@ -102,7 +102,7 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
 }
 
 TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
-    run.scene = copy_scene_with_all_blocks_loaded(run.scene);
+    run.scene = with_all_blocks(run.scene);
     const Scene was = run.scene;
     const std::size_t n = was.models[0].count;
     ASSERT_GT(n, 1000u);
@@ -123,15 +123,15 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
 
 /// Surfels high above the street must not change any bit of the result.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
-    relidar::TrainedRun other = run;
-    Surfels far = load_block_surfels(run.scene.blocks[0]).slice(0, 100);
+    relidar::Run other = run;
+    Surfels far = load_block(run.scene.blocks[0]).slice(0, 100);
     for (glm::vec3& mean : far.mean) mean += glm::vec3(0.0f, 0.0f, 60.0f);  // above the street
-    const Scene above = make_background_scene(far);
+    const Scene above = wrap_background(far);
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
-    save_scene_to_model_file(block.file, above);
+    save_model(block.file, above);
     other.scene.blocks.push_back(block);
     // excludes the learning rate of means, because it depends on the extent of all blocks
-    for (relidar::TrainedRun* each : {&run, &other})
+    for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
     EXPECT_EQ(train_actors(device(), run), TrainingEndReason::finished);
     EXPECT_EQ(train_actors(device(), other), TrainingEndReason::finished);

@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions make_small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
+StreetOptions make_small_street() { return {.n_frames = 11, .rows = 16, .columns = 256}; }
 
 class Train : public test::DeviceTest {
 protected:
@@ -28,19 +28,19 @@ protected:
     }
     TrainResult train_street() { return train(device(), street, split, config); }
     RenderedScan render_held_out(const Scene& scene, bool is_log_lidar = false) {
-        const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
+        const Frame& frame = street.frames[std::size_t(split.test[0])];
         return ScanRenderer(device(), scene, config, street)
             .render({frame.scan.rays, std::nullopt, is_log_lidar}, frame.time_s);
     }
 
     double measure_held_out_error(const Scene& scene) {
-        const RangeImage real = make_measured_image(config, street.frames[std::size_t(split.test[0])].scan);
+        const RangeImage real = measured_image(config, street.frames[std::size_t(split.test[0])].scan);
         return evaluate(render_held_out(scene).image, real).at("strict/depth_mae_m");
     }
 
-    LidarSequence street = make_synthetic_street(make_small_street());
-    TrainTestSplit split = split_frames_into_train_and_test(street, 10);
-    Config config = make_preset_config("quick");
+    Log street = make_street_log(make_small_street());
+    Split split = split_frames(street, 10);
+    Config config = make_preset("quick");
 };
 class TrainEither : public Train, public testing::WithParamInterface<PrimitiveType> {};
 std::vector<PrimitiveType> list_all_primitives() {
@@ -77,13 +77,13 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     config.train.iterations = 1;
     config.densify.strategy = DensifyStrategy::adaptive;
     config.init.actor_min_points = 10;
-    const Scene before = initialise_scene(street, split.train, config.init);
+    const Scene before = init_scene(street, split.train, config.init);
     const Scene after = train_street().scene;
     ASSERT_EQ(after.surfels.size(), before.surfels.size());
     ASSERT_GE(before.models.size(), 3u) << "the background and two cars";
     for (const SurfelModel& model : before.models) {
         const double extent_m = model.half_size_m.x > 0.0f ? 8.0 * double(glm::length(model.half_size_m))
-                                                           : compute_robust_background_extent_m(before);
+                                                           : scene_extent_m(before);
         double farthest_m = 0.0;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             for (int axis = 0; axis < 3; ++axis)
@@ -107,7 +107,7 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     ASSERT_EQ(first.size(), last.size());
     std::size_t at_the_bound = 0;
     for (std::size_t i = 0; i < last.size(); ++i) {
-        const bool has_three = get_primitive_properties(first.primitive).third_scale;
+        const bool has_three = properties_of(first.primitive).third_scale;
         const float began = std::max(
             {first.log_scale[i].x, first.log_scale[i].y, has_three ? first.log_scale_w[i] : -100.0f});
         const float ended =
@@ -149,10 +149,10 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
 
 /// Without memory for the hits, training must fail instead of becoming nondeterministic.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
-    SyntheticOptions options = make_small_street();
+    StreetOptions options = make_small_street();
     options.n_frames = 5;
-    street = make_synthetic_street(options);
-    split = split_frames_into_train_and_test(street, 10);
+    street = make_street_log(options);
+    split = split_frames(street, 10);
     const Config small = config;
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config = small;
@@ -182,11 +182,11 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
 }
 
 TEST_F(Train, ActorsBeatMasking) {
-    SyntheticOptions options = make_small_street();
+    StreetOptions options = make_small_street();
     options.rows = 32;
     options.columns = 512;
-    street = make_synthetic_street(options);
-    const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
+    street = make_street_log(options);
+    const Frame& frame = street.frames[std::size_t(split.test[0])];
     std::map<std::string, double> error;
     config.init.actor_min_points = 20;
     config.train.rays_per_iteration = 4096;
@@ -220,11 +220,11 @@ TEST_F(Train, ActorsBeatMasking) {
 struct MaskedReturns {
     double cars = 0, masked_cars = 0, rest = 0, masked_rest = 0;
 
-    void add_frame(const LidarSequence& street, const LidarFrame& frame, const IgnoredMeasurements& unknown,
+    void add_frame(const Log& street, const Frame& frame, const IgnoredMeasurements& unknown,
                    const std::vector<BoxTrack>& boxes) {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
-        compute_training_rays_and_targets(street, frame, unknown, rays, targets);
+        make_frame_arrays(street, frame, unknown, rays, targets);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!(targets[i].range_m > 0.0f)) continue;
             const glm::dvec3 p =
@@ -237,16 +237,16 @@ struct MaskedReturns {
 };
 
 TEST(Targets, RaysOfMovingBoxesAreUnknown) {
-    const LidarSequence street = make_synthetic_street(make_small_street());
+    const Log street = make_street_log(make_small_street());
     MaskedReturns n;
-    for (const LidarFrame& frame : street.frames) n.add_frame(street, frame, {}, street.boxes);
+    for (const Frame& frame : street.frames) n.add_frame(street, frame, {}, street.boxes);
     ASSERT_GT(n.cars, 50);
     EXPECT_GE(n.masked_cars, 0.99 * n.cars);
     EXPECT_LE(n.masked_rest, 0.05 * n.rest);
 }
 
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
-    LidarSequence street = make_synthetic_street(make_small_street());
+    Log street = make_street_log(make_small_street());
     const std::vector<BoxTrack> original_boxes = street.boxes;
     const std::size_t n_labels = street.frames.size() - 4;
     for (BoxTrack& box : street.boxes) {
@@ -272,8 +272,8 @@ bool is_hidden(const RayTable& rays, std::size_t index) {
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;
 }
 
-void hide_returns(LidarSequence& street) {
-    for (LidarFrame& frame : street.frames)
+void hide_returns(Log& street) {
+    for (Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
 }
@@ -284,7 +284,7 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
     config.init.scale_factor = 0.8;  // large surfels, because the points are sparse
     const TrainResult result = train_street();
     ASSERT_FALSE(result.scene.sensor_drop.empty());
-    const LidarFrame& frame = street.frames[std::size_t(split.test[0])];
+    const Frame& frame = street.frames[std::size_t(split.test[0])];
     const RenderedScan log_sensor_scan = render_held_out(result.scene, true),
                        other = render_held_out(result.scene);
     std::size_t hidden = 0, dropped = 0, visible_to_other = 0;
@@ -302,14 +302,14 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
 }
 
 TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
-    SyntheticOptions options = make_small_street();
+    StreetOptions options = make_small_street();
     options.n_frames = 2;
     options.columns = 1024;
-    street = make_synthetic_street(options);
+    street = make_street_log(options);
     split = {{0}, {0}};
     hide_returns(street);
     config.train.sensor_drop = true;
-    const LidarFrame& frame = street.frames[0];
+    const Frame& frame = street.frames[0];
     const RenderedScan scan = render_held_out(train_street().scene, true);
     std::size_t hidden = 0, dropped = 0, ground = 0, returned = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
@@ -329,7 +329,7 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
 }
 
 TEST_F(Train, NothingToTrainOnIsAnError) {
-    EXPECT_THROW(train(device(), street, TrainTestSplit{}, config), DataError);
+    EXPECT_THROW(train(device(), street, Split{}, config), DataError);
 }
 
 }  // namespace

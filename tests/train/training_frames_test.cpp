@@ -36,20 +36,18 @@ int find_cell(const glm::vec3& point) {
 }
 
 TEST(OnGrid, NearestReturnsOfCells) {
-    const LidarSequence log = make_synthetic_street({.n_frames = 1, .rows = 32, .columns = 2048});
+    const Log log = make_street_log({.n_frames = 1, .rows = 32, .columns = 2048});
     const Scan& scan = log.frames[0].scan;
     std::map<int, std::size_t> nearest;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const int cell =
-            scan.range_m[i] > 0.0f ? find_cell(scan.compute_return_point_in_sensor_frame(i)) : -1;
+        const int cell = scan.range_m[i] > 0.0f ? find_cell(scan.return_point(i)) : -1;
         if (cell < 0) continue;
         const auto [at, is_new] = nearest.try_emplace(cell, i);
-        if (!is_new && glm::length(scan.compute_return_point_in_sensor_frame(i)) <
-                           glm::length(scan.compute_return_point_in_sensor_frame(at->second)))
+        if (!is_new && glm::length(scan.return_point(i)) < glm::length(scan.return_point(at->second)))
             at->second = i;
     }
     ASSERT_GT(nearest.size(), 10000u);
-    const LidarFrame binned = convert_frame_to_grid(log, log.frames[0], make_kitti360_grid());
+    const Frame binned = frame_to_grid(log, log.frames[0], kitti360_grid());
     ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
     EXPECT_EQ(binned.scan.rays.rows, 66);
     // single and double precision may select different cells for a point at the border of
@@ -65,8 +63,7 @@ TEST(OnGrid, NearestReturnsOfCells) {
             continue;
         }
         const std::size_t ray = match->second;
-        if (std::abs(binned.scan.range_m[cell] -
-                     glm::length(scan.compute_return_point_in_sensor_frame(ray))) > 1e-4f) {
+        if (std::abs(binned.scan.range_m[cell] - glm::length(scan.return_point(ray))) > 1e-4f) {
             ++elsewhere;
             continue;
         }
@@ -79,15 +76,15 @@ TEST(OnGrid, NearestReturnsOfCells) {
 
 class FramesInTurn : public test::DeviceTest {
 protected:
-    static LidarSequence street(int n_frames) {
-        return make_synthetic_street({.n_frames = n_frames, .rows = 8, .columns = 64});
+    static Log street(int n_frames) {
+        return make_street_log({.n_frames = n_frames, .rows = 8, .columns = 64});
     }
-    static std::vector<int> positions(const LidarSequence& log) {
+    static std::vector<int> positions(const Log& log) {
         std::vector<int> all(log.frames.size());
         std::iota(all.begin(), all.end(), 0);
         return all;
     }
-    static std::uint64_t measure_bytes_of_frame(const LidarSequence& log) {
+    static std::uint64_t measure_bytes_of_frame(const Log& log) {
         return log.frames[0].scan.range_m.size() *
                (sizeof(DeviceRay) + sizeof(DeviceTarget) + sizeof(shared::PoseInterpolation));
     }
@@ -96,29 +93,28 @@ protected:
 /// In random order with repetitions, and with correct, wrong and missing predictions of
 /// the next frame.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
-    LidarSequence log = street(5);
-    log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
+    Log log = street(5);
+    log.frames[3].scan = make_street_log({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
     for (const auto& [resident_bytes, n_resident] :
          {std::pair(std::uint64_t(0), 0u), {2 * measure_bytes_of_frame(log), 2u}, {kAll, 5u}}) {
         TrainingFrames frames(device(), log, positions(log),
                               {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
-        EXPECT_EQ(frames.count_resident_frames(), n_resident);
+        EXPECT_EQ(frames.count_resident(), n_resident);
         Stream stream(device());
         Random random(1);
         std::size_t next = 0;
         for (int step = 0; step < 30; ++step) {
-            const TrainingFrameData& frame = frames.upload_frame_if_not_resident(stream, next);
-            const LidarFrame& sweep = log.frames[next];
-            next = random.sample_random_uint64() % 5;
+            const TrainingFrameData& frame = frames.ensure_resident(stream, next);
+            const Frame& sweep = log.frames[next];
+            next = random.next_uint64() % 5;
             if (step % 3 != 0) frames.prefetch_frame(step % 3 == 1 ? next : (next + 1) % 5);
             stream.submit_and_wait();
             std::vector<DeviceRay> rays;
             std::vector<DeviceTarget> targets;
-            compute_training_rays_and_targets(log, sweep, {}, rays, targets);
+            make_frame_arrays(log, sweep, {}, rays, targets);
             ASSERT_EQ(frame.n_rays, rays.size());
-            const std::vector<DeviceRay> there = frame.get_device_rays().download(frame.n_rays);
-            const std::vector<DeviceTarget> measured =
-                frame.get_loss_targets_on_device().download(frame.n_rays);
+            const std::vector<DeviceRay> there = frame.device_rays().download(frame.n_rays);
+            const std::vector<DeviceTarget> measured = frame.loss_targets().download(frame.n_rays);
             const std::vector<shared::PoseInterpolation> track_positions =
                 frame.arrays->track_positions.download(frame.n_rays);
             double n_known_rays = 0.0, returned = 0.0;
@@ -128,9 +124,8 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
                 ASSERT_TRUE(measured[i].range_m == targets[i].range_m &&
                             measured[i].weight == targets[i].weight)
                     << step << ", ray " << i;
-                const TrackInterpolation interpolation =
-                    log.world_from_vehicle.find_poses_before_and_after_time(
-                        sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
+                const TrackInterpolation interpolation = log.world_from_vehicle.find_segment(
+                    sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
                 ASSERT_EQ(frame.first_knot + track_positions[i].left, interpolation.left)
                     << "turn " << step << ", ray " << i;
                 ASSERT_LT(track_positions[i].left + 1, frame.n_knots + (frame.n_knots == 1))
@@ -148,7 +143,7 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
 
 TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
     const auto bytes = [&](int n_frames, std::uint64_t resident_bytes) {
-        const LidarSequence log = street(n_frames);
+        const Log log = street(n_frames);
         const std::uint64_t before = device().allocated_bytes();
         const TrainingFrames frames(device(), log, positions(log),
                                     {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
@@ -160,7 +155,7 @@ TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
 }
 
 TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
-    LidarSequence log = street(3);
+    Log log = street(3);
     log.frames[1].scan = {};
     const std::string message =
         error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
@@ -169,10 +164,9 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
 
 /// Includes the features that read a frame twice: refined poses, and sensor drops.
 TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
-    const LidarSequence log =
-        make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
+    const Log log = make_street_log({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
     const auto trained = [&](int frame_memory_mib, const std::string& batch) {
-        Config config = make_preset_config("quick");
+        Config config = make_preset("quick");
         config.init.voxel_m = 0.4;
         config.train.iterations = 20;
         config.train.rays_per_iteration = 1000;
@@ -183,8 +177,7 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         config.train.frame_memory_mib = frame_memory_mib;
         std::vector<std::string> notes;
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
-        TrainResult result =
-            train(device(), log, split_frames_into_train_and_test(log, 0), config, {}, session);
+        TrainResult result = train(device(), log, split_frames(log, 0), config, {}, session);
         const auto n_reported = std::count_if(notes.begin(), notes.end(), [](const std::string& note) {
             return test::find_missing_part(note, "0 of 8 ... train.frame_memory_mib=0").empty();
         });
@@ -206,32 +199,31 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
 }
 
 TEST_F(FramesInTurn, WindowsAreNotCircular) {
-    LidarSequence log = street(1);
+    Log log = street(1);
     const WindowScanSensor window{"", 4, 20, 0.25 * kPi, -0.25 * kPi, 0.1, -0.1};
     log.frames[0].scan = {make_rays(window), ScanArray<float>(80, 5.0f), ScanArray<float>(80, 0.5f)};
     Stream stream(device());
-    EXPECT_FALSE(TrainingFrames(device(), log, {0}, {.unknown = {}})
-                     .upload_frame_if_not_resident(stream, 0)
-                     .image.circular);
+    EXPECT_FALSE(
+        TrainingFrames(device(), log, {0}, {.unknown = {}}).ensure_resident(stream, 0).image.circular);
 }
 
 /// Settings that need fired rays must be rejected.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
-    const LidarSequence log = street(2);
-    TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = make_kitti360_grid()});
+    const Log log = street(2);
+    TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});
     Stream stream(device());
-    const TrainingFrameData& frame = frames.upload_frame_if_not_resident(stream, 0);
+    const TrainingFrameData& frame = frames.ensure_resident(stream, 0);
     EXPECT_EQ(frame.n_rays, 66u * 1030u);
     EXPECT_EQ(frame.image.rows, 66u);
     EXPECT_TRUE(frame.image.circular);
-    const LidarFrame binned = convert_frame_to_grid(log, log.frames[0], make_kitti360_grid());
-    const std::vector<DeviceTarget> targets = frame.get_loss_targets_on_device().download(frame.n_rays);
+    const Frame binned = frame_to_grid(log, log.frames[0], kitti360_grid());
+    const std::vector<DeviceTarget> targets = frame.loss_targets().download(frame.n_rays);
     for (std::size_t i = 0; i < targets.size(); ++i)
         ASSERT_EQ(targets[i].range_m, binned.scan.range_m[i]) << i;
 
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.train.grid = "kitti360";
-    const TrainTestSplit split{positions(log), {}};
+    const Split split{positions(log), {}};
     EXPECT_THAT(error_message<UsageError>([&] { train(device(), log, split, config); }),
                 test::Names("train.grid=kitti360 ... train.sensor_drop ... train.grid=native"));
 }

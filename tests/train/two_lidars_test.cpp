@@ -12,7 +12,7 @@ namespace {
 class TwoLidars : public test::DeviceTest {};
 
 Config make_two_lidar_config() {
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.rays_per_iteration = 0;
     config.train.log_every = 10;
@@ -22,21 +22,20 @@ Config make_two_lidar_config() {
 }
 
 /// Mean absolute depth error on the nominal rays of a held-out frame.
-double measure_held_out_error(Device& device, const Scene& scene, const Config& config,
-                              const LidarSequence& street, const LidarFrame& frame) {
+double measure_held_out_error(Device& device, const Scene& scene, const Config& config, const Log& street,
+                              const Frame& frame) {
     ScanRenderer renderer(device, scene, config, street);
-    const RenderedScan scan =
-        renderer.render(make_sensor_from_config(config, street, frame.lidar), frame.time_s);
-    return evaluate(scan.image, make_measured_image(config, frame.scan)).at("strict/depth_mae_m");
+    const RenderedScan scan = renderer.render(make_sensor(config, street, frame.lidar), frame.time_s);
+    return evaluate(scan.image, measured_image(config, frame.scan)).at("strict/depth_mae_m");
 }
 
 TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
-    LidarSequence street = test::make_two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    Log street = test::make_two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
+    const Split split = split_frames(street, 10);
     Config config = make_two_lidar_config();
     std::string report_text;
-    prepare_log_for_training(street, split, config,
-                             {[&](const std::string& text) { report_text += text + "\n"; }, {}, {}});
+    prepare_log(street, split, config,
+                {[&](const std::string& text) { report_text += text + "\n"; }, {}, {}});
     EXPECT_NE(report_text.find("scans registered"), std::string::npos) << report_text;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
@@ -49,7 +48,7 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u)
         << "a pose for each sweep, not for each frame";
     for (const int position : split.test) {
-        const LidarFrame& frame = street.frames[std::size_t(position)];
+        const Frame& frame = street.frames[std::size_t(position)];
         const double before = measure_held_out_error(device(), untrained.scene, config, street, frame),
                      after = measure_held_out_error(device(), result.scene, config, street, frame);
         EXPECT_LT(after, 0.9 * before)

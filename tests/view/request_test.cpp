@@ -29,7 +29,7 @@ std::string scan(const std::string& place, const std::string& edits = kNoEdits,
 /// Returns the error message of a request, or an empty string if it is valid.
 std::string refusal(const std::string& message) {
     try {
-        (void)parse_browser_request(message);
+        (void)parse_request(message);
     } catch (const UsageError& error) {
         return error.what();
     }
@@ -37,7 +37,7 @@ std::string refusal(const std::string& message) {
 }
 
 TEST(ViewRequest, ReadsAScan) {
-    const auto wish = std::get<LiveScanRequest>(parse_browser_request(scan("[1, 2, 3, 90, 0, 0]", kEdits)));
+    const auto wish = std::get<LiveScanRequest>(parse_request(scan("[1, 2, 3, 90, 0, 0]", kEdits)));
     EXPECT_EQ(wish.id, 7);
     EXPECT_EQ(wish.time_s, 1.5);
     EXPECT_EQ(wish.sensor, "VLP-16");
@@ -97,7 +97,7 @@ TEST(ViewRequest, SavesUnderPlainNamesAlone) {
         return R"({"do": "save", "name": ")" + name + R"(", "edits": )" + kNoEdits + "}";
     };
     for (const char* name : {"run2", "a.b-c_D", "0"})
-        EXPECT_EQ(std::get<SaveRequest>(parse_browser_request(save(name))).name, name);
+        EXPECT_EQ(std::get<SaveRequest>(parse_request(save(name))).name, name);
     for (const char* name : {"", ".", "..", "../run", "a/b", "/tmp/x", "a\\\\b", ".hidden", "-f", "a b",
                              "a\\u0000b", "\\u00e4", "a\\nb"})
         EXPECT_NE(refusal(save(name)), "") << name;
@@ -106,7 +106,7 @@ TEST(ViewRequest, SavesUnderPlainNamesAlone) {
 
 TEST(ViewRequest, TakesPlacesOnTheGround) {
     const auto wish = std::get<GroundPoseRequest>(
-        parse_browser_request(R"({"do": "ground", "of": "0", "from": "", "at": [12.5, -3]})"));
+        parse_request(R"({"do": "ground", "of": "0", "from": "", "at": [12.5, -3]})"));
     EXPECT_EQ(wish.of, "0");
     EXPECT_EQ(wish.from, "");
     EXPECT_EQ(wish.at, (std::array<double, 2>{12.5, -3.0}));
@@ -117,7 +117,7 @@ TEST(ViewRequest, TakesPlacesOnTheGround) {
 
 TEST(ViewRequest, TakesSensorFiles) {
     const auto file = std::get<SensorFile>(
-        parse_browser_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
+        parse_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
     EXPECT_EQ(file.name, "beams.csv");
     EXPECT_EQ(file.text, "elevation_deg\n5\n");
     EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), Names("text ... missing"));

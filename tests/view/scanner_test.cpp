@@ -22,24 +22,23 @@ namespace {
 using Json = nlohmann::json;
 
 /// Makes an untrained run of a street with two moving cars.
-TrainedRun make_small_run() {
-    TrainedRun run;
+Run make_small_run() {
+    Run run;
     run.folder = "nowhere";
-    run.config = make_preset_config("quick");
+    run.config = make_preset("quick");
     run.config.dataset.path = "synthetic:nowhere";
     run.config.refine.enabled = false;
-    SyntheticOptions street;
+    StreetOptions street;
     street.n_frames = 6;
     street.rows = 16;
     street.columns = 256;
-    run.sequence = make_synthetic_street(street);
-    run.split = split_frames_into_train_and_test(run.sequence, 3);
-    SceneInitialisationOptions options;
+    run.sequence = make_street_log(street);
+    run.split = split_frames(run.sequence, 3);
+    InitOptions options;
     options.actor_min_points = 10;
-    run.scene = initialise_scene(run.sequence, run.split.train, options);
-    run.coverage =
-        compute_observed_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
-    for (LidarFrame& frame : run.sequence.frames) frame.scan = {};  // as in a loaded run
+    run.scene = init_scene(run.sequence, run.split.train, options);
+    run.coverage = observe_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
+    for (Frame& frame : run.sequence.frames) frame.scan = {};  // as in a loaded run
     return run;
 }
 
@@ -71,16 +70,16 @@ struct Read {
 };
 
 /// Checks that a message and a scan have the same ranges and points.
-void expect_same(const Read& live, const RenderedScan& scan, const TrainedRun& run) {
-    const std::vector<float> range_m = select_point_ranges(scan, run.config);
+void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
+    const std::vector<float> range_m = point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
     const Pose world{{1.0, 0.0, 0.0, 0.0}, run.sequence.world_offset_m};
     const std::vector<glm::vec3> points = live.array<glm::vec3>("position");
-    ASSERT_EQ(points, convert_scan_to_points(scan, run.config, world, PointSelection::rays).position_m);
+    ASSERT_EQ(points, place_points(scan, run.config, world, PointSelection::rays).position_m);
     std::vector<glm::vec3> returned_m;
     for (std::size_t i = 0; i < range_m.size(); ++i)
         if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) returned_m.push_back(points[i]);
-    EXPECT_EQ(returned_m, convert_scan_to_points(scan, run.config, world).position_m) << "as in files";
+    EXPECT_EQ(returned_m, place_points(scan, run.config, world).position_m) << "as in files";
 }
 
 class LiveScan : public test::DeviceTest {
@@ -96,13 +95,13 @@ protected:
         DeviceTest::TearDown();
     }
     BrowserScanRenderer& scanner() { return *made_; }
-    const relidar::TrainedRun& run() const { return made_->get_run(); }
+    const relidar::Run& run() const { return made_->trained_run(); }
     /// Renders a scan like `relidar render`.
-    RenderedScan rendered(const relidar::TrainedRun& run, double time_s, const Pose& offset,
+    RenderedScan rendered(const relidar::Run& run, double time_s, const Pose& offset,
                           const Weather& weather = {}) {
         ScanRenderer renderer(device(), run);
         renderer.set_weather(weather);
-        return renderer.render(find_or_load_sensor("native", run.config, run.sequence), time_s, offset);
+        return renderer.render(choose_sensor("native", run.config, run.sequence), time_s, offset);
     }
     TabCache tab;
 
@@ -114,7 +113,7 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
     LiveScanRequest wish;
     wish.time_s = 0.23;  // between frames
     wish.sensor_offset = {make_rotation(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
-    const Read live(scanner().render_scan_as_binary_message(tab, wish));
+    const Read live(scanner().render_message(tab, wish));
     EXPECT_EQ(live.header["image"], Json({16, 256}));
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
 }
@@ -122,13 +121,13 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
 /// With a network that predicts a return for every ray, the page must show exactly the
 /// returns that are points of the scan.
 TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
-    relidar::TrainedRun run = make_small_run();
+    relidar::Run run = make_small_run();
     run.config.refine.enabled = true;
     run.drop_network = test::make_network_that_never_drops();
     BrowserScanRenderer scans(run, {}, device());
-    const Read live(scans.render_scan_as_binary_message(tab, {.time_s = 0.2}));
+    const Read live(scans.render_message(tab, {.time_s = 0.2}));
     const auto drop = live.array<std::uint8_t>("drop");
-    const std::size_t n = convert_scan_to_points(rendered(run, 0.2, {}), run.config, {}).size();
+    const std::size_t n = place_points(rendered(run, 0.2, {}), run.config, {}).size();
     EXPECT_LT(n, drop.size());
     EXPECT_EQ(std::size_t(std::ranges::count_if(drop, [](std::uint8_t d) { return d < 128; })), n);
 }
@@ -137,17 +136,16 @@ TEST_F(LiveScan, HasTheWeatherOfEachRequest) {
     LiveScanRequest wish;
     for (const Weather& weather : {Weather{.fog_visibility_m = 30.0}, Weather{.snow_mm_h = 5.0}, Weather{}}) {
         wish.weather = weather;
-        const Read live(scanner().render_scan_as_binary_message(tab, wish));
+        const Read live(scanner().render_message(tab, wish));
         const RenderedScan expected = rendered(run(), wish.time_s, {}, weather);
         expect_same(live, expected, run());
         if (weather.is_clear()) continue;
         const auto sources = live.array<std::int32_t>("channel_source");
-        EXPECT_EQ(sources, *find_channel_values<std::int32_t>(expected.channels, "source"));
+        EXPECT_EQ(sources, *find_values<std::int32_t>(expected.channels, "source"));
         EXPECT_THAT(sources, testing::Contains(testing::Gt(0)));
     }
-    EXPECT_EQ(scanner().make_initial_page_data_json()["weather"]["help"], make_weather_help());
-    EXPECT_EQ(scanner().make_initial_page_data_json()["channels"].back()["name"], "source")
-        << "the page can colour by it";
+    EXPECT_EQ(scanner().page_data()["weather"]["help"], weather_help());
+    EXPECT_EQ(scanner().page_data()["channels"].back()["name"], "source") << "the page can colour by it";
 }
 
 TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
@@ -157,18 +155,15 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
     wish.time_s = 0.2;
     wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
     wish.edits.removed = {second};
-    const relidar::TrainedRun edited =
-        apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits);
+    const relidar::Run edited = apply_edits(run(), scanner().other_runs(), wish.edits);
     EXPECT_EQ(edited.edits.size(), 2u);
     const RenderedScan expected = rendered(edited, wish.time_s, {});
-    expect_same(Read(scanner().render_scan_as_binary_message(tab, wish)), expected, run());
+    expect_same(Read(scanner().render_message(tab, wish)), expected, run());
 
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 3.0, -2.0, 2.0}}};
-    const Read with_copy(scanner().render_scan_as_binary_message(tab, wish));
-    expect_same(
-        with_copy,
-        rendered(apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits), wish.time_s, {}),
-        run());
+    const Read with_copy(scanner().render_message(tab, wish));
+    expect_same(with_copy, rendered(apply_edits(run(), scanner().other_runs(), wish.edits), wish.time_s, {}),
+                run());
     EXPECT_EQ(with_copy.header["instances"][3], first + "-copy-1");
 }
 
@@ -177,14 +172,13 @@ TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     LiveScanRequest wish;
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}},
                          {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
-    const relidar::TrainedRun edited =
-        apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits);
+    const relidar::Run edited = apply_edits(run(), scanner().other_runs(), wish.edits);
     EXPECT_THAT(edited.edits.back().edit, testing::StartsWith("--insert ")) << "as `relidar edit` takes it";
-    const Read live(scanner().render_scan_as_binary_message(tab, wish));
+    const Read live(scanner().render_message(tab, wish));
     expect_same(live, rendered(edited, wish.time_s, {}), run());
     EXPECT_EQ(live.header["instances"][4], first + "-insert-1");
     wish.edits.copies[1].from = "elsewhere";
-    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_message(tab, wish), UsageError);
 }
 
 TEST_F(LiveScan, PutsCopiesOnTheGround) {
@@ -192,8 +186,8 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
     const Pose there = car.world_from_box.pose.front();  // the street is flat
     for (const char* from : {"", "other"}) {
         const ActorEdits::ActorCopy copy =
-            make_actor_copy_on_ground(run(), scanner().get_other_runs(),
-                                      {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
+            copy_on_ground(run(), scanner().other_runs(),
+                           {car.id, from, {there.translation.x - 5.0, there.translation.y + 2.0}});
         EXPECT_EQ(copy.from, from);
         EXPECT_NEAR(copy.at[0], there.translation.x - 5.0, 1e-9);
         EXPECT_NEAR(copy.at[1], there.translation.y + 2.0, 1e-9);
@@ -201,39 +195,37 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
         EXPECT_NEAR(copy.at[4], 0.0, 1.0);
         EXPECT_NEAR(copy.at[5], 0.0, 1.0);
     }
-    EXPECT_THROW(make_actor_copy_on_ground(run(), scanner().get_other_runs(), {car.id, "", {1000.0, 1000.0}}),
-                 UsageError);
+    EXPECT_THROW(copy_on_ground(run(), scanner().other_runs(), {car.id, "", {1000.0, 1000.0}}), UsageError);
 }
 
 TEST_F(LiveScan, HidesWithoutAnEdit) {
     LiveScanRequest wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
-    EXPECT_TRUE(apply_edits_to_copy_of_run(run(), scanner().get_other_runs(), wish.edits).edits.empty());
+    EXPECT_TRUE(apply_edits(run(), scanner().other_runs(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance =
-        Read(scanner().render_scan_as_binary_message(tab, wish)).array<std::uint16_t>("instance");
+        Read(scanner().render_message(tab, wish)).array<std::uint16_t>("instance");
     EXPECT_THAT(instance, testing::Each(testing::AnyOf(0, 65535)));
 }
 
 TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
     LiveScanRequest wish;
-    const Json here = Read(scanner().render_scan_as_binary_message(tab, wish)).header;
+    const Json here = Read(scanner().render_message(tab, wish)).header;
     EXPECT_LT(here["unseen"].get<double>(), 0.1);
     EXPECT_FALSE(here["much_unseen"].get<bool>());
     wish.sensor_offset.translation = {0.0, 0.0, -5.0};
-    const Json below = Read(scanner().render_scan_as_binary_message(tab, wish)).header;
+    const Json below = Read(scanner().render_message(tab, wish)).header;
     EXPECT_GT(below["unseen"].get<double>(), 0.9);
     EXPECT_TRUE(below["much_unseen"].get<bool>());
 }
 
 TEST_F(LiveScan, NotesTheUnseenSidesOfPlacedActors) {
-    relidar::TrainedRun run = make_small_run();
+    relidar::Run run = make_small_run();
     const std::string first = run.scene.instances[1].track;
-    const BoxTrack& box = *find_box_track_by_id(run.sequence, first);
+    const BoxTrack& box = *find_box(run.sequence, first);
     run.scene.models[run.scene.instances[1].model].surface = ObservedBoxSurface(box.size_m);  // saw nothing
     BrowserScanRenderer scans(run, {}, device());
     const auto notes = [&](const ActorEdits& edits) {
-        return Read(scans.render_scan_as_binary_message(tab, {.time_s = 0.2, .edits = edits}))
-            .header["actor_notes"];
+        return Read(scans.render_message(tab, {.time_s = 0.2, .edits = edits})).header["actor_notes"];
     };
     EXPECT_EQ(notes({}), Json::array());
     const Json moved = notes({.moves = {{first, {1.0, 0.0, 0.0, 0.0}}}});
@@ -249,26 +241,25 @@ TEST_F(LiveScan, NotesTheUnseenSidesOfPlacedActors) {
 TEST_F(LiveScan, RefusesWhatIsNotThere) {
     LiveScanRequest wish;
     wish.sensor = "/etc/passwd";
-    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_message(tab, wish), UsageError);
     wish.sensor = "file";
-    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_message(tab, wish), UsageError);
     wish.sensor = "native";
     wish.lidar = 1;
-    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
+    EXPECT_THROW(scanner().render_message(tab, wish), UsageError);
     wish.lidar = 0;
     wish.edits.removed = {"nobody"};
-    EXPECT_THROW(scanner().render_scan_as_binary_message(tab, wish), UsageError);
-    EXPECT_THROW(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.npz", "x"}), UsageError);
-    EXPECT_THROW(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.csv", "x\n1\n"}), DataError);
+    EXPECT_THROW(scanner().render_message(tab, wish), UsageError);
+    EXPECT_THROW(scanner().store_sensor(tab, {"x.npz", "x"}), UsageError);
+    EXPECT_THROW(scanner().store_sensor(tab, {"x.csv", "x\n1\n"}), DataError);
     try {
-        scanner().store_uploaded_sensor_and_describe_it(
-            tab, {"two.json", R"({"sensors": [{"name": "left", "sensor": "/etc/passwd"}]})"});
+        scanner().store_sensor(tab,
+                               {"two.json", R"({"sensors": [{"name": "left", "sensor": "/etc/passwd"}]})"});
         ADD_FAILURE() << "a rig is accepted";
     } catch (const UsageError& error) {
         EXPECT_THAT(error.what(), testing::HasSubstr("two.json: it describes a rig"));
     }
-    EXPECT_EQ(scanner().store_uploaded_sensor_and_describe_it(tab, {"x.csv", "elevation_deg\n1\n"})["rows"],
-              1);
+    EXPECT_EQ(scanner().store_sensor(tab, {"x.csv", "elevation_deg\n1\n"})["rows"], 1);
 }
 
 }  // namespace

@@ -26,13 +26,13 @@ using namespace relidar;
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
 // Number of test rays that start at a point in all directions. They are dense enough that
 // one of them is within 7 degrees of the normal of any surface.
-constexpr std::size_t kProbes = 256;
-constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
+constexpr std::size_t kRaysPerPoint = 256;
+constexpr std::size_t kPointsPerCast = 4096;  // Number of points whose test rays are cast together.
 
-std::array<glm::vec3, kProbes> make_evenly_spaced_sphere_directions() {
-    std::array<glm::vec3, kProbes> directions;
-    for (std::size_t i = 0; i < kProbes; ++i) {
-        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kProbes),
+std::array<glm::vec3, kRaysPerPoint> sphere_directions() {
+    std::array<glm::vec3, kRaysPerPoint> directions;
+    for (std::size_t i = 0; i < kRaysPerPoint; ++i) {
+        const double z = 1.0 - 2.0 * (double(i) + 0.5) / double(kRaysPerPoint),
                      azimuth_rad = double(i) * kPi * (3.0 - std::sqrt(5.0));
         const double r = std::sqrt(1.0 - z * z);
         directions[i] = {float(r * std::cos(azimuth_rad)), float(r * std::sin(azimuth_rad)), float(z)};
@@ -41,7 +41,7 @@ std::array<glm::vec3, kProbes> make_evenly_spaced_sphere_directions() {
 }
 
 struct StreetScanSetup {
-    const SyntheticOptions& street;
+    const StreetOptions& street;
     const PoseTrack& world_from_sensor;
     double time_s;
 };
@@ -53,8 +53,8 @@ struct SimulatedRayRanges {
     const std::vector<float>& range_m;
     const Scan& truth;
 
-    glm::vec3 compute_point_on_ray(std::size_t ray_index, float distance_m) const {
-        return rays.origin[ray_index] + distance_m * rays.direction[ray_index];
+    glm::vec3 point_on_ray(std::size_t ray, float distance_m) const {
+        return rays.origin[ray] + distance_m * rays.direction[ray];
     }
 };
 
@@ -62,17 +62,17 @@ struct SimulatedRayRanges {
 /// time of its ray, or infinity. Surfaces are one-sided, and a point may be some
 /// millimetres behind a surface. Therefore test rays are cast from the point in all
 /// directions, and back to it from kOnSurface_m and kFar_m.
-std::vector<float> compute_point_to_street_distances(const StreetScanSetup& street_scan,
-                                                     const SimulatedRayRanges& simulated_ranges,
-                                                     const std::vector<std::size_t>& ray_indices) {
-    static const std::array<glm::vec3, kProbes> directions = make_evenly_spaced_sphere_directions();
+std::vector<float> street_distances(const StreetScanSetup& street_scan,
+                                    const SimulatedRayRanges& simulated_ranges,
+                                    const std::vector<std::size_t>& ray_indices) {
+    static const std::array<glm::vec3, kRaysPerPoint> directions = sphere_directions();
     std::vector<float> nearest(ray_indices.size(), std::numeric_limits<float>::infinity());
-    for (std::size_t first = 0; first < ray_indices.size(); first += kTogether) {
+    for (std::size_t first = 0; first < ray_indices.size(); first += kPointsPerCast) {
         RayTable probes;
         std::vector<std::size_t> probe_targets;  // [probes] index into `ray_indices`
-        for (std::size_t k = first; k < std::min(first + kTogether, ray_indices.size()); ++k) {
+        for (std::size_t k = first; k < std::min(first + kPointsPerCast, ray_indices.size()); ++k) {
             const std::size_t i = ray_indices[k];
-            const glm::vec3 point = simulated_ranges.compute_point_on_ray(i, simulated_ranges.range_m[i]);
+            const glm::vec3 point = simulated_ranges.point_on_ray(i, simulated_ranges.range_m[i]);
             for (const float from_m : {0.0f, kOnSurface_m, kFar_m}) {
                 for (const glm::vec3& direction : directions) {
                     probes.origin.push_back(point + from_m * direction);
@@ -85,15 +85,15 @@ std::vector<float> compute_point_to_street_distances(const StreetScanSetup& stre
         }
         probes.rows = 1;
         probes.columns = static_cast<int>(probe_targets.size());
-        const Scan around = cast_rays_into_synthetic_street(
-            street_scan.street, probes, street_scan.world_from_sensor, street_scan.time_s);
+        const Scan around =
+            cast_street_rays(street_scan.street, probes, street_scan.world_from_sensor, street_scan.time_s);
         for (std::size_t j = 0; j < probe_targets.size(); ++j) {
             const std::size_t i = ray_indices[probe_targets[j]];
             if (around.range_m[j] > 0.0f)
-                nearest[probe_targets[j]] = std::min(
-                    nearest[probe_targets[j]],
-                    glm::distance(around.compute_return_point_in_sensor_frame(j),
-                                  simulated_ranges.compute_point_on_ray(i, simulated_ranges.range_m[i])));
+                nearest[probe_targets[j]] =
+                    std::min(nearest[probe_targets[j]],
+                             glm::distance(around.return_point(j),
+                                           simulated_ranges.point_on_ray(i, simulated_ranges.range_m[i])));
         }
     }
     return nearest;
@@ -102,9 +102,8 @@ std::vector<float> compute_point_to_street_distances(const StreetScanSetup& stre
 struct AirPointCounts {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    void add_counts_of_points_floating_in_air(const StreetScanSetup& street_scan,
-                                              const SimulatedRayRanges& simulated_ranges,
-                                              const RenderedScan& rendered_scan) {
+    void add_points(const StreetScanSetup& street_scan, const SimulatedRayRanges& simulated_ranges,
+                    const RenderedScan& rendered_scan) {
         const std::vector<float>& range_m = simulated_ranges.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {
@@ -114,12 +113,12 @@ struct AirPointCounts {
                 doubtful.push_back(i);
         }
         at_another_range += doubtful.size();
-        for (const float d : compute_point_to_street_distances(street_scan, simulated_ranges, doubtful)) {
+        for (const float d : street_distances(street_scan, simulated_ranges, doubtful)) {
             in_air += d > kOnSurface_m;
             far_out += d > kFar_m;
         }
     }
-    std::string format_table_row(const std::string& scan_name) const {
+    std::string format_row(const std::string& scan_name) const {
         const auto share = [&](std::size_t count) {
             return 100.0 * double(count) / double(std::max<std::size_t>(points, 1));
         };
@@ -128,10 +127,10 @@ struct AirPointCounts {
     }
 };
 
-void print_points_in_air_table(const std::string& run_folder, int device_index) {
-    const TrainedRun run = load_run(run_folder);
-    const SyntheticOptions street = read_street_options_of_run(run);
-    Device device(apply_environment_variables({.index = device_index}));
+void print_air_table(const std::string& run_folder, int device_index) {
+    const Run run = load_run(run_folder);
+    const StreetOptions street = read_street(run);
+    Device device(apply_environment({.index = device_index}));
     ScanRenderer renderer(device, run);
     fmt::print(
         "| sensor | points | range error above 5 cm | more than 5 cm in the air | more than 30 cm in the air "
@@ -143,20 +142,18 @@ void print_points_in_air_table(const std::string& run_folder, int device_index) 
     for (const auto& [name, offset_m] : offsets) {
         AirPointCounts points, image;
         for (const int position : run.split.test) {
-            const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-            const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, frame.lidar);
-            const RayTable rays = make_nominal_rays(run.sequence.get_lidar(frame), frame.time_s);
+            const Frame& frame = run.sequence.frames[std::size_t(position)];
+            const SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
+            const RayTable rays = make_lidar_rays(run.sequence.lidar_of(frame), frame.time_s);
             const Pose offset{{1, 0, 0, 0}, offset_m};
-            const PoseTrack track =
-                compute_mounted_track(run.sequence.get_world_from_sensor(frame.lidar), offset);
+            const PoseTrack track = mount_track(run.sequence.lidar_track(frame.lidar), offset);
             const RenderedScan scan = renderer.render(sensor, frame.time_s, offset);
             const StreetScanSetup scan_setup{street, track, frame.time_s};
-            const Scan truth = cast_rays_into_synthetic_street(street, rays, track, frame.time_s);
-            points.add_counts_of_points_floating_in_air(scan_setup, {rays, scan.median_range_m, truth}, scan);
-            image.add_counts_of_points_floating_in_air(scan_setup, {rays, scan.image.range_m, truth}, scan);
+            const Scan truth = cast_street_rays(street, rays, track, frame.time_s);
+            points.add_points(scan_setup, {rays, scan.median_range_m, truth}, scan);
+            image.add_points(scan_setup, {rays, scan.image.range_m, truth}, scan);
         }
-        fmt::print("{}{}", points.format_table_row(name + ", points"),
-                   image.format_table_row(name + ", image"));
+        fmt::print("{}{}", points.format_row(name + ", points"), image.format_row(name + ", image"));
     }
 }
 
@@ -173,7 +170,7 @@ int main(int argc, char** argv) {
     app.add_option("--device", device, "number of the device in `relidar list devices`");
     CLI11_PARSE(app, argc, argv);
     try {
-        print_points_in_air_table(folder, device);
+        print_air_table(folder, device);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_air: {}\n", error.what());
         return static_cast<int>(error.code());

@@ -25,10 +25,10 @@ constexpr float kSameRange_m = 0.01f;
 
 /// Returns the cars of the street at their edited poses. A model has the number of its
 /// synthetic car as name; edits keep this name.
-std::vector<SyntheticCar> list_cars_of_run(const TrainedRun& run) {
+std::vector<SyntheticCar> list_cars_of_run(const Run& run) {
     std::vector<SyntheticCar> cars;
     for (const ModelInstance& instance : run.scene.instances) {
-        const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track);
+        const BoxTrack* box = find_box(run.sequence, instance.track);
         if (!box) continue;
         const std::string& name = run.scene.models[instance.model].name;
         std::size_t car = 0;
@@ -43,32 +43,32 @@ std::vector<SyntheticCar> list_cars_of_run(const TrainedRun& run) {
     return cars;
 }
 
-void print_scores_of_edited_pixels(const std::string& run_folder) {
-    TrainedRun run = load_run(run_folder);
-    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
-    const SyntheticOptions street = read_street_options_of_run(run);
+void print_edited_scores(const std::string& folder) {
+    Run run = load_run(folder);
+    run.config = with_max_range(std::move(run.config), run.sequence);
+    const StreetOptions street = read_street(run);
     const std::vector<SyntheticCar> cars = list_cars_of_run(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
-    const RangeLimits limits = make_sensor_from_config(run.config, run.sequence).limits;
-    const PoseTrack track = run.sequence.get_world_from_sensor(0);
+    const RangeLimits limits = make_sensor(run.config, run.sequence).limits;
+    const PoseTrack track = run.sequence.lidar_track(0);
     std::vector<Scan> before;  // of the held-out frames, without the edits
     for (const int position : run.split.test) {
-        LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        frame.scan = cast_rays_into_synthetic_street(street, cars, rays, track, frame.time_s);
-        before.push_back(cast_rays_into_synthetic_street(street, rays, track, frame.time_s));
-        for (Scan* scan : {&frame.scan, &before.back()}) remove_returns_outside_limits(*scan, limits);
+        Frame& frame = run.sequence.frames[std::size_t(position)];
+        frame.scan = cast_street_rays(street, cars, rays, track, frame.time_s);
+        before.push_back(cast_street_rays(street, rays, track, frame.time_s));
+        for (Scan* scan : {&frame.scan, &before.back()}) limit_ranges(*scan, limits);
     }
-    Device device(apply_environment_variables({}));
+    Device device(apply_environment({}));
     ScanRenderer renderer(device, run);
     std::vector<MetricValues> scores;
     evaluate_frames(renderer, run.config, run.sequence, run.split.test, {}, [&](const ScoredFrame& frame) {
-        const RangeImage original = make_measured_image(run.config, before[scores.size()]);
+        const RangeImage original = measured_image(run.config, before[scores.size()]);
         PixelRegion edited{"edited", std::vector<bool>(original.range_m.size())};
         for (std::size_t i = 0; i < edited.pixels.size(); ++i)
             edited.pixels[i] = std::abs(frame.real.range_m[i] - original.range_m[i]) > kSameRange_m;
         scores.push_back(evaluate_regions(frame.rendered.image, frame.real, {edited}));
     });
-    MetricValues mean = compute_mean_metrics(scores);
+    MetricValues mean = mean_metrics(scores);
     for (const char* metric : {"pixels", "returned", "depth_medae_m", "depth_mae_m", "depth_rmse_m"})
         fmt::print("{:.4g} ", mean["edited/" + std::string(metric)]);
     fmt::print("\n");
@@ -79,7 +79,7 @@ void print_scores_of_edited_pixels(const std::string& run_folder) {
 int main(int argc, char** argv) {
     try {
         if (argc != 2) throw UsageError("expected an edited run: relidar_bench_edited RUN");
-        print_scores_of_edited_pixels(argv[1]);
+        print_edited_scores(argv[1]);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_edited: {}\n", error.what());
         return 1;

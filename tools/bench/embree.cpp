@@ -39,7 +39,7 @@ using Context = RTCIntersectContext;
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
 // The quad around each surfel is enlarged by this factor and this distance (see
 // AccelOptions).
-constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
+constexpr float kQuadScale = 1.002f, kPad_m = 1e-4f;
 
 struct SurfelGeometry {
     glm::vec3 mean;
@@ -52,12 +52,12 @@ struct EmbreeHit {
     unsigned surfel;
 };
 
-bool is_hit_nearer_to_ray_origin(const EmbreeHit& first, const EmbreeHit& second) {
+bool is_nearer(const EmbreeHit& first, const EmbreeHit& second) {
     return first.t != second.t ? first.t < second.t : first.surfel < second.surfel;
 }
 
 struct EmbreeSceneData {
-    ImageFormationModel model;
+    ImageModel model;
     std::vector<SurfelGeometry> records;
     std::vector<float> sh;
 };
@@ -73,7 +73,7 @@ struct RayQueryState {
     int n = 0;
     EmbreeHit hits[kMaxChunk];
 
-    void intersect_surfel_and_insert_hit(unsigned surfel_index) {
+    void test_surfel(unsigned surfel_index) {
         const SurfelGeometry& s = world->records[surfel_index];
         const glm::vec3 to_mean = s.mean - origin;
         const float t = glm::dot(s.normal, to_mean) / glm::dot(s.normal, direction);
@@ -81,9 +81,9 @@ struct RayQueryState {
         const glm::vec3 p = t * direction - to_mean;
         const float u = glm::dot(s.axis_u, p), v = glm::dot(s.axis_v, p);
         const EmbreeHit hit{t, s.opacity * std::exp(-0.5f * (u * u + v * v)), surfel_index};
-        if (!(hit.alpha >= world->model.alpha_min) || !is_hit_nearer_to_ray_origin(after, hit)) return;
+        if (!(hit.alpha >= world->model.alpha_min) || !is_nearer(after, hit)) return;
         int slot = n;
-        while (slot > 0 && is_hit_nearer_to_ray_origin(hit, hits[slot - 1])) --slot;
+        while (slot > 0 && is_nearer(hit, hits[slot - 1])) --slot;
         // Ignores a second hit of the same surfel. Embree splits a quad into two
         // triangles, so a ray can hit both.
         if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel_index)) return;
@@ -91,23 +91,22 @@ struct RayQueryState {
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
         hits[slot] = hit;
     }
-    float get_search_end_distance() const {
+    float search_end() const {
         return n == chunk ? hits[n - 1].t + 1e-4f + 1e-5f * hits[n - 1].t
                           : std::numeric_limits<float>::infinity();
     }
 };
 
-void collect_hit_in_embree_filter(const RTCFilterFunctionNArguments* filter_arguments) {
+void collect_hit(const RTCFilterFunctionNArguments* filter_arguments) {
     RayQueryState& query = *reinterpret_cast<RayQueryState*>(filter_arguments->context);
-    query.intersect_surfel_and_insert_hit(RTCHitN_primID(filter_arguments->hit, 1, 0));
+    query.test_surfel(RTCHitN_primID(filter_arguments->hit, 1, 0));
     // Embree does not search behind an accepted hit. So this callback rejects the nearest
     // `chunk` hits, which `query` stores, and accepts a hit behind these.
-    filter_arguments->valid[0] =
-        RTCRayN_tfar(filter_arguments->ray, 1, 0) > query.get_search_end_distance() ? -1 : 0;
+    filter_arguments->valid[0] = RTCRayN_tfar(filter_arguments->ray, 1, 0) > query.search_end() ? -1 : 0;
 }
 
 /// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
-void evaluate_sh_basis(const glm::vec3& direction, float* basis_values) {
+void sh_basis(const glm::vec3& direction, float* basis_values) {
     const float x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,
                               -0.48860251f * y,
@@ -145,7 +144,7 @@ public:
             mesh, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT4, 4 * sizeof(unsigned), surfels.size()));
         for (std::size_t i = 0; i < surfels.size(); ++i) add_surfel_quad(surfels, i, corners + 4 * i);
         for (unsigned i = 0; i < 4 * surfels.size(); ++i) indices[i] = i;
-        rtcSetGeometryIntersectFilterFunction(mesh, collect_hit_in_embree_filter);
+        rtcSetGeometryIntersectFilterFunction(mesh, collect_hit);
         rtcSetGeometryBuildQuality(mesh, RTC_BUILD_QUALITY_HIGH);
         rtcCommitGeometry(mesh);
         rtcAttachGeometry(scene_, mesh);
@@ -168,13 +167,13 @@ public:
         query.chunk = chunk_;
         query.after = {world_.model.near_m, 0.0f, ~0u};
         float basis[16];
-        evaluate_sh_basis(direction, basis);
+        sh_basis(direction, basis);
         RenderedPixel pixel;
         for (int pass = 0; pass < kMaxPasses; ++pass) {
-            find_next_nearest_hits(query);
+            find_next_hits(query);
             for (int i = 0; i < query.n; ++i)
-                if (!blend_hit_into_pixel(query.hits[i], basis, pixel)) return add_background_to_pixel(pixel);
-            if (query.n < query.chunk) return add_background_to_pixel(pixel);
+                if (!blend_hit(query.hits[i], basis, pixel)) return add_background(pixel);
+            if (query.n < query.chunk) return add_background(pixel);
             query.after = query.hits[query.n - 1];
         }
         return pixel;
@@ -193,7 +192,8 @@ private:
         const float opacity = 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index]));
         world_.records.push_back({surfels.mean[surfel_index], opacity, r[0] / scale.x, r[1] / scale.y, r[2]});
         const float k = std::sqrt(2.0f * std::log(std::max(opacity / world_.model.alpha_min, 1.0f)));
-        const glm::vec3 u = (k * scale.x * kGrow + kPad_m) * r[0], v = (k * scale.y * kGrow + kPad_m) * r[1];
+        const glm::vec3 u = (k * scale.x * kQuadScale + kPad_m) * r[0],
+                        v = (k * scale.y * kQuadScale + kPad_m) * r[1];
         const glm::vec3 m = surfels.mean[surfel_index];
         output_corners[0] = m - u - v;
         output_corners[1] = m + u - v;
@@ -201,7 +201,7 @@ private:
         output_corners[3] = m - u + v;
     }
 
-    void find_next_nearest_hits(RayQueryState& query) const {
+    void find_next_hits(RayQueryState& query) const {
         query.n = 0;
         RTCRayHit target{};
         target.ray.org_x = query.origin.x;
@@ -227,8 +227,7 @@ private:
 #endif
     }
 
-    bool blend_hit_into_pixel(const EmbreeHit& hit, const float* sh_basis_values,
-                              RenderedPixel& pixel) const {
+    bool blend_hit(const EmbreeHit& hit, const float* sh_basis_values, RenderedPixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
                     next = pixel.transmittance * (1.0f - alpha);
         if (next < world_.model.transmittance_min) return false;
@@ -247,20 +246,20 @@ private:
         return true;
     }
 
-    static RenderedPixel add_background_to_pixel(RenderedPixel pixel) {
+    static RenderedPixel add_background(RenderedPixel pixel) {
         pixel.drop_logit += pixel.transmittance;  // Adds the background, which has a drop logit of 1.
         return pixel;
     }
 };
 
-std::vector<RenderedPixel> render_rays_on_threads(const EmbreeRenderer& renderer, const RayTable& rays,
-                                                  int n_threads) {
-    constexpr std::size_t kBlock = 256;
+std::vector<RenderedPixel> render_rays(const EmbreeRenderer& renderer, const RayTable& rays, int n_threads) {
+    constexpr std::size_t kRaysPerBlock = 256;
     std::vector<RenderedPixel> image(rays.size());
     std::atomic<std::size_t> next{0};
     const auto work = [&] {
-        for (std::size_t begin = next.fetch_add(kBlock); begin < image.size(); begin = next.fetch_add(kBlock))
-            for (std::size_t i = begin; i < std::min(begin + kBlock, image.size()); ++i)
+        for (std::size_t begin = next.fetch_add(kRaysPerBlock); begin < image.size();
+             begin = next.fetch_add(kRaysPerBlock))
+            for (std::size_t i = begin; i < std::min(begin + kRaysPerBlock, image.size()); ++i)
                 image[i] = renderer.render_ray(rays.origin[i], rays.direction[i]);
     };
     std::vector<std::thread> threads;
@@ -270,13 +269,13 @@ std::vector<RenderedPixel> render_rays_on_threads(const EmbreeRenderer& renderer
     return image;
 }
 
-double get_process_cpu_time_s() { return double(std::clock()) / CLOCKS_PER_SEC; }
+double cpu_time_s() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
-RayTable make_named_benchmark_rays(const std::string& rays_name) {
+RayTable make_named_rays(const std::string& rays_name) {
     int rows = 0, columns = 0;
     if (std::sscanf(rays_name.c_str(), "%dx%d", &rows, &columns) == 2)
-        return make_benchmark_rays(rows, columns, 2.0, -24.9);
-    return make_benchmark_rays(rays_name);
+        return make_street_rays(rows, columns, 2.0, -24.9);
+    return make_street_rays(rays_name);
 }
 
 }  // namespace
@@ -298,17 +297,16 @@ int main(int argc, char** argv) {
     app.add_option("--threads", n_threads, "number of threads")->check(CLI::Range(1, 256));
     CLI11_PARSE(app, argc, argv);
 
-    const EmbreeRenderer renderer(make_benchmark_street_surfels(n_surfels, 20261120, scene == "B"), chunk,
+    const EmbreeRenderer renderer(make_street_surfels(n_surfels, 20261120, scene == "B"), chunk,
                                   fmt::format("threads={}", n_threads));
-    const RayTable rays = make_named_benchmark_rays(rays_name);
-    std::vector<RenderedPixel> image =
-        render_rays_on_threads(renderer, rays, n_threads);  // Warm-up run, not timed.
+    const RayTable rays = make_named_rays(rays_name);
+    std::vector<RenderedPixel> image = render_rays(renderer, rays, n_threads);  // Warm-up run, not timed.
     std::vector<double> wall, cpu;
     for (int i = 0; i < repeat; ++i) {
         const auto start = std::chrono::steady_clock::now();
-        const double cpu_start = get_process_cpu_time_s();
-        image = render_rays_on_threads(renderer, rays, n_threads);
-        cpu.push_back((get_process_cpu_time_s() - cpu_start) / n_threads);
+        const double cpu_start = cpu_time_s();
+        image = render_rays(renderer, rays, n_threads);
+        cpu.push_back((cpu_time_s() - cpu_start) / n_threads);
         wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
     }
     std::sort(wall.begin(), wall.end());

@@ -12,8 +12,8 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -34,7 +34,7 @@ struct RigScanScore {
                 detected = 0, reported = 0, invented = 0;
 };
 
-double compute_percentage(std::size_t count, std::size_t total) {
+double percentage(std::size_t count, std::size_t total) {
     return total ? 100.0 * double(count) / double(total) : 0.0;
 }
 
@@ -44,7 +44,7 @@ struct ScanRanges {
     std::vector<float> range_m, second_m;
 };
 
-ScanRanges extract_return_ranges(const RenderedScan& scan) {
+ScanRanges return_ranges(const RenderedScan& scan) {
     ScanRanges r{scan.median_range_m,
                  scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m};
     for (std::size_t i = 0; i < r.range_m.size(); ++i)
@@ -52,7 +52,7 @@ ScanRanges extract_return_ranges(const RenderedScan& scan) {
     return r;
 }
 
-ScanRanges extract_return_ranges(const Scan& scan) {
+ScanRanges return_ranges(const Scan& scan) {
     const std::vector<float> second_m =
         scan.second_returns.empty() ? std::vector<float>{} : scan.second_returns[0].range_m;
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
@@ -61,20 +61,20 @@ ScanRanges extract_return_ranges(const Scan& scan) {
 /// Compares the second return of a ray with the exact scan of the synthetic street, and
 /// counts the result.
 /// @param exact_returns has only second returns with at least a tenth of the beam's light
-void count_second_return_in_score(RigScanScore& score, const ScanRanges& rendered_returns,
-                                  const ScanRanges& exact_returns, std::size_t ray_index) {
-    const float is_m = exact_returns.second_m[ray_index], reported_m = rendered_returns.second_m[ray_index];
+void add_second_return(RigScanScore& score, const ScanRanges& rendered_returns,
+                       const ScanRanges& exact_returns, std::size_t ray) {
+    const float is_m = exact_returns.second_m[ray], reported_m = rendered_returns.second_m[ray];
     const bool right = is_m > 0.0f && reported_m > 0.0f &&
                        std::min(std::abs(reported_m - is_m),
-                                std::abs(reported_m - exact_returns.range_m[ray_index])) < kOnSurface_m;
+                                std::abs(reported_m - exact_returns.range_m[ray])) < kOnSurface_m;
     score.second_returns += is_m > 0.0f;
     score.reported += reported_m > 0.0f;
     score.detected += right;
     score.invented += reported_m > 0.0f && !right;
 }
 
-void add_scan_comparison_to_score(RigScanScore& score, const ScanRanges& rendered_returns,
-                                  const ScanRanges& exact_returns) {
+void add_comparison(RigScanScore& score, const ScanRanges& rendered_returns,
+                    const ScanRanges& exact_returns) {
     for (std::size_t i = 0; i < exact_returns.range_m.size(); ++i) {
         const bool returns = rendered_returns.range_m[i] > 0.0f, is_there = exact_returns.range_m[i] > 0.0f;
         ++score.rays;
@@ -88,98 +88,95 @@ void add_scan_comparison_to_score(RigScanScore& score, const ScanRanges& rendere
                 std::abs(double(rendered_returns.range_m[i]) - double(exact_returns.range_m[i])));
             score.squares += score.errors_m.back() * score.errors_m.back();
         }
-        if (!exact_returns.second_m.empty())
-            count_second_return_in_score(score, rendered_returns, exact_returns, i);
+        if (!exact_returns.second_m.empty()) add_second_return(score, rendered_returns, exact_returns, i);
     }
 }
 
-std::string format_score_row(const std::string& name, RigScanScore& score) {
+std::string format_row(const std::string& name, RigScanScore& score) {
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty()) return fmt::format("| {} | {} | no ray returned |\n", name, score.rays);
     const std::string seconds = score.second_returns == 0
                                     ? std::string("– | – | –")
                                     : fmt::format("{} | {:.1f} % | {:.1f} %", score.second_returns,
-                                                  compute_percentage(score.detected, score.second_returns),
-                                                  compute_percentage(score.invented, score.reported));
+                                                  percentage(score.detected, score.second_returns),
+                                                  percentage(score.invented, score.reported));
     return fmt::format("| {} | {} | {:.4f} m | {:.2f} m | {:.1f} % | {} |\n", name, score.rays,
                        score.errors_m[score.errors_m.size() / 2],
                        std::sqrt(score.squares / double(score.errors_m.size())),
-                       compute_percentage(score.drops_right, score.rays), seconds);
+                       percentage(score.drops_right, score.rays), seconds);
 }
 
 /// Casts rays into the synthetic street and returns their exact ranges. If the sensor
 /// reports two returns, casts each beam as a cone of several rays.
 /// @param lateral_offset_m distance by which the sensor is shifted to the left and also
 /// upwards, metres
-ScanRanges cast_exact_street_ranges(const SyntheticOptions& street, RayTable rays_in_sensor_frame,
-                                    const PoseTrack& world_from_sensor, double time_s,
-                                    const SimulatedSensor& sensor, float lateral_offset_m = 0.0f) {
+ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays_in_sensor_frame,
+                             const PoseTrack& world_from_sensor, double time_s, const SimulatedSensor& sensor,
+                             float lateral_offset_m = 0.0f) {
     for (glm::vec3& origin : rays_in_sensor_frame.origin)
         origin += lateral_offset_m * glm::vec3(0.0f, 1.0f, 1.0f);
-    Scan scan =
-        sensor.returns == 2
-            ? cast_beams_into_synthetic_street(street, rays_in_sensor_frame, world_from_sensor, time_s)
-            : cast_rays_into_synthetic_street(street, rays_in_sensor_frame, world_from_sensor, time_s);
-    remove_returns_outside_limits(scan, sensor.limits);
-    return extract_return_ranges(scan);
+    Scan scan = sensor.returns == 2
+                    ? cast_street_beams(street, rays_in_sensor_frame, world_from_sensor, time_s)
+                    : cast_street_rays(street, rays_in_sensor_frame, world_from_sensor, time_s);
+    limit_ranges(scan, sensor.limits);
+    return return_ranges(scan);
 }
 
-void render_and_score_unseen_sensor(ScanRenderer& renderer, const TrainedRun& run,
-                                    const SyntheticOptions& street_options, const std::string& sensor_name) {
-    const SimulatedSensor sensor = find_or_load_sensor(sensor_name, run.config, run.sequence);
+void score_sensor(ScanRenderer& renderer, const Run& run, const StreetOptions& street_options,
+                  const std::string& sensor_name) {
+    const SimulatedSensor sensor = choose_sensor(sensor_name, run.config, run.sequence);
     if (sensor.rays.direction.empty())
         throw UsageError(
             fmt::format("cannot use the sensor {}: its rays change from scan to scan, expected a sensor with "
                         "constant rays",
                         sensor_name));
-    const PoseTrack track = run.sequence.get_world_from_sensor(0);
+    const PoseTrack track = run.sequence.lidar_track(0);
     RigScanScore score;
     for (const int position : run.split.test) {
-        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
         if (frame.lidar != 0) continue;
-        add_scan_comparison_to_score(
-            score, extract_return_ranges(renderer.render(sensor, frame.time_s)),
-            cast_exact_street_ranges(street_options, sensor.rays, track, frame.time_s, sensor));
+        add_comparison(score, return_ranges(renderer.render(sensor, frame.time_s)),
+                       cast_exact_ranges(street_options, sensor.rays, track, frame.time_s, sensor));
     }
     std::sort(score.errors_m.begin(), score.errors_m.end());
     if (score.errors_m.empty())
         throw DataError(fmt::format(
             "cannot score the sensor {}: none of its rays returned, expected some returns", sensor_name));
     fmt::print("| {} | {} | {} | {:.1f} % | {:.1f} % | {:.4f} m | {:.2f} m | {:.1f} % |\n", sensor_name,
-               score.rays, score.returns, compute_percentage(score.missed, score.returns),
-               compute_percentage(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
+               score.rays, score.returns, percentage(score.missed, score.returns),
+               percentage(score.behind, score.returns), score.errors_m[score.errors_m.size() / 2],
                std::sqrt(score.squares / double(score.errors_m.size())),
-               compute_percentage(score.drops_right, score.rays));
+               percentage(score.drops_right, score.rays));
 }
 
 void print_rig_scores(const std::string& run_folder, int device_index, float lateral_offset_m,
                       const std::vector<std::string>& other_sensor_names) {
-    TrainedRun run = load_run(run_folder);
-    const SyntheticOptions street = read_street_options_of_run(run);
+    Run run = load_run(run_folder);
+    const StreetOptions street = read_street(run);
     const auto rig = read_sensor_rig(street.rig);
     if (!rig)
         throw UsageError(
             fmt::format("cannot use the run {}: its synthetic street was recorded without a sensor rig; "
                         "expected a run of a street whose street.toml has an entry rig = FILE",
                         run_folder));
-    Device device(apply_environment_variables({.index = device_index}));
+    Device device(apply_environment({.index = device_index}));
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     std::vector<RigScanScore> scores(run.sequence.lidars.size()), beside(scores.size());
     for (const int position : run.split.test) {
-        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        const Lidar& lidar = run.sequence.get_lidar(frame);
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        const Lidar& lidar = run.sequence.lidar_of(frame);
         const auto mounted = std::ranges::find(*rig, lidar.name, &MountedSensor::name);
-        SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, frame.lidar);
+        SimulatedSensor sensor = make_sensor(run.config, run.sequence, frame.lidar);
         sensor.returns = mounted != rig->end() ? mounted->returns : 1;
-        const RayTable rays = make_nominal_rays(lidar, frame.time_s);
-        const PoseTrack track = run.sequence.get_world_from_sensor(frame.lidar);
-        const ScanRanges truth = cast_exact_street_ranges(street, rays, track, frame.time_s, sensor);
-        add_scan_comparison_to_score(scores[std::size_t(frame.lidar)],
-                                     extract_return_ranges(renderer.render(sensor, frame.time_s)), truth);
+        const RayTable rays = make_lidar_rays(lidar, frame.time_s);
+        const PoseTrack track = run.sequence.lidar_track(frame.lidar);
+        const ScanRanges truth = cast_exact_ranges(street, rays, track, frame.time_s, sensor);
+        add_comparison(scores[std::size_t(frame.lidar)], return_ranges(renderer.render(sensor, frame.time_s)),
+                       truth);
         if (lateral_offset_m > 0.0f)
-            add_scan_comparison_to_score(
-                beside[std::size_t(frame.lidar)],
-                cast_exact_street_ranges(street, rays, track, frame.time_s, sensor, lateral_offset_m), truth);
+            add_comparison(beside[std::size_t(frame.lidar)],
+                           cast_exact_ranges(street, rays, track, frame.time_s, sensor, lateral_offset_m),
+                           truth);
     }
     fmt::print(
         "| LiDAR | rays | median range error | RMSE | correct drops | second returns | reported correctly | "
@@ -187,11 +184,11 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
         "|---|--:|--:|--:|--:|--:|--:|--:|\n");
     for (std::size_t l = 0; l < scores.size(); ++l) {
         const std::string& name = run.sequence.lidars[l].name;
-        fmt::print("{}", format_score_row(name, scores[l]));
+        fmt::print("{}", format_row(name, scores[l]));
         const std::string from =
             fmt::format("{}, exact scan of the street from {:g} cm to the left and above", name,
                         100.0f * lateral_offset_m);
-        if (lateral_offset_m > 0.0f) fmt::print("{}", format_score_row(from, beside[l]));
+        if (lateral_offset_m > 0.0f) fmt::print("{}", format_row(from, beside[l]));
     }
     if (!other_sensor_names.empty())
         fmt::print(
@@ -199,8 +196,7 @@ void print_rig_scores(const std::string& run_folder, int device_index, float lat
             "error | RMSE | correct drops |\n"
             "|---|--:|--:|--:|--:|--:|--:|--:|\n",
             run.sequence.lidars[0].name, kOnSurface_m);
-    for (const std::string& other : other_sensor_names)
-        render_and_score_unseen_sensor(renderer, run, street, other);
+    for (const std::string& other : other_sensor_names) score_sensor(renderer, run, street, other);
 }
 
 }  // namespace

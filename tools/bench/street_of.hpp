@@ -11,9 +11,9 @@ namespace relidar {
 
 /// Returns the options of the synthetic street on which a run was trained.
 /// @throws DataError if the log of the run is not a street.toml
-inline SyntheticOptions read_street_options_of_run(const TrainedRun& run) {
+inline StreetOptions read_street(const Run& run) {
     const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
-    return read_synthetic_options(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
+    return load_street(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);
 }
 
 }  // namespace relidar

@@ -14,7 +14,7 @@ using namespace relidar;
 
 constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrakes_mps2 = 6.0;
 
-double compute_free_distance_ahead_m(const LidarPoints& points) {
+double free_distance_m(const LidarPoints& points) {
     double gap_m = 100.0;
     for (const glm::vec3& p : points.position_m) {
         if (p.x > 3.0f && std::abs(p.y) < kLane_m && p.z > -1.2f && p.z < 0.5f)
@@ -28,15 +28,15 @@ int main(int argc, char** argv) try {
         std::fprintf(stderr, "usage: %s RUN\n", argv[0]);
         return 2;
     }
-    const TrainedRun run = load_run(argv[1]);
+    const Run run = load_run(argv[1]);
     if (run.scene.instances.size() < 2)
         throw UsageError("closed_loop: found a run without actors, expected at least one actor");
     const std::string actor = run.scene.instances[1].track;
     Device device;
     ScanRenderer renderer(device, run);
-    const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence);
+    const SimulatedSensor sensor = make_sensor(run.config, run.sequence);
 
-    Pose start = run.sequence.get_world_from_sensor(0).pose.front();
+    Pose start = run.sequence.lidar_track(0).pose.front();
     // converts the pose to the world frame of the dataset, which requests use
     start.translation += run.sequence.world_offset_m;
     const auto ahead = [&](double metres, double up_m) {
@@ -52,7 +52,7 @@ int main(int argc, char** argv) try {
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
         renderer.submit_points(sensor, request, t);
-        const double gap_m = compute_free_distance_ahead_m(renderer.wait_for_points().points);
+        const double gap_m = free_distance_m(renderer.wait_for_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)
             ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);

@@ -12,8 +12,8 @@ using namespace relidar;
 
 /// Returns the mean loss of all rays. Writes the derivatives of the loss with respect to
 /// the rendered values to `gradients`.
-double compute_loss_and_gradients(const RenderedRayValues& rendering, const Scan& measured_scan,
-                                  RenderedGradients& gradients) {
+double loss_gradients(const RenderedRayValues& rendering, const Scan& measured_scan,
+                      RenderedGradients& gradients) {
     const std::size_t n = rendering.size();
     gradients = {
         std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
@@ -42,19 +42,19 @@ int main(int argc, char** argv) try {
         std::fprintf(stderr, "usage: %s DRIVE\n", argv[0]);
         return 2;
     }
-    const LidarSequence log = load_sequence(argv[1], {});
-    const PoseTrack trajectory = log.get_world_from_sensor(0);
-    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
-    const Scene scene = initialise_scene(log, split.train, {});
+    const Log log = load_sequence(argv[1], {});
+    const PoseTrack trajectory = log.lidar_track(0);
+    const Split split = split_frames(log, 10);
+    const Scene scene = init_scene(log, split.train, {});
     Device device;
-    DifferentiableRenderer differentiable(device, scene, ImageFormationModel{});
+    DifferentiableRenderer differentiable(device, scene, ImageModel{});
     Renderer& renderer = differentiable.renderer();
     Adam adam(device, static_cast<std::uint32_t>(scene.surfels.size()), {});
     RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
         // Selects the frame of this step. Each frame is used for ten steps.
-        const LidarFrame& frame =
+        const Frame& frame =
             log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -64,14 +64,13 @@ int main(int argc, char** argv) try {
             rays.direction.push_back(glm::vec3(ray.direction));
             rays.time_s.push_back(log.rolling_shutter ? frame.scan.rays.time_offset_s[i] : 0.0f);
         }
-        renderer.record_scene_update_for_view(
-            compute_instance_poses(scene, log, get_sweep_timing_of_frame(frame)),
-            glm::vec3(trajectory.interpolate_pose(frame.time_s).translation));
-        last = compute_loss_and_gradients(renderer.render_rays(rays), frame.scan, d);
-        differentiable.compute_gradients(d);
-        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(),
-                              differentiable.gradients().surfels, &differentiable.gradients().touched, {},
-                              step, 3);
+        renderer.update(pose_instances(scene, log, timing_of(frame)),
+                        glm::vec3(trajectory.pose_at(frame.time_s).translation));
+        last = loss_gradients(renderer.render_rays(rays), frame.scan, d);
+        differentiable.backpropagate(d);
+        adam.record_step(renderer.stream(), renderer.scene().surfel_parameters(),
+                         differentiable.gradients().surfels, &differentiable.gradients().touched, {}, step,
+                         3);
         if (step == 1) first = last;
     }
     std::printf("loss %.4f -> %.4f\n", first, last);

@@ -6,7 +6,7 @@
 
 namespace relidar {
 
-inline void raise_open_file_limit_to_maximum() {
+inline void raise_file_limit() {
     rlimit limit{};
     if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
     limit.rlim_cur = limit.rlim_max;

@@ -10,7 +10,7 @@ namespace relidar {
 
 /// False for names other than "localhost", because they may resolve to another machine.
 /// @param host IPv4 or IPv6 address, with or without brackets, or a name
-inline bool is_loopback_host(std::string host) {
+inline bool is_loopback(std::string host) {
     if (host == "localhost") return true;
     if (host.size() > 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
     in_addr v4{};

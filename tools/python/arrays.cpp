@@ -15,8 +15,8 @@ std::string format_shape(const NumpyShape& shape) {
     std::string text;
     for (std::size_t i = 0; i < shape.size(); ++i) {
         if (i > 0) text += ",";
-        if (shape[i] != kAny) text += std::to_string(shape[i]);
-        else text += i == 1 && shape[0] == kAny ? "m" : "n";
+        if (shape[i] != kAnyLength) text += std::to_string(shape[i]);
+        else text += i == 1 && shape[0] == kAnyLength ? "m" : "n";
     }
     return "[" + text + "]";
 }
@@ -26,7 +26,7 @@ std::string format_dtype(const py::dtype& dtype) { return py::str(py::handle(dty
 bool has_shape(const py::array& array, const NumpyShape& expected_shape) {
     if (static_cast<std::size_t>(array.ndim()) != expected_shape.size()) return false;
     for (std::size_t i = 0; i < expected_shape.size(); ++i)
-        if (expected_shape[i] != kAny && expected_shape[i] != array.shape(static_cast<py::ssize_t>(i)))
+        if (expected_shape[i] != kAnyLength && expected_shape[i] != array.shape(static_cast<py::ssize_t>(i)))
             return false;
     return true;
 }
@@ -41,7 +41,7 @@ py::array to_numpy(NamedArray&& npz_array) {
     return py::array(dtype, shape, owned_bytes->data(), owner);
 }
 
-py::dict convert_to_array_dict(std::vector<NamedArray>&& npz_arrays) {
+py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays) {
     py::dict dict;
     for (NamedArray& array : npz_arrays) {
         const py::str name(array.name);
@@ -50,8 +50,8 @@ py::dict convert_to_array_dict(std::vector<NamedArray>&& npz_arrays) {
     return dict;
 }
 
-void require_numpy_dtype_and_shape(const py::handle& object, const std::string& name_for_errors,
-                                   const py::dtype& expected_dtype, const NumpyShape& expected_shape) {
+void check_array(const py::handle& object, const std::string& name_for_errors,
+                 const py::dtype& expected_dtype, const NumpyShape& expected_shape) {
     const std::string expected =
         fmt::format("an array of {} {}", format_dtype(expected_dtype), format_shape(expected_shape));
     if (!py::isinstance<py::array>(object)) {

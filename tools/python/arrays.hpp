@@ -18,13 +18,13 @@ namespace py = pybind11;
 using NumpyShape = std::vector<py::ssize_t>;
 /// Placeholder in the expected shape of an array. It means that a dimension may have any
 /// length.
-inline constexpr py::ssize_t kAny = -1;
+inline constexpr py::ssize_t kAnyLength = -1;
 
 /// Returns a numpy array that takes ownership of the values of a vector, without a copy.
 /// @tparam Number element type of the array; each Element of the vector consists of one
 /// or more Numbers
 template <class Number, class Element>
-py::array move_to_numpy_array(std::vector<Element>&& values, const NumpyShape& shape) {
+py::array move_to_numpy(std::vector<Element>&& values, const NumpyShape& shape) {
     auto* owned_values = new std::vector<Element>(std::move(values));
     const py::capsule owner(owned_values, [](void* p) { delete static_cast<std::vector<Element>*>(p); });
     return py::array(py::dtype::of<Number>(), shape, owned_values->data(), owner);
@@ -33,40 +33,38 @@ py::array move_to_numpy_array(std::vector<Element>&& values, const NumpyShape& s
 /// Returns a read-only numpy array of values that belong to the Python object `owner`.
 /// The array keeps `owner` alive.
 template <class Number, class Element>
-py::array make_read_only_array_view(const std::vector<Element>& values, const NumpyShape& shape,
-                                    const py::handle& owner) {
+py::array read_only_view(const std::vector<Element>& values, const NumpyShape& shape,
+                         const py::handle& owner) {
     py::array array(py::dtype::of<Number>(), shape, values.data(), owner);
     array.attr("setflags")(py::arg("write") = false);
     return array;
 }
 
 py::array to_numpy(NamedArray&& npz_array);
-py::dict convert_to_array_dict(std::vector<NamedArray>&& npz_arrays);
+py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays);
 
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
-void require_numpy_dtype_and_shape(const py::handle& object, const std::string& name_for_errors,
-                                   const py::dtype& expected_dtype, const NumpyShape& expected_shape);
+void check_array(const py::handle& object, const std::string& name_for_errors,
+                 const py::dtype& expected_dtype, const NumpyShape& expected_shape);
 
 /// Returns the values of a numpy array in C order, without a copy.
 /// @param name_for_errors name of the values, for error messages
-/// @param expected_shape expected shape; kAny means any length
+/// @param expected_shape expected shape; kAnyLength means any length
 /// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
-std::span<const Number> get_checked_array_values(const py::handle& object, const std::string& name_for_errors,
-                                                 const NumpyShape& expected_shape) {
-    require_numpy_dtype_and_shape(object, name_for_errors, py::dtype::of<Number>(), expected_shape);
+std::span<const Number> array_values(const py::handle& object, const std::string& name_for_errors,
+                                     const NumpyShape& expected_shape) {
+    check_array(object, name_for_errors, py::dtype::of<Number>(), expected_shape);
     const auto array = py::reinterpret_borrow<py::array>(object);
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
 template <class Number, class Element>
-std::vector<Element> copy_checked_array_to_vector(const py::handle& object,
-                                                  const std::string& name_for_errors,
-                                                  const NumpyShape& expected_shape) {
-    const std::span<const Number> values =
-        get_checked_array_values<Number>(object, name_for_errors, expected_shape);
+std::vector<Element> copy_array(const py::handle& object, const std::string& name_for_errors,
+                                const NumpyShape& expected_shape) {
+    const std::span<const Number> values = array_values<Number>(object, name_for_errors, expected_shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());
     return {first, first + values.size() * sizeof(Number) / sizeof(Element)};
 }

@@ -24,16 +24,16 @@ using PythonProgressCallback = std::optional<std::function<void(const std::strin
 /// Converts a Python callback to a C++ progress callback. If the Python callback raises
 /// an exception or the user presses Ctrl-C, the work is aborted immediately. Use it only
 /// for work that can be aborted at any point.
-inline ProgressReporter wrap_python_progress_callback(const PythonProgressCallback& python_callback) {
-    return [&python_callback](std::string_view description, double done) {
+inline Progress wrap_progress(const PythonProgressCallback& python_callback) {
+    return [&python_callback](std::string_view text, double done) {
         const py::gil_scoped_acquire interpreter;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-        if (python_callback) (*python_callback)(std::string(description), done);
+        if (python_callback) (*python_callback)(std::string(text), done);
     };
 }
 
 /// Lets C++ code call Python functions. After an exception or Ctrl-C, calls return false,
-/// so that the C++ code can stop. rethrow_stored_exception() then raises the exception.
+/// so that the C++ code can stop. rethrow() then raises the exception.
 class PythonCallGuard {
 public:
     template <class Call>
@@ -48,10 +48,10 @@ public:
         }
         return !failure_;
     }
-    bool has_no_exception_or_interrupt() {
+    bool can_continue() {
         return (*this)([] {});
     }
-    void rethrow_stored_exception() const {
+    void rethrow() const {
         if (failure_) std::rethrow_exception(failure_);
     }
 

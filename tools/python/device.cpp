@@ -15,7 +15,7 @@
 namespace relidar::python {
 namespace {
 
-SharedDevice& get_shared_default_device() {
+SharedDevice& default_device() {
     static SharedDevice device;
     return device;
 }
@@ -29,28 +29,28 @@ SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string&
             index.value));
     DeviceOptions options;
     options.index = index;
-    options.traversal = parse_ray_tracing_backend(traversal_name);
+    options.traversal = parse_backend(traversal_name);
     options.memory_limit_bytes = memory_limit_bytes;
     options.validation = enable_validation;
     const py::gil_scoped_release others_run;
-    return std::make_shared<LockableDevice>(apply_environment_variables(options));
+    return std::make_shared<LockableDevice>(apply_environment(options));
 }
 
-const char* format_traversal_name(RayTracingBackend traversal) {
+const char* format_traversal(RayTracingBackend traversal) {
     return traversal == RayTracingBackend::software ? "software" : "ray_query";
 }
 
-std::string format_device_repr(const LockableDevice& device) {
+std::string device_repr(const LockableDevice& device) {
     return fmt::format("<relidar.Device {}: {}, {}>", device.device.info().index, device.device.info().name,
-                       format_traversal_name(device.device.get_ray_tracing_backend()));
+                       format_traversal(device.device.backend()));
 }
 
 }  // namespace
 
-SharedDevice get_device_or_default(SharedDevice device) {
+SharedDevice device_or_default(SharedDevice device) {
     if (device) return device;
-    if (!get_shared_default_device()) get_shared_default_device() = open_device({-1}, "auto", {0}, false);
-    return get_shared_default_device();
+    if (!default_device()) default_device() = open_device({-1}, "auto", {0}, false);
+    return default_device();
 }
 
 DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
@@ -64,10 +64,10 @@ DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
 
 DeviceLock::~DeviceLock() { device_.user = std::thread::id(); }
 
-void bind_device_class(py::module_& module) {
-    set_device_open_callbacks({test_device_capabilities, [](const std::string& text) {
-                                   std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
-                               }});
+void bind_device(py::module_& module) {
+    set_open_callbacks({test_device, [](const std::string& text) {
+                            std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
+                        }});
     py::class_<DeviceInfo>(module, "DeviceInfo",
                            "A Vulkan device of this machine and the features that relidar can use.")
         .def_readonly("index", &DeviceInfo::index)
@@ -104,19 +104,15 @@ void bind_device_class(py::module_& module) {
              "Raises DeviceError that names the missing feature.")
         .def_property_readonly("info", [](const LockableDevice& open) { return open.device.info(); })
         .def_property_readonly(
-            "traversal",
-            [](const LockableDevice& open) {
-                return format_traversal_name(open.device.get_ray_tracing_backend());
-            },
+            "traversal", [](const LockableDevice& open) { return format_traversal(open.device.backend()); },
             "\"ray_query\" or \"software\".")
         .def_property_readonly(
-            "peak_bytes", [](const LockableDevice& open) { return open.device.peak_allocated_bytes(); },
+            "peak_bytes", [](const LockableDevice& open) { return open.device.peak_bytes(); },
             "Maximum device memory that was allocated so far, in bytes.")
-        .def("__repr__", &format_device_repr);
+        .def("__repr__", &device_repr);
     // Closes the default device at exit. The Python interpreter and the Vulkan loader
     // must still exist at this time.
-    py::module_::import("atexit").attr("register")(
-        py::cpp_function([] { get_shared_default_device().reset(); }));
+    py::module_::import("atexit").attr("register")(py::cpp_function([] { default_device().reset(); }));
 }
 
 }  // namespace relidar::python

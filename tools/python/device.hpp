@@ -30,7 +30,7 @@ using SharedDevice = std::shared_ptr<LockableDevice>;
 /// Returns the given device. If the argument is null, returns the default device, which
 /// is opened at the first call.
 /// @throws DeviceError if the device cannot be opened
-SharedDevice get_device_or_default(SharedDevice device);
+SharedDevice device_or_default(SharedDevice device);
 
 /// Locks a device for the current thread and releases the Python interpreter lock (GIL).
 /// The thread must not use Python objects while this object exists.
@@ -78,7 +78,7 @@ public:
     Made& operator*() { return *made_; }
     Made* operator->() { return made_.get(); }
     explicit operator bool() const { return made_ != nullptr; }
-    LockableDevice& get_open_device() { return *device_; }
+    LockableDevice& opened() { return *device_; }
 
 private:
     SharedDevice device_;

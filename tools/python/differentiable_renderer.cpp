@@ -24,17 +24,18 @@ struct PythonDifferentiableRenderer {
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
 
-std::unique_ptr<PythonDifferentiableRenderer> make_differentiable_renderer(
-    const Scene& scene, const std::optional<Config>& config, bool with_pose_gradients,
-    bool with_ray_gradients, SharedDevice device) {
-    const Config settings = config.value_or(make_preset_config("default"));
-    ImageFormationModel image = settings.image;
+std::unique_ptr<PythonDifferentiableRenderer> make_renderer(const Scene& scene,
+                                                            const std::optional<Config>& config,
+                                                            bool with_pose_gradients, bool with_ray_gradients,
+                                                            SharedDevice device) {
+    const Config settings = config.value_or(make_preset("default"));
+    ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive;
     const RendererOptions options{
-        {}, make_common_trace_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
-    const GradientOptions gradients{make_backward_options(settings),
+        {}, common_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
+    const GradientOptions gradients{backward_options(settings),
                                     {.rays = with_ray_gradients, .poses = with_pose_gradients}};
-    device = get_device_or_default(device);
+    device = device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
     {
         const DeviceLock use(*device);
@@ -46,18 +47,17 @@ std::unique_ptr<PythonDifferentiableRenderer> make_differentiable_renderer(
     return held;
 }
 
-void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object& poses,
-                        const py::object& view_origin,
-                        const std::optional<std::vector<bool>>& is_instance_present) {
+void set_poses(PythonDifferentiableRenderer& renderer, const py::object& poses, const py::object& view_origin,
+               const std::optional<std::vector<bool>>& is_instance_present) {
     std::vector<InstancePose> placed = renderer.placed;
-    const auto check_count = [&](std::size_t found, const char* description) {
+    const auto check_count = [&](std::size_t found, const char* text) {
         if (found != placed.size())
             throw DataError(
-                fmt::format("{}: found {} entries, expected {}, one for each instance of the scene",
-                            description, found, placed.size()));
+                fmt::format("{}: found {} entries, expected {}, one for each instance of the scene", text,
+                            found, placed.size()));
     };
     if (!poses.is_none()) {
-        const std::vector<Pose> model_poses = convert_to_poses(poses, "poses");
+        const std::vector<Pose> model_poses = to_poses(poses, "poses");
         check_count(model_poses.size(), "poses");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
@@ -69,38 +69,38 @@ void set_instance_poses(PythonDifferentiableRenderer& renderer, const py::object
     if (view_origin.is_none()) {
         view = renderer.differentiable->renderer().view_origin_m();
     } else {
-        const std::span<const double> v = get_checked_array_values<double>(view_origin, "view_origin", {3});
+        const std::span<const double> v = array_values<double>(view_origin, "view_origin", {3});
         view = {v[0], v[1], v[2]};
     }
-    const DeviceLock use(renderer.differentiable.get_open_device());
-    renderer.differentiable->renderer().record_scene_update_for_view(placed, view);
+    const DeviceLock use(renderer.differentiable.opened());
+    renderer.differentiable->renderer().update(placed, view);
     renderer.placed = std::move(placed);
 }
 
-py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::object& origins,
-                          const py::object& directions) {
-    const WorldRays rays{copy_checked_array_to_vector<float, glm::vec3>(origins, "origins", {kAny, 3}),
-                         copy_checked_array_to_vector<float, glm::vec3>(directions, "directions", {kAny, 3})};
+py::dict run_forward(PythonDifferentiableRenderer& renderer, const py::object& origins,
+                     const py::object& directions) {
+    const WorldRays rays{copy_array<float, glm::vec3>(origins, "origins", {kAnyLength, 3}),
+                         copy_array<float, glm::vec3>(directions, "directions", {kAnyLength, 3})};
     if (rays.origin.size() != rays.direction.size())
         throw DataError(
             fmt::format("directions: found {} directions and {} origins, expected the same number",
                         rays.direction.size(), rays.origin.size()));
     RenderedRayValues r;
     {
-        const DeviceLock use(renderer.differentiable.get_open_device());
+        const DeviceLock use(renderer.differentiable.opened());
         r = renderer.differentiable->renderer().render_rays(rays);
     }
     renderer.n_rays = rays.size();
     const NumpyShape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
-    dict[#name] = move_to_numpy_array<float>(std::move(r.name), shape);
+    dict[#name] = move_to_numpy<float>(std::move(r.name), shape);
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    dict["transmittance"] = move_to_numpy_array<float>(std::move(r.transmittance), shape);
-    dict["median_depth"] = move_to_numpy_array<float>(std::move(r.median_depth), shape);
-    dict["hits"] = move_to_numpy_array<std::uint32_t>(std::move(r.hits), shape);
-    dict["instance"] = move_to_numpy_array<std::int32_t>(std::move(r.instance), shape);
+    dict["transmittance"] = move_to_numpy<float>(std::move(r.transmittance), shape);
+    dict["median_depth"] = move_to_numpy<float>(std::move(r.median_depth), shape);
+    dict["hits"] = move_to_numpy<std::uint32_t>(std::move(r.hits), shape);
+    dict["instance"] = move_to_numpy<std::int32_t>(std::move(r.instance), shape);
     return dict;
 }
 
@@ -109,8 +109,7 @@ py::dict run_forward_pass(PythonDifferentiableRenderer& renderer, const py::obje
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
-RenderedGradients read_gradients_of_rendered_values(const py::dict& gradient_arrays_by_name,
-                                                    std::size_t n_rays) {
+RenderedGradients read_gradients(const py::dict& gradient_arrays_by_name, std::size_t n_rays) {
     RenderedGradients d;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
     const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
@@ -125,71 +124,67 @@ RenderedGradients read_gradients_of_rendered_values(const py::dict& gradient_arr
                 fmt::format("the dict d_rendered has the unknown entry \"{}\"; expected only entries with "
                             "the names " RELIDAR_IMAGE_VALUES(RELIDAR_NAME) "which are the rendered values",
                             name));
-        *match->second = copy_checked_array_to_vector<float, float>(array, "d_rendered: " + name,
-                                                                    {static_cast<py::ssize_t>(n_rays)});
+        *match->second =
+            copy_array<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
     return d;
 }
 
-py::dict run_backward_pass(PythonDifferentiableRenderer& renderer,
-                           const py::dict& gradients_of_rendered_values) {
-    const RenderedGradients d =
-        read_gradients_of_rendered_values(gradients_of_rendered_values, renderer.n_rays);
+py::dict backward(PythonDifferentiableRenderer& renderer, const py::dict& gradients_of_rendered_values) {
+    const RenderedGradients d = read_gradients(gradients_of_rendered_values, renderer.n_rays);
     HostGradients gradients;
     {
-        const DeviceLock use(renderer.differentiable.get_open_device());
-        gradients = renderer.differentiable->compute_gradients(d);
+        const DeviceLock use(renderer.differentiable.opened());
+        gradients = renderer.differentiable->backpropagate(d);
     }
     const auto rows = [](std::size_t count) { return static_cast<py::ssize_t>(count); };
     const std::size_t n = gradients.surfels.size();
-    py::dict dict = convert_to_array_dict(std::move(gradients.surfels));
-    dict["touched"] = move_to_numpy_array<std::uint32_t>(std::move(gradients.touched), {rows(n)});
+    py::dict dict = to_array_dict(std::move(gradients.surfels));
+    dict["touched"] = move_to_numpy<std::uint32_t>(std::move(gradients.touched), {rows(n)});
     if (!gradients.poses.empty())
-        dict["poses"] =
-            move_to_numpy_array<float>(std::move(gradients.poses), {rows(renderer.placed.size()), 6});
-    if (!gradients.sensor.empty())
-        dict["sensor"] = move_to_numpy_array<float>(std::move(gradients.sensor), {6});
+        dict["poses"] = move_to_numpy<float>(std::move(gradients.poses), {rows(renderer.placed.size()), 6});
+    if (!gradients.sensor.empty()) dict["sensor"] = move_to_numpy<float>(std::move(gradients.sensor), {6});
     if (!gradients.rays.empty())
-        dict["rays"] = move_to_numpy_array<float>(std::move(gradients.rays), {rows(renderer.n_rays), 6});
+        dict["rays"] = move_to_numpy<float>(std::move(gradients.rays), {rows(renderer.n_rays), 6});
     return dict;
 }
 
 void upload_surfels(PythonDifferentiableRenderer& renderer, const py::dict& surfel_arrays) {
-    const Surfels surfels = read_surfels_from_arrays(surfel_arrays);
-    const DeviceLock use(renderer.differentiable.get_open_device());
+    const Surfels surfels = read_surfels(surfel_arrays);
+    const DeviceLock use(renderer.differentiable.opened());
     renderer.differentiable->renderer().upload_surfels(surfels);
 }
 
 py::dict download_surfels(PythonDifferentiableRenderer& renderer) {
     Scene scene;
     {
-        const DeviceLock use(renderer.differentiable.get_open_device());
+        const DeviceLock use(renderer.differentiable.opened());
         scene = renderer.differentiable->renderer().download_scene();
     }
-    return convert_to_array_dict(std::move(scene.surfels));
+    return to_array_dict(std::move(scene.surfels));
 }
 
 }  // namespace
 
-void bind_differentiable_renderer(py::module_& module) {
+void bind_renderer(py::module_& module) {
     py::class_<PythonDifferentiableRenderer>(module, "DifferentiableRenderer",
                              "Renders rays and computes gradients for custom losses: forward() returns rendered values, and backward() converts their gradients to gradients of all parameters.\n"
                              "Call place(), forward() and backward(). After a change of parameters, call upload() and place() again. Scales, opacities and channels are\n"
                              "stored before their activation: scale = exp(log_scale), opacity = sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
-        .def(py::init(&make_differentiable_renderer), py::arg("scene"), py::arg("config") = py::none(),
+        .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(),
              py::kw_only(), py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
              "scene: copied to the device\n"
              "config: its settings image.*, trace.* and train.deterministic define how rays are rendered and gradients are summed; None: preset \"default\"\n"
              "poses, rays: if True, backward() also returns the gradients of poses and rays\n\n"
              "Raises DataError if models or instances of the scene are out of range.")
-        .def("place", &set_instance_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
+        .def("place", &set_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
              py::arg("present") = py::none(),
              "Sets all poses. Call it before forward(), and again after poses, view_origin or parameters have changed.\n\n"
              "poses: [instances,4,4] float64, world from model, metres; None: unchanged, initially all at the origin\n"
              "view_origin: [3] float64, the sensor's position, from which SH directions start with image.sh_direction=surfel;\n"
              "    None: unchanged, initially the origin\n"
              "present: one bool per instance; None: unchanged, initially all are present")
-        .def("forward", &run_forward_pass, py::arg("origins"), py::arg("directions"),
+        .def("forward", &run_forward, py::arg("origins"), py::arg("directions"),
              "Renders rays.\n\n"
              "origins: [n,3] float32, C order, world, metres\n"
              "directions: [n,3] float32, C order, world, length 1\n\n"
@@ -197,7 +192,7 @@ void bind_differentiable_renderer(py::module_& module) {
                  RELIDAR_MEANING) "transmittance, median_depth (metres, 0: none) float32;\n"
                                   "hits uint32 (blended surfels); instance int32 (-1: none).\n"
                                   "Raises UsageError if place() was not called.")
-        .def("backward", &run_backward_pass, py::arg("d_rendered"),
+        .def("backward", &backward, py::arg("d_rendered"),
              "Computes gradients of a loss of the last forward pass. Poses, view_origin and parameters must be unchanged since then.\n\n"
              "d_rendered: dict of dL/d(value), [n] float32 each, for any of " RELIDAR_IMAGE_VALUES(
                  RELIDAR_NAME) "where missing gradients count as 0\n\n"

@@ -22,7 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 
 struct RunBeingEdited {
-    TrainedRun run;        ///< the run before all edits, with the history of the edits
+    Run run;               ///< the run before all edits, with the history of the edits
     SceneWithLog driving;  ///< the edited scene and tracks
     SharedDevice device;
     /// Absolute path of the run that is edited. Empty if this run was not loaded from a
@@ -30,16 +30,15 @@ struct RunBeingEdited {
     std::string origin;
 
     explicit RunBeingEdited(const LoadedRun& start)
-        : run(start.run), driving(run.copy_driving_scene()), device(start.device) {
+        : run(start.run), driving(run.driving_scene()), device(start.device) {
         if (!run.folder.empty()) origin = fs::absolute(run.folder).lexically_normal().string();
         run.folder.clear();
     }
 
     /// Applies an edit to the run and adds it to the history of the run.
     /// @param history_entry text that describes the edit in scene.json
-    RunBeingEdited& apply_edit_and_add_to_history(
-        const std::string& history_entry,
-        const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
+    RunBeingEdited& apply(const std::string& history_entry,
+                          const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         // Applies the edit to a copy, so that the run does not change if the edit fails.
         driving = edit_scene_with_log(driving);
         run.edits.push_back({origin, history_entry});
@@ -48,20 +47,19 @@ struct RunBeingEdited {
 
     /// Applies an edit that can change the times at which an actor is present. Warns if
     /// the actor is then missing in more frames of the log.
-    RunBeingEdited& apply_edit_and_warn_about_missing_actor(
-        const std::string& history_entry, const std::string& track_name,
-        const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
-        const BoxTrack* box = find_box_track_by_id(driving.sequence, track_name);
+    RunBeingEdited& apply_to_actor(const std::string& history_entry, const std::string& name,
+                                   const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
+        const BoxTrack* box = find_box(driving.sequence, name);
         const BoxTrack before = box ? *box : BoxTrack{};
-        apply_edit_and_add_to_history(history_entry, edit_scene_with_log);
-        if (const std::string note = describe_frames_without_actor(before, driving.sequence); !note.empty())
-            show_python_warning(note);
+        apply(history_entry, edit_scene_with_log);
+        if (const std::string note = describe_absence(before, driving.sequence); !note.empty())
+            show_warning(note);
         return *this;
     }
 
-    std::unique_ptr<LoadedRun> copy_as_loaded_run() const {
-        TrainedRun edited = run;
-        edited.replace_driving_scene(driving);
+    std::unique_ptr<LoadedRun> copy_run() const {
+        Run edited = run;
+        edited.set_driving_scene(driving);
         return std::make_unique<LoadedRun>(std::move(edited), device);
     }
 };
@@ -70,54 +68,50 @@ std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g},{:.6g},{:.6g}", vector.x, vector.y, vector.z);
 }
 
-RunBeingEdited& remove_all_except_part(RunBeingEdited& run_being_edited, const std::string& kept_part_name) {
-    if (kept_part_name == "background")
-        return run_being_edited.apply_edit_and_add_to_history("keep background", remove_all_actors);
-    if (kept_part_name == "actors")
-        return run_being_edited.apply_edit_and_add_to_history("keep actors", remove_background);
+RunBeingEdited& keep_part(RunBeingEdited& run_being_edited, const std::string& kept_part_name) {
+    if (kept_part_name == "background") return run_being_edited.apply("keep background", remove_actors);
+    if (kept_part_name == "actors") return run_being_edited.apply("keep actors", remove_background);
     throw UsageError(fmt::format("keep(): found \"{}\", expected background or actors", kept_part_name));
 }
 
-RunBeingEdited& move_actor(RunBeingEdited& run_being_edited, const std::string& track_name,
+RunBeingEdited& move_actor(RunBeingEdited& run_being_edited, const std::string& name,
                            const py::object& box_from_moved_box) {
-    const Pose box_from_moved = convert_matrix_to_pose(box_from_moved_box, "pose");
-    return run_being_edited.apply_edit_and_add_to_history(
-        fmt::format("move {}:{}", track_name, format_vector(box_from_moved.translation)),
-        [&](SceneWithLog driving) { return move_track(std::move(driving), track_name, box_from_moved); });
+    const Pose box_from_moved = to_pose(box_from_moved_box, "pose");
+    return run_being_edited.apply(
+        fmt::format("move {}:{}", name, format_vector(box_from_moved.translation)),
+        [&](SceneWithLog driving) { return move_track(std::move(driving), name, box_from_moved); });
 }
 
-RunBeingEdited& replace_actor_trajectory(RunBeingEdited& run_being_edited, const std::string& track_name,
-                                         const py::object& times_and_box_poses) {
-    const PoseTrack poses = convert_python_poses_to_track(times_and_box_poses, "trajectory", 0.0);
-    return run_being_edited.apply_edit_and_warn_about_missing_actor(
-        fmt::format("follow {}: {} poses", track_name, poses.pose.size()), track_name,
-        [&](SceneWithLog driving) { return replace_trajectory(std::move(driving), track_name, poses); });
+RunBeingEdited& replace_track(RunBeingEdited& run_being_edited, const std::string& name,
+                              const py::object& times_and_box_poses) {
+    const PoseTrack poses = to_track(times_and_box_poses, "trajectory", 0.0);
+    return run_being_edited.apply_to_actor(
+        fmt::format("follow {}: {} poses", name, poses.pose.size()), name,
+        [&](SceneWithLog driving) { return replace_track(std::move(driving), name, poses); });
 }
 
-RunBeingEdited& copy_actor(RunBeingEdited& run_being_edited, const std::string& track_name,
+RunBeingEdited& copy_actor(RunBeingEdited& run_being_edited, const std::string& name,
                            const py::object& start_pose, double speed_mps) {
-    const NewActorMotion start{convert_matrix_to_pose(start_pose, "pose"), speed_mps};
-    return run_being_edited.apply_edit_and_add_to_history(
-        fmt::format("copy {}@{}:{:.6g}", track_name, format_vector(start.dataset_from_box.translation),
-                    speed_mps),
-        [&](SceneWithLog driving) { return copy_track(std::move(driving), track_name, start); });
+    const NewActorMotion start{to_pose(start_pose, "pose"), speed_mps};
+    return run_being_edited.apply(
+        fmt::format("copy {}@{}:{:.6g}", name, format_vector(start.dataset_from_box.translation), speed_mps),
+        [&](SceneWithLog driving) { return copy_track(std::move(driving), name, start); });
 }
 
-RunBeingEdited& insert_actor_of_other_run(RunBeingEdited& run_being_edited, const LoadedRun& other_run,
-                                          const std::string& track_name, const py::object& start_pose,
-                                          double speed_mps) {
-    const NewActorMotion start{convert_matrix_to_pose(start_pose, "pose"), speed_mps};
-    const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other_run.run.folder.string(), track_name,
+RunBeingEdited& insert_actor(RunBeingEdited& run_being_edited, const LoadedRun& other_run,
+                             const std::string& name, const py::object& start_pose, double speed_mps) {
+    const NewActorMotion start{to_pose(start_pose, "pose"), speed_mps};
+    const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other_run.run.folder.string(), name,
                                          format_vector(start.dataset_from_box.translation), speed_mps);
-    return run_being_edited.apply_edit_and_add_to_history(said, [&](SceneWithLog driving) {
-        return insert_track(std::move(driving), other_run.run.copy_driving_scene(), track_name, start);
+    return run_being_edited.apply(said, [&](SceneWithLog driving) {
+        return insert_track(std::move(driving), other_run.run.driving_scene(), name, start);
     });
 }
 
 std::unique_ptr<LoadedRun> save_edited_run(const RunBeingEdited& run_being_edited, const fs::path& folder,
                                            bool overwrite) {
-    auto loaded = run_being_edited.copy_as_loaded_run();
-    save_run_to_folder(loaded->run, folder, overwrite);
+    auto loaded = run_being_edited.copy_run();
+    save_run_in(loaded->run, folder, overwrite);
     return loaded;
 }
 
@@ -133,7 +127,7 @@ void bind_edit_class(py::module_& module) {
         .def(
             "remove",
             [](RunBeingEdited& edits, const std::string& track) -> RunBeingEdited& {
-                return edits.apply_edit_and_add_to_history("remove " + track, [&](SceneWithLog driving) {
+                return edits.apply("remove " + track, [&](SceneWithLog driving) {
                     return remove_track(std::move(driving), track);
                 });
             },
@@ -146,24 +140,24 @@ void bind_edit_class(py::module_& module) {
         .def(
             "retime",
             [](RunBeingEdited& edits, const std::string& track, double seconds) -> RunBeingEdited& {
-                return edits.apply_edit_and_warn_about_missing_actor(
+                return edits.apply_to_actor(
                     fmt::format("retime {}:{:.6g}", track, seconds), track,
                     [&](SceneWithLog driving) { return delay_track(std::move(driving), track, seconds); });
             },
             py::arg("track"), py::arg("seconds"), same,
             "Delays all motion of an actor by this time in seconds.")
-        .def("follow", &replace_actor_trajectory, py::arg("track"), py::arg("trajectory"), same,
+        .def("follow", &replace_track, py::arg("track"), py::arg("trajectory"), same,
              "Replaces the trajectory of an actor.\n\n"
              "trajectory: (times [n], poses [n,4,4]) of the centre of its box in the dataset's world, n >= 2")
         .def("copy", &copy_actor, py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
              "Adds a copy of an actor with the name TRACK-copy-1.\n\n"
              "pose: pose of the centre of its box in the dataset's world at the first frame; from there it "
              "drives straight ahead")
-        .def("insert", &insert_actor_of_other_run, py::arg("other"), py::arg("track"), py::arg("pose"),
+        .def("insert", &insert_actor, py::arg("other"), py::arg("track"), py::arg("pose"),
              py::arg("speed_mps") = 0.0, same, "Adds a copy of an actor of another run, like copy().")
-        .def("keep", &remove_all_except_part, py::arg("what"), same,
+        .def("keep", &keep_part, py::arg("what"), same,
              "Keeps only the \"background\" or only the \"actors\".")
-        .def("run", &RunBeingEdited::copy_as_loaded_run, "Returns the edited run.")
+        .def("run", &RunBeingEdited::copy_run, "Returns the edited run.")
         .def("save", &save_edited_run, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
              "Writes the edited run to a folder and returns it.");
     const auto run = py::reinterpret_borrow<py::class_<LoadedRun>>(module.attr("Run"));

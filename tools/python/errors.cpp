@@ -17,13 +17,13 @@ struct PythonErrorTypes {
 
 /// Returns the Python exception types. They are never destroyed, because exceptions may
 /// be raised until the interpreter ends.
-PythonErrorTypes& get_exception_types() {
+PythonErrorTypes& exception_types() {
     static auto* const all = new PythonErrorTypes;
     return *all;
 }
 
-py::object add_exception_type(py::module_& module, const char* type_name, const char* doc,
-                              const py::tuple& bases, ExitCode exit_code) {
+py::object add_type(py::module_& module, const char* type_name, const char* doc, const py::tuple& bases,
+                    ExitCode exit_code) {
     py::dict members;
     members["code"] = static_cast<int>(exit_code);
     const std::string full_name = std::string("relidar.") + type_name;
@@ -34,42 +34,41 @@ py::object add_exception_type(py::module_& module, const char* type_name, const 
     return type;
 }
 
-void raise_as_python_exception(std::exception_ptr exception) {
+void raise_exception(std::exception_ptr exception) {
     try {
         if (exception) std::rethrow_exception(exception);
     } catch (const UsageError& error) {
-        PyErr_SetString(get_exception_types().usage.ptr(), error.what());
+        PyErr_SetString(exception_types().usage.ptr(), error.what());
     } catch (const DataError& error) {
-        PyErr_SetString(get_exception_types().data.ptr(), error.what());
+        PyErr_SetString(exception_types().data.ptr(), error.what());
     } catch (const DeviceError& error) {
-        PyErr_SetString(get_exception_types().device.ptr(), error.what());
+        PyErr_SetString(exception_types().device.ptr(), error.what());
     } catch (const Error& error) {
-        const py::object instance = get_exception_types().error(error.what());
+        const py::object instance = exception_types().error(error.what());
         instance.attr("code") = static_cast<int>(error.code());
-        PyErr_SetObject(get_exception_types().error.ptr(), instance.ptr());
+        PyErr_SetObject(exception_types().error.ptr(), instance.ptr());
     }
 }
 
 }  // namespace
 
-void bind_error_types(py::module_& module) {
+void bind_errors(py::module_& module) {
     const auto builtin = [](PyObject* type) { return py::reinterpret_borrow<py::object>(type); };
-    PythonErrorTypes& all = get_exception_types();
-    all.error = add_exception_type(module, "Error",
-                                   "Base class of all errors of relidar. `code` is the corresponding exit "
-                                   "code of the command line tool.",
-                                   py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
-    all.usage =
-        add_exception_type(module, "UsageError", "A name, a setting or a combination of arguments is wrong.",
-                           py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
-    all.data = add_exception_type(module, "DataError",
-                                  "A file or array is missing or invalid, or output cannot be written.",
-                                  py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
-    all.device = add_exception_type(module, "DeviceError",
-                                    "No device is available, a feature is missing, a Vulkan call failed, or "
-                                    "the device memory is exhausted.",
-                                    py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
-    py::register_exception_translator(raise_as_python_exception);
+    PythonErrorTypes& all = exception_types();
+    all.error = add_type(module, "Error",
+                         "Base class of all errors of relidar. `code` is the corresponding exit code of the "
+                         "command line tool.",
+                         py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
+    all.usage = add_type(module, "UsageError", "A name, a setting or a combination of arguments is wrong.",
+                         py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
+    all.data =
+        add_type(module, "DataError", "A file or array is missing or invalid, or output cannot be written.",
+                 py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
+    all.device = add_type(module, "DeviceError",
+                          "No device is available, a feature is missing, a Vulkan call failed, or the device "
+                          "memory is exhausted.",
+                          py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
+    py::register_exception_translator(raise_exception);
 }
 
 }  // namespace relidar::python

@@ -9,19 +9,18 @@
 namespace relidar::python {
 namespace {
 
-EvaluationResult evaluate_run_or_baseline(LoadedRun& loaded_run, const LidarSequence& log_with_real_scans,
-                                          const std::optional<std::string>& baseline_name,
-                                          const ProgressReporter& report_progress) {
-    TrainedRun run = loaded_run.run;
-    copy_scans_into_run(run, run.split.test, log_with_real_scans);
+Evaluation evaluate_loaded(LoadedRun& loaded_run, const Log& log_with_real_scans,
+                           const std::optional<std::string>& baseline_name, const Progress& report_progress) {
+    Run run = loaded_run.run;
+    copy_scans(run, run.split.test, log_with_real_scans);
     if (baseline_name) {
-        copy_scans_into_run(run, run.split.train, log_with_real_scans);
+        copy_scans(run, run.split.train, log_with_real_scans);
         const py::gil_scoped_release others_run;
         return evaluate_baseline(*baseline_name, run.config, run.sequence, run.split, report_progress);
     }
     DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
-    const DeviceLock use(renderer.get_open_device());
-    renderer->set_visible_instances(std::vector<bool>(run.scene.instances.size(), true));
+    const DeviceLock use(renderer.opened());
+    renderer->show_instances(std::vector<bool>(run.scene.instances.size(), true));
     return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, report_progress);
 }
 
@@ -29,29 +28,28 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
                       const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (baseline_name) (void)parse_box_point_motion_of_baseline(*baseline_name);
+    if (baseline_name) (void)parse_baseline(*baseline_name);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
-    const ProgressReporter progress = wrap_python_progress_callback(report_progress);
-    LidarSequence read;
+    const Progress progress = wrap_progress(report_progress);
+    Log read;
     if (!log) {
         const py::gil_scoped_release others_run;
-        store_scans_above_limit_in_file(std::uint64_t(run.run.config.dataset.memory_mib) << 20);
+        limit_scan_memory(std::uint64_t(run.run.config.dataset.memory_mib) << 20);
         read = load_log(run.run.config, progress);
     }
-    const EvaluationResult evaluation =
-        evaluate_run_or_baseline(run, log ? log->sequence : read, baseline_name, progress);
+    const Evaluation result = evaluate_loaded(run, log ? log->sequence : read, baseline_name, progress);
     py::list frames;
-    for (const ScoredFrame& frame : evaluation.frames)
+    for (const ScoredFrame& frame : result.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,
                                py::arg("metrics") = frame.metrics));
-    return py::dict(py::arg("mean") = evaluation.mean, py::arg("frames") = frames,
-                    py::arg("trace_ms") = evaluation.trace_ms);
+    return py::dict(py::arg("mean") = result.mean, py::arg("frames") = frames,
+                    py::arg("trace_ms") = result.trace_ms);
 }
 
 }  // namespace
 
-void bind_evaluate_function(py::module_& module) {
+void bind_evaluate(py::module_& module) {
     module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(),
                py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
                "Scores the held-out frames of a run against its log, like `relidar eval`.\n\n"

@@ -9,17 +9,17 @@ PYBIND11_MODULE(_relidar, module) {
         "LiDAR re-simulation on any Vulkan device. Units are metres, seconds and radians. The sensor frame "
         "has x forward, y left, z up.";
     module.attr("__version__") = RELIDAR_VERSION;
-    bind_error_types(module);
-    bind_device_class(module);
-    bind_config_class(module);
-    bind_pose_functions(module);
-    bind_sensor_functions(module);
-    bind_sequence_class_and_loading(module);
-    bind_scene_class(module);
+    bind_errors(module);
+    bind_device(module);
+    bind_config(module);
+    bind_poses(module);
+    bind_sensors(module);
+    bind_sequence(module);
+    bind_scene(module);
     bind_run_class(module);
     bind_edit_class(module);
-    bind_train_function(module);
-    bind_evaluate_function(module);
-    bind_picture_functions(module);
-    bind_differentiable_renderer(module);
+    bind_train(module);
+    bind_evaluate(module);
+    bind_pictures(module);
+    bind_renderer(module);
 }

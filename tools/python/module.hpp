@@ -7,18 +7,18 @@
 
 namespace relidar::python {
 
-void bind_error_types(pybind11::module_& module);
-void bind_device_class(pybind11::module_& module);
-void bind_config_class(pybind11::module_& module);
-void bind_pose_functions(pybind11::module_& module);
-void bind_sensor_functions(pybind11::module_& module);
-void bind_sequence_class_and_loading(pybind11::module_& module);
-void bind_scene_class(pybind11::module_& module);
+void bind_errors(pybind11::module_& module);
+void bind_device(pybind11::module_& module);
+void bind_config(pybind11::module_& module);
+void bind_poses(pybind11::module_& module);
+void bind_sensors(pybind11::module_& module);
+void bind_sequence(pybind11::module_& module);
+void bind_scene(pybind11::module_& module);
 void bind_run_class(pybind11::module_& module);
 void bind_edit_class(pybind11::module_& module);
-void bind_train_function(pybind11::module_& module);
-void bind_evaluate_function(pybind11::module_& module);
-void bind_picture_functions(pybind11::module_& module);
-void bind_differentiable_renderer(pybind11::module_& module);
+void bind_train(pybind11::module_& module);
+void bind_evaluate(pybind11::module_& module);
+void bind_pictures(pybind11::module_& module);
+void bind_renderer(pybind11::module_& module);
 
 }  // namespace relidar::python

@@ -13,7 +13,7 @@
 namespace relidar::python {
 namespace {
 
-py::object get_required_scan_entry(const py::dict& scan_dict, const char* entry_name) {
+py::object required_entry(const py::dict& scan_dict, const char* entry_name) {
     if (!scan_dict.contains(entry_name))
         throw DataError(std::string("scan: the dict has no entry \"") + entry_name +
                         "\", expected range, intensity and drop_prob");
@@ -22,20 +22,19 @@ py::object get_required_scan_entry(const py::dict& scan_dict, const char* entry_
 
 /// Converts a scan dict from Python to a rendered scan. The dict of a measured scan has
 /// no drop_prob, so a ray with range 0 counts as a ray without return.
-RenderedScan convert_dict_to_rendered_scan(const py::dict& scan_dict) {
-    const py::object range = get_required_scan_entry(scan_dict, "range");
-    require_numpy_dtype_and_shape(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});
+RenderedScan to_rendered_scan(const py::dict& scan_dict) {
+    const py::object range = required_entry(scan_dict, "range");
+    check_array(range, "scan: range", py::dtype::of<float>(), {kAnyLength, kAnyLength});
     const auto array = py::reinterpret_borrow<py::array>(range);
     const NumpyShape shape{array.shape(0), array.shape(1)};
     RenderedScan result;
     result.image.rows = static_cast<int>(shape[0]);
     result.image.columns = static_cast<int>(shape[1]);
-    result.image.range_m = copy_checked_array_to_vector<float, float>(range, "scan: range", shape);
-    result.image.intensity = copy_checked_array_to_vector<float, float>(
-        get_required_scan_entry(scan_dict, "intensity"), "scan: intensity", shape);
+    result.image.range_m = copy_array<float, float>(range, "scan: range", shape);
+    result.image.intensity =
+        copy_array<float, float>(required_entry(scan_dict, "intensity"), "scan: intensity", shape);
     if (scan_dict.contains("drop_prob"))
-        result.image.drop_prob =
-            copy_checked_array_to_vector<float, float>(scan_dict["drop_prob"], "scan: drop_prob", shape);
+        result.image.drop_prob = copy_array<float, float>(scan_dict["drop_prob"], "scan: drop_prob", shape);
     else
         for (const float range_m : result.image.range_m)
             result.image.drop_prob.push_back(range_m > 0.0f ? 0.0f : 1.0f);
@@ -44,11 +43,11 @@ RenderedScan convert_dict_to_rendered_scan(const py::dict& scan_dict) {
 
 }  // namespace
 
-void bind_picture_functions(py::module_& module) {
+void bind_pictures(py::module_& module) {
     module.def(
         "write_picture",
         [](const std::filesystem::path& path, const py::dict& scan) {
-            write_png(path, draw_scan_picture(convert_dict_to_rendered_scan(scan)));
+            write_png(path, draw_scan(to_rendered_scan(scan)));
         },
         py::arg("path"), py::arg("scan"),
         "Writes a PNG image of a scan: range in false colours, intensity and drop probability below each "

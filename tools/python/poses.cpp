@@ -14,12 +14,12 @@ namespace {
 
 // Maximum difference between R^T R and the identity matrix, for a rotation R. A smaller
 // limit would reject rotations from text files with six digits.
-constexpr double kRigid = 1e-4;
+constexpr double kMaxRotationError = 1e-4;
 
 /// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
 /// translation.
 /// @param matrix 16 numbers in row-major order
-Pose convert_row_major_matrix_to_pose(const double* matrix, const std::string& name_for_errors) {
+Pose read_pose(const double* matrix, const std::string& name_for_errors) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
             "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 0 0 1",
@@ -38,16 +38,16 @@ Pose convert_row_major_matrix_to_pose(const double* matrix, const std::string& n
     double worst = 0.0;
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) worst = std::max(worst, std::abs(square[i][j] - (i == j ? 1.0 : 0.0)));
-    if (!(worst <= kRigid))
+    if (!(worst <= kMaxRotationError))
         fail(
             fmt::format("a matrix whose upper left 3 x 3 part R is no rotation, because R^T R differs by "
                         "{:.1e} from the identity and at most {:.0e} is allowed",
-                        worst, kRigid));
+                        worst, kMaxRotationError));
     if (glm::determinant(rotation) < 0.0) fail("a mirrored matrix");
     return {glm::normalize(glm::quat_cast(rotation)), {matrix[3], matrix[7], matrix[11]}};
 }
 
-void write_row_major_matrix(const Pose& pose, double* output) {
+void write_pose(const Pose& pose, double* output) {
     const glm::dmat4 columns = to_matrix(pose);
     for (int row = 0; row < 4; ++row)
         for (int column = 0; column < 4; ++column) *output++ = columns[column][row];
@@ -55,61 +55,58 @@ void write_row_major_matrix(const Pose& pose, double* output) {
 
 }  // namespace
 
-Pose convert_matrix_to_pose(const py::handle& matrix, const std::string& name_for_errors) {
-    return convert_row_major_matrix_to_pose(
-        get_checked_array_values<double>(matrix, name_for_errors, {4, 4}).data(), name_for_errors);
+Pose to_pose(const py::handle& matrix, const std::string& name_for_errors) {
+    return read_pose(array_values<double>(matrix, name_for_errors, {4, 4}).data(), name_for_errors);
 }
 
-std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& name_for_errors) {
+std::vector<Pose> to_poses(const py::handle& matrices, const std::string& name_for_errors) {
     const std::span<const double> numbers =
-        get_checked_array_values<double>(matrices, name_for_errors, {kAny, 4, 4});
+        array_values<double>(matrices, name_for_errors, {kAnyLength, 4, 4});
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < numbers.size() / 16; ++i)
-        poses.push_back(convert_row_major_matrix_to_pose(numbers.data() + 16 * i,
-                                                         fmt::format("{}[{}]", name_for_errors, i)));
+        poses.push_back(read_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", name_for_errors, i)));
     return poses;
 }
 
-PoseTrack convert_python_poses_to_track(const py::handle& pose_or_times_and_poses,
-                                        const std::string& name_for_errors, double time_of_single_pose_s) {
+PoseTrack to_track(const py::handle& pose_or_times_and_poses, const std::string& name_for_errors,
+                   double time_of_single_pose_s) {
     if (!py::isinstance<py::tuple>(pose_or_times_and_poses))
-        return {{time_of_single_pose_s}, {convert_matrix_to_pose(pose_or_times_and_poses, name_for_errors)}};
+        return {{time_of_single_pose_s}, {to_pose(pose_or_times_and_poses, name_for_errors)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(pose_or_times_and_poses);
     if (pair.size() != 2)
         throw DataError(fmt::format(
             "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])",
             name_for_errors, pair.size()));
-    PoseTrack track{
-        copy_checked_array_to_vector<double, double>(pair[0], name_for_errors + ": times", {kAny}),
-        convert_to_poses(pair[1], name_for_errors + ": poses")};
+    PoseTrack track{copy_array<double, double>(pair[0], name_for_errors + ": times", {kAnyLength}),
+                    to_poses(pair[1], name_for_errors + ": poses")};
     if (track.time_s.size() != track.pose.size())
         throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both",
                                     name_for_errors, track.time_s.size(), track.pose.size()));
     return track;
 }
 
-py::array convert_pose_to_matrix_array(const Pose& pose) {
+py::array pose_matrix(const Pose& pose) {
     std::vector<double> numbers(16);
-    write_row_major_matrix(pose, numbers.data());
-    return move_to_numpy_array<double>(std::move(numbers), {4, 4});
+    write_pose(pose, numbers.data());
+    return move_to_numpy<double>(std::move(numbers), {4, 4});
 }
 
-py::tuple convert_track_to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m) {
+py::tuple to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m) {
     std::vector<double> numbers(16 * track.pose.size());
     for (std::size_t i = 0; i < track.pose.size(); ++i)
-        write_row_major_matrix({track.pose[i].rotation, track.pose[i].translation + position_offset_m},
-                               numbers.data() + 16 * i);
+        write_pose({track.pose[i].rotation, track.pose[i].translation + position_offset_m},
+                   numbers.data() + 16 * i);
     const auto n = static_cast<py::ssize_t>(track.pose.size());
-    return py::make_tuple(move_to_numpy_array<double>(std::vector<double>(track.time_s), {n}),
-                          move_to_numpy_array<double>(std::move(numbers), {n, 4, 4}));
+    return py::make_tuple(move_to_numpy<double>(std::vector<double>(track.time_s), {n}),
+                          move_to_numpy<double>(std::move(numbers), {n, 4, 4}));
 }
 
-void bind_pose_functions(py::module_& module) {
+void bind_poses(py::module_& module) {
     module.def(
         "pose",
         [](double x, double y, double z, double yaw_deg, double pitch_deg, double roll_deg) {
             const double radians = kPi / 180.0;
-            return convert_pose_to_matrix_array(
+            return pose_matrix(
                 {make_rotation(yaw_deg * radians, pitch_deg * radians, roll_deg * radians), {x, y, z}});
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,

@@ -12,17 +12,17 @@
 namespace relidar::python {
 
 /// @throws DataError if the matrix has a wrong type or shape, or is not a rigid motion
-Pose convert_matrix_to_pose(const py::handle& matrix, const std::string& name_for_errors);
+Pose to_pose(const py::handle& matrix, const std::string& name_for_errors);
 
 /// @param time_of_single_pose_s time of a single pose
 /// @throws DataError if the object has another form, or a pose is not a rigid motion
-PoseTrack convert_python_poses_to_track(const py::handle& pose_or_times_and_poses,
-                                        const std::string& name_for_errors, double time_of_single_pose_s);
+PoseTrack to_track(const py::handle& pose_or_times_and_poses, const std::string& name_for_errors,
+                   double time_of_single_pose_s);
 
-std::vector<Pose> convert_to_poses(const py::handle& matrices, const std::string& name_for_errors);
+std::vector<Pose> to_poses(const py::handle& matrices, const std::string& name_for_errors);
 
-py::array convert_pose_to_matrix_array(const Pose& pose);
+py::array pose_matrix(const Pose& pose);
 
-py::tuple convert_track_to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m);
+py::tuple to_times_and_poses(const PoseTrack& track, const glm::dvec3& position_offset_m);
 
 }  // namespace relidar::python

@@ -42,8 +42,8 @@ struct RenderArguments {
 /// Checks that a track has poses around a time. At other times, the poses would be
 /// extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
-void require_time_within_track(const PoseTrack& track, double time_s, double tolerance_s,
-                               const std::string& name_for_errors) {
+void check_time(const PoseTrack& track, double time_s, double tolerance_s,
+                const std::string& name_for_errors) {
     // Accepts all times if the track has only one pose, because this pose is valid at all
     // times. Also accepts times that are not finite, because the renderer reports them.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
@@ -53,48 +53,43 @@ void require_time_within_track(const PoseTrack& track, double time_s, double tol
                                      time_s, begin_s, end_s));
 }
 
-ActorTracksByName convert_actor_pose_dict_to_tracks(const py::dict& poses_by_actor,
-                                                    double time_of_single_poses_s) {
+ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_single_poses_s) {
     // An actor may be rendered this long before its first pose or after its last pose. A
     // sweep begins before its nominal time and ends after it, so the limit is not 0.
-    constexpr double kBeside_s = 1.0;
+    constexpr double kTimeMargin_s = 1.0;
     ActorTracksByName poses;
     for (const auto& [name, pose] : poses_by_actor) {
         const std::string track = py::str(name);
         const std::string what = fmt::format("actors[\"{}\"]", track);
-        const PoseTrack& added = poses[track] =
-            convert_python_poses_to_track(pose, what, time_of_single_poses_s);
-        require_time_within_track(added, time_of_single_poses_s, kBeside_s,
-                                  fmt::format("the scan time does not match the poses of {}", what));
+        const PoseTrack& added = poses[track] = to_track(pose, what, time_of_single_poses_s);
+        check_time(added, time_of_single_poses_s, kTimeMargin_s,
+                   fmt::format("the scan time does not match the poses of {}", what));
     }
     return poses;
 }
 
-int find_nearest_frame_number(const LidarSequence& sequence, double time_s) {
-    const auto is_nearer = [&](const LidarFrame& first, const LidarFrame& second) {
+int find_nearest_frame(const Log& sequence, double time_s) {
+    const auto is_nearer = [&](const Frame& first, const Frame& second) {
         return std::abs(first.time_s - time_s) < std::abs(second.time_s - time_s);
     };
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), is_nearer)->index;
 }
 
-ScanRequest make_scan_request_from_arguments(const RenderArguments& arguments, const TrainedRun& run,
-                                             int lidar_index) {
+ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar_index) {
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor =
         arguments.pose.is_none()
-            ? add_offset_to_track_positions(run.sequence.get_world_from_sensor(lidar_index),
-                                            run.sequence.world_offset_m)
-            : convert_python_poses_to_track(arguments.pose, "pose", request.time_s);
-    require_time_within_track(request.dataset_from_sensor, request.time_s, 0.0,
-                              arguments.pose.is_none() ? "time in the log" : "time on the poses");
-    if (arguments.actors)
-        request.dataset_from_actor = convert_actor_pose_dict_to_tracks(*arguments.actors, request.time_s);
+            ? shift_track(run.sequence.lidar_track(lidar_index), run.sequence.world_offset_m)
+            : to_track(arguments.pose, "pose", request.time_s);
+    check_time(request.dataset_from_sensor, request.time_s, 0.0,
+               arguments.pose.is_none() ? "time in the log" : "time on the poses");
+    if (arguments.actors) request.dataset_from_actor = to_tracks(*arguments.actors, request.time_s);
     return request;
 }
 
-py::dict find_actor_boxes_in_scan_as_dict(const RenderedScan& scan, const ScanOutputOptions& output_options) {
-    const std::vector<ActorBox> boxes = find_actor_boxes(scan, output_options);
+py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& output_options) {
+    const std::vector<ActorBox> boxes = actor_boxes_of(scan, output_options);
     std::vector<std::string> tracks, categories;
     std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
     std::vector<std::int32_t> points;
@@ -114,27 +109,26 @@ py::dict find_actor_boxes_in_scan_as_dict(const RenderedScan& scan, const ScanOu
             for (int column = 0; column < 4; ++column) poses.push_back(columns[column][row]);
     }
     const std::size_t n = boxes.size();
-    return convert_to_array_dict(
-        {make_text_array("track", tracks), make_text_array("category", categories),
-         make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
-         make_array("time_s", {n}, times_s.data(), n),
-         make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
-         make_array("velocity_mps", {n, 3}, velocities_mps.data(), velocities_mps.size()),
-         make_array("points", {n}, points.data(), n), make_array("visible_share", {n}, shares.data(), n)});
+    return to_array_dict({make_text_array("track", tracks), make_text_array("category", categories),
+                          make_array("size_m", {n, 3}, sizes_m.data(), sizes_m.size()),
+                          make_array("time_s", {n}, times_s.data(), n),
+                          make_array("pose", {n, 4, 4}, poses.data(), poses.size()),
+                          make_array("velocity_mps", {n, 3}, velocities_mps.data(), velocities_mps.size()),
+                          make_array("points", {n}, points.data(), n),
+                          make_array("visible_share", {n}, shares.data(), n)});
 }
 
-py::dict render_scan_as_dict(LoadedRun& loaded_run, const RenderArguments& arguments) {
-    const TrainedRun& run = loaded_run.run;
-    const int lidar = find_lidar_index_by_name(run.sequence, arguments.lidar);
-    const ScanRequest request = make_scan_request_from_arguments(arguments, run, lidar);
-    SimulatedSensor sensor = find_or_make_sensor_for_run(arguments.sensor, run, lidar);
+py::dict render_scan(LoadedRun& loaded_run, const RenderArguments& arguments) {
+    const Run& run = loaded_run.run;
+    const int lidar = find_lidar(run.sequence, arguments.lidar);
+    const ScanRequest request = make_request(arguments, run, lidar);
+    SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
     if (arguments.pose.is_none())
-        sensor = copy_sensor_with_azimuths_of_sweep(sensor, run.sequence.frames, run.sequence.lidars,
-                                                    request.time_s);
+        sensor = follow_sweep(sensor, run.sequence.frames, run.sequence.lidars, request.time_s);
     const std::vector<bool> shown = arguments.only.empty()
                                         ? std::vector<bool>(run.scene.instances.size(), true)
-                                        : mark_instances_with_names(run.scene, arguments.only);
-    ScanOutputOptions format = make_default_output_options(run, sensor);
+                                        : select_instances(run.scene, arguments.only);
+    ScanOutputOptions format = default_options(run, sensor);
     if (arguments.frame == "sensor") format.frame = PointCoordinateFrame::sensor;
     else if (arguments.frame == "world") format.frame = PointCoordinateFrame::world;
     else
@@ -145,38 +139,37 @@ py::dict render_scan_as_dict(LoadedRun& loaded_run, const RenderArguments& argum
     DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
     RenderedScan scan;
     {
-        const DeviceLock use(renderer.get_open_device());
-        renderer->set_visible_instances(shown);
+        const DeviceLock use(renderer.opened());
+        renderer->show_instances(shown);
         renderer->set_weather(weather);
-        renderer->enable_actor_visibility(arguments.boxes);
+        renderer->count_actor_rays(arguments.boxes);
         scan = renderer->render(sensor, request, arguments.sample);
     }
-    py::dict arrays = convert_to_array_dict(
-        make_scan_arrays(scan, find_nearest_frame_number(run.sequence, request.time_s), format));
+    py::dict arrays =
+        to_array_dict(scan_arrays(scan, find_nearest_frame(run.sequence, request.time_s), format));
     if (!arguments.boxes) return arrays;
-    if (request.dataset_from_actor) set_actor_boxes_to_requested_poses(format, *request.dataset_from_actor);
-    arrays["boxes"] = find_actor_boxes_in_scan_as_dict(scan, format);
+    if (request.dataset_from_actor) move_actor_boxes(format, *request.dataset_from_actor);
+    arrays["boxes"] = actor_boxes_dict(scan, format);
     return arrays;
 }
 
-std::unique_ptr<LoadedRun> load_run_with_settings(const fs::path& folder, const py::dict& settings,
-                                                  const SharedDevice& device) {
-    TrainedRun run = load_run(folder);
-    set_config_values_from_python(run.config, settings);
+std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict& settings,
+                                         const SharedDevice& device) {
+    Run run = load_run(folder);
+    set_values(run.config, settings);
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-std::unique_ptr<LoadedRun> copy_run_with_replaced_surfels(const LoadedRun& loaded_run,
-                                                          const py::dict& surfel_arrays) {
+std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded_run, const py::dict& surfel_arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded_run.run, loaded_run.device);
-    Surfels surfels = read_surfels_from_arrays(surfel_arrays);
+    Surfels surfels = read_surfels(surfel_arrays);
     Scene& scene = changed->run.scene;
-    scene = copy_scene_with_all_blocks_loaded(scene);
+    scene = with_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
         throw DataError(
             fmt::format("with_surfels: found {} {}, expected {} {}, the same number and kind as in the run",
-                        surfels.size(), get_primitive_properties(surfels.primitive).label,
-                        scene.surfels.size(), get_primitive_properties(scene.surfels.primitive).label));
+                        surfels.size(), properties_of(surfels.primitive).label, scene.surfels.size(),
+                        properties_of(scene.surfels.primitive).label));
     scene.surfels = std::move(surfels);
     return changed;
 }
@@ -222,16 +215,15 @@ constexpr const char* kHelpAfterWeather =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
 
-void bind_run_methods(py::class_<LoadedRun>& run_class) {
+void bind_methods(py::class_<LoadedRun>& run_class) {
     const std::string render_help = fmt::format(
         "{}{}.\n    The seed of the weather is `sample`, or 0 if `sample` is None. Weather adds the array "
         "`source` [rows,columns] int32: {}{}",
-        kHelpBeforeWeather, make_weather_help(), parse_channel_names("source").front().meaning,
-        kHelpAfterWeather);
+        kHelpBeforeWeather, weather_help(), parse_channels("source").front().meaning, kHelpAfterWeather);
     run_class
         .def_static(
-            "load", &load_run_with_settings, py::arg("folder"), py::kw_only(),
-            py::arg("settings") = py::dict(), py::arg("device") = py::none(),
+            "load", &load_run_with, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
+            py::arg("device") = py::none(),
             "Reads a run folder.\n\n"
             "settings: dict of settings that replace those of the run, such as {\"render.range\": "
             "\"median\"}\n"
@@ -240,7 +232,7 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
         .def(
             "save",
             [](LoadedRun& run, const fs::path& folder, bool overwrite) {
-                save_run_to_folder(run.run, folder, overwrite);
+                save_run_in(run.run, folder, overwrite);
             },
             py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
             "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left behind. "
@@ -251,7 +243,7 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
                std::optional<py::dict> actors, std::string lidar, std::vector<std::string> only,
                std::optional<IntegerArgument<std::uint64_t, "sample">> sample, std::string frame, bool deskew,
                std::string weather, bool boxes) {
-                return render_scan_as_dict(
+                return render_scan(
                     run, {sensor, pose, time, std::move(actors), std::move(lidar), std::move(only), sample,
                           std::move(frame), deskew, std::move(weather), boxes});
             },
@@ -263,22 +255,19 @@ void bind_run_methods(py::class_<LoadedRun>& run_class) {
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {
-                SimulatedSensor choice = find_or_make_sensor_for_run(
-                    sensor, run.run, find_lidar_index_by_name(run.run.sequence, lidar));
-                if (!fires_rays_at_different_times(choice, run.run.config))
-                    std::ranges::fill(choice.rays.time_offset_s, 0.0f);
-                return convert_to_array_dict(choice.rays);
+                SimulatedSensor choice = sensor_for_run(sensor, run.run, find_lidar(run.run.sequence, lidar));
+                if (!is_rolling(choice, run.run.config)) std::ranges::fill(choice.rays.time_offset_s, 0.0f);
+                return to_array_dict(choice.rays);
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor. The arguments accept the same values as in render().")
-        .def("with_surfels", &copy_run_with_replaced_surfels, py::arg("surfels"),
+        .def("with_surfels", &replace_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the number of "
              "surfels differs.");
 }
 
-void bind_run_properties(py::class_<LoadedRun>& run_class) {
-    bind_sequence_properties(run_class,
-                             [](const LoadedRun& run) -> const LidarSequence& { return run.run.sequence; });
+void bind_properties(py::class_<LoadedRun>& run_class) {
+    bind_sequence_properties(run_class, [](const LoadedRun& run) -> const Log& { return run.run.sequence; });
     run_class
         .def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
@@ -287,15 +276,11 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
         .def_property_readonly(
             "scene",
-            [](const LoadedRun& run) {
-                return std::make_shared<Scene>(copy_scene_with_all_blocks_loaded(run.run.scene));
-            },
+            [](const LoadedRun& run) { return std::make_shared<Scene>(with_all_blocks(run.run.scene)); },
             "A copy of the scene.")
         .def_property_readonly(
             "surfels",
-            [](const LoadedRun& run) {
-                return convert_to_array_dict(copy_scene_with_all_blocks_loaded(run.run.scene).surfels);
-            },
+            [](const LoadedRun& run) { return to_array_dict(with_all_blocks(run.run.scene).surfels); },
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
             "held_out", [](const LoadedRun& run) { return run.run.split.test; },
@@ -306,7 +291,7 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
                 std::vector<std::string> track_names;
                 for (const ModelInstance& instance : run.run.scene.instances)
                     if (!instance.track.empty()) track_names.push_back(instance.track);
-                return make_actor_track_dict(run.run.sequence, track_names);
+                return track_dict(run.run.sequence, track_names);
             },
             "Trajectories of the actors in the dataset's world: dict of track -> (times [n], poses [n,4,4]) "
             "of the centre of the box, in the form of render().")
@@ -322,7 +307,7 @@ void bind_run_properties(py::class_<LoadedRun>& run_class) {
 
 }  // namespace
 
-void save_run_to_folder(TrainedRun& run, const fs::path& folder, bool overwrite) {
+void save_run_in(Run& run, const fs::path& folder, bool overwrite) {
     if (!overwrite && is_run_folder(folder))
         throw UsageError(
             fmt::format("cannot save to {}: the folder already contains a run; expected a new folder; "
@@ -339,7 +324,7 @@ void save_run_to_folder(TrainedRun& run, const fs::path& folder, bool overwrite)
 
 DeviceObject<ScanRenderer>& LoadedRun::get_renderer() {
     if (renderer) return renderer;
-    device = get_device_or_default(device);
+    device = device_or_default(device);
     std::unique_ptr<ScanRenderer> made;
     {
         const DeviceLock use(*device);
@@ -355,8 +340,8 @@ void bind_run_class(py::module_& module) {
     py::class_<LoadedRun> type(module, "Run",
                                "A trained scene with the sensor, poses and tracks of its log, as written by "
                                "`relidar train`. It is immutable.");
-    bind_run_methods(type);
-    bind_run_properties(type);
+    bind_methods(type);
+    bind_properties(type);
 }
 
 }  // namespace relidar::python

@@ -12,12 +12,12 @@
 namespace relidar::python {
 
 struct LoadedRun {
-    TrainedRun run;
+    Run run;
     SharedDevice device;  ///< Device of the run. If the pointer is null, the default device is used.
     DeviceObject<ScanRenderer> renderer{};
 
     // Clang before 16 needs the constructor for make_unique().
-    LoadedRun(TrainedRun trained_run, SharedDevice device_or_null)
+    LoadedRun(Run trained_run, SharedDevice device_or_null)
         : run(std::move(trained_run)), device(std::move(device_or_null)) {}
 
     DeviceObject<ScanRenderer>& get_renderer();
@@ -25,6 +25,6 @@ struct LoadedRun {
 
 /// Also sets `run.folder`.
 /// @throws UsageError if the folder contains a run and `overwrite` is false
-void save_run_to_folder(TrainedRun& run, const std::filesystem::path& folder, bool overwrite);
+void save_run_in(Run& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

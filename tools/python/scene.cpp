@@ -21,7 +21,7 @@ constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 /// Calls `callback` for each parameter array of the surfels, with the name of the array,
 /// its values, and the shape of one surfel's values.
 template <class Set, class Callback>
-void for_each_parameter_array(Set& surfels, Callback&& callback) {
+void for_each_array(Set& surfels, Callback&& callback) {
     callback("mean", surfels.mean, NumpyShape{3});
     callback("rotation", surfels.rotation, NumpyShape{4});
     callback("log_scale", surfels.log_scale, NumpyShape{2});
@@ -31,29 +31,29 @@ void for_each_parameter_array(Set& surfels, Callback&& callback) {
     callback(kGait.data(), surfels.gait, NumpyShape{5});
 }
 
-bool uses_parameter_array(const Surfels& surfels, std::string_view array_name) {
+bool has_array(const Surfels& surfels, std::string_view array_name) {
     if (array_name == kGait) return surfels.bends;
-    return array_name != kThirdScale || get_primitive_properties(surfels.primitive).third_scale;
+    return array_name != kThirdScale || properties_of(surfels.primitive).third_scale;
 }
 
-NumpyShape make_array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
+NumpyShape array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
     NumpyShape shape{n_rows};
     shape.insert(shape.end(), row_shape.begin(), row_shape.end());
     return shape;
 }
 
-py::dict make_surfel_array_views(const py::object& scene_object) {
+py::dict surfel_views(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
-    for_each_parameter_array(surfels, [&](const char* name, const auto& values, const NumpyShape& row) {
-        if (!uses_parameter_array(surfels, name)) return;
-        dict[name] = make_read_only_array_view<float>(
-            values, make_array_shape(static_cast<py::ssize_t>(surfels.size()), row), scene_object);
+    for_each_array(surfels, [&](const char* name, const auto& values, const NumpyShape& row) {
+        if (!has_array(surfels, name)) return;
+        dict[name] = read_only_view<float>(values, array_shape(static_cast<py::ssize_t>(surfels.size()), row),
+                                           scene_object);
     });
     return dict;
 }
 
-std::uint32_t read_uint32_entry(const py::dict& dict, const char* entry_name, const char* name_for_errors) {
+std::uint32_t read_uint32(const py::dict& dict, const char* entry_name, const char* name_for_errors) {
     if (!dict.contains(entry_name))
         throw DataError(fmt::format("{}: the dict has no entry \"{}\"", name_for_errors, entry_name));
     return read_integer<std::uint32_t>(dict[entry_name], fmt::format("{}: {}", name_for_errors, entry_name));
@@ -63,16 +63,16 @@ std::uint32_t read_uint32_entry(const py::dict& dict, const char* entry_name, co
 /// @param models dicts with name, first and count; without them, all surfels form one
 /// model
 /// @param instances dicts with model and track; without them, each model has one instance
-Scene make_scene_from_dicts(const py::dict& surfel_arrays, const std::optional<std::vector<py::dict>>& models,
-                            const std::optional<std::vector<py::dict>>& instances) {
-    Scene scene = make_background_scene(read_surfels_from_arrays(surfel_arrays));
+Scene make_scene(const py::dict& surfel_arrays, const std::optional<std::vector<py::dict>>& models,
+                 const std::optional<std::vector<py::dict>>& instances) {
+    Scene scene = wrap_background(read_surfels(surfel_arrays));
     if (models) {
         scene.models.clear();
         for (const py::dict& model : *models)
             scene.models.push_back(
                 {.name = model["name"].cast<std::string>(),
-                 .first = read_uint32_entry(model, "first", "models"),
-                 .count = read_uint32_entry(model, "count", "models"),
+                 .first = read_uint32(model, "first", "models"),
+                 .count = read_uint32(model, "count", "models"),
                  .stride_m = model.contains("stride_m") ? model["stride_m"].cast<float>() : 0.0f});
     }
     if (models || instances) {
@@ -81,12 +81,12 @@ Scene make_scene_from_dicts(const py::dict& surfel_arrays, const std::optional<s
             scene.instances.push_back({i, i == 0 ? "" : scene.models[i].name});
         for (const py::dict& instance : instances.value_or(std::vector<py::dict>{}))
             scene.instances.push_back(
-                {read_uint32_entry(instance, "model", "instances"), instance["track"].cast<std::string>()});
+                {read_uint32(instance, "model", "instances"), instance["track"].cast<std::string>()});
     }
     return scene;
 }
 
-py::list list_models_as_dicts(const Scene& scene) {
+py::list model_dicts(const Scene& scene) {
     py::list list;
     for (const SurfelModel& model : scene.models)
         list.append(py::dict(py::arg("name") = model.name, py::arg("first") = model.first,
@@ -94,7 +94,7 @@ py::list list_models_as_dicts(const Scene& scene) {
     return list;
 }
 
-py::list list_instances_as_dicts(const Scene& scene) {
+py::list instance_dicts(const Scene& scene) {
     py::list list;
     for (const ModelInstance& instance : scene.instances)
         list.append(py::dict(py::arg("model") = instance.model, py::arg("track") = instance.track));
@@ -103,26 +103,26 @@ py::list list_instances_as_dicts(const Scene& scene) {
 
 }  // namespace
 
-Surfels read_surfels_from_arrays(const py::dict& arrays) {
+Surfels read_surfels(const py::dict& arrays) {
     Surfels surfels;
     std::vector<std::string> names;
-    for_each_parameter_array(
-        surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const NumpyShape& row) {
-            names.emplace_back(name);
-            if (arrays.contains(name))
-                values = copy_checked_array_to_vector<float, Element>(
-                    arrays[name], fmt::format("surfels: {}", name), make_array_shape(kAny, row));
-            else if (name != kThirdScale && name != kGait)
-                throw DataError(
-                    fmt::format("surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, "
-                                "opacity_logit and sh",
-                                name));
-        });
+    for_each_array(surfels,
+                   [&]<class Element>(const char* name, std::vector<Element>& values, const NumpyShape& row) {
+                       names.emplace_back(name);
+                       if (arrays.contains(name))
+                           values = copy_array<float, Element>(arrays[name], fmt::format("surfels: {}", name),
+                                                               array_shape(kAnyLength, row));
+                       else if (name != kThirdScale && name != kGait)
+                           throw DataError(
+                               fmt::format("surfels: the array \"{}\" is missing, expected mean, rotation, "
+                                           "log_scale, opacity_logit and sh",
+                                           name));
+                   });
     for (const auto& [name, array] : arrays) {
         const std::string text = py::str(name);
         if (std::find(names.begin(), names.end(), text) == names.end())
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
-                                         format_name_suggestion(text, names, "\""), fmt::join(names, ", ")));
+                                         did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
     // Finds out the kind of primitive. Only 3D Gaussians have an array of third scales;
     // 2D surfels do not.
@@ -130,25 +130,25 @@ Surfels read_surfels_from_arrays(const py::dict& arrays) {
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
     surfels.primitive = kind->primitive;
     surfels.bends = arrays.contains(kGait);
-    surfels.require_equal_array_lengths();
+    surfels.check_lengths();
     return surfels;
 }
 
-py::dict convert_to_array_dict(Surfels&& surfels) {
+py::dict to_array_dict(Surfels&& surfels) {
     const auto n = static_cast<py::ssize_t>(surfels.size());
     py::dict dict;
-    for_each_parameter_array(surfels, [&](const char* name, auto& values, const NumpyShape& row) {
-        if (!uses_parameter_array(surfels, name)) return;
-        dict[name] = move_to_numpy_array<float>(std::move(values), make_array_shape(n, row));
+    for_each_array(surfels, [&](const char* name, auto& values, const NumpyShape& row) {
+        if (!has_array(surfels, name)) return;
+        dict[name] = move_to_numpy<float>(std::move(values), array_shape(n, row));
     });
     return dict;
 }
 
-void bind_scene_class(py::module_& module) {
+void bind_scene(py::module_& module) {
     py::class_<Scene, std::shared_ptr<Scene>>(
         module, "Scene",
         "Surfels, the models that they belong to, and the instances that place models. It is immutable.")
-        .def(py::init(&make_scene_from_dicts), py::arg("surfels"), py::arg("models") = py::none(),
+        .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(),
              py::arg("instances") = py::none(),
              "surfels: dict of float32 arrays:\n"
              "    mean [n,3]: metres\n"
@@ -167,13 +167,13 @@ void bind_scene_class(py::module_& module) {
              "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit "
              "together is checked when the scene is rendered.")
         .def_property_readonly(
-            "surfels", [](const py::object& scene) { return make_surfel_array_views(scene); },
+            "surfels", [](const py::object& scene) { return surfel_views(scene); },
             "The arrays, read-only and not copied.")
         .def_property_readonly(
-            "models", &list_models_as_dicts,
+            "models", &model_dicts,
             "Dicts of name, first (index of the first surfel) and count (number of surfels).")
         .def_property_readonly(
-            "instances", &list_instances_as_dicts,
+            "instances", &instance_dicts,
             "List of dicts with the keys model (its index) and track. Entry 0 is the background.")
         .def(
             "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");

@@ -13,8 +13,8 @@ namespace relidar::python {
 /// opacity_logit [n], sh [n,3,16]. 3D Gaussians also need log_scale_w [n].
 /// @throws DataError if an array is missing or has a wrong shape
 /// @throws UsageError if a name is unknown
-Surfels read_surfels_from_arrays(const pybind11::dict& arrays);
+Surfels read_surfels(const pybind11::dict& arrays);
 
-pybind11::dict convert_to_array_dict(Surfels&& surfels);
+pybind11::dict to_array_dict(Surfels&& surfels);
 
 }  // namespace relidar::python

@@ -15,12 +15,13 @@
 namespace relidar::python {
 namespace {
 
-constexpr float kUnit = 1e-3f;  // Largest accepted difference between the length of a direction and 1.
+constexpr float kMaxLengthError =
+    1e-3f;  // Largest accepted difference between the length of a direction and 1.
 
-void require_finite_rays_of_unit_length(const RayTable& rays) {
+void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);
-        if (!(std::abs(length - 1.0f) <= kUnit))
+        if (!(std::abs(length - 1.0f) <= kMaxLengthError))
             throw DataError(
                 fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
         if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
@@ -28,20 +29,19 @@ void require_finite_rays_of_unit_length(const RayTable& rays) {
     }
 }
 
-RayTable read_ray_table_from_dict(const py::dict& dict) {
+RayTable read_rays(const py::dict& dict) {
     if (!dict.contains("directions"))
         throw DataError(
             "sensor: the dict has no entry \"directions\", expected a dict of arrays with the names that "
             "relidar.rays() returns");
     const py::object directions = dict["directions"];
-    require_numpy_dtype_and_shape(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
+    check_array(directions, "sensor: directions", py::dtype::of<float>(), {kAnyLength, kAnyLength, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);
     const NumpyShape image{array.shape(0), array.shape(1)}, vectors{image[0], image[1], 3};
     RayTable rays;
     rays.rows = static_cast<int>(image[0]);
     rays.columns = static_cast<int>(image[1]);
-    rays.direction = to_scan_array(
-        copy_checked_array_to_vector<float, glm::vec3>(directions, "sensor: directions", vectors));
+    rays.direction = to_scan_array(copy_array<float, glm::vec3>(directions, "sensor: directions", vectors));
     const auto get_optional_array = [&](const char* name) {
         return dict.contains(name) ? py::object(dict[name]) : py::object();
     };
@@ -51,59 +51,51 @@ RayTable read_ray_table_from_dict(const py::dict& dict) {
     rays.origin.resize(n);
     rays.time_offset_s.resize(n);
     rays.channel.resize(n);
-    if (origin)
-        rays.origin =
-            to_scan_array(copy_checked_array_to_vector<float, glm::vec3>(origin, "sensor: origin", vectors));
-    if (time)
-        rays.time_offset_s =
-            to_scan_array(copy_checked_array_to_vector<float, float>(time, "sensor: time", image));
+    if (origin) rays.origin = to_scan_array(copy_array<float, glm::vec3>(origin, "sensor: origin", vectors));
+    if (time) rays.time_offset_s = to_scan_array(copy_array<float, float>(time, "sensor: time", image));
     if (ring)
-        rays.channel = to_scan_array(
-            copy_checked_array_to_vector<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
-    require_finite_rays_of_unit_length(rays);
+        rays.channel = to_scan_array(copy_array<std::uint16_t, std::uint16_t>(ring, "sensor: ring", image));
+    check_rays(rays);
     return rays;
 }
 
 }  // namespace
 
-SimulatedSensor find_or_make_sensor_for_run(const py::handle& sensor_name_or_ray_dict, const TrainedRun& run,
-                                            int lidar_index) {
-    if (sensor_name_or_ray_dict.is_none())
-        return make_sensor_from_config(run.config, run.sequence, lidar_index);
+SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const Run& run, int lidar_index) {
+    if (sensor_name_or_ray_dict.is_none()) return make_sensor(run.config, run.sequence, lidar_index);
     if (py::isinstance<py::str>(sensor_name_or_ray_dict))
-        return find_or_load_sensor(sensor_name_or_ray_dict.cast<std::string>(), run.config, run.sequence,
-                                   lidar_index);
+        return choose_sensor(sensor_name_or_ray_dict.cast<std::string>(), run.config, run.sequence,
+                             lidar_index);
     if (!py::isinstance<py::dict>(sensor_name_or_ray_dict))
         throw UsageError(
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of a sensor "
             "file, or a dict with \"directions\"");
     SimulatedSensor choice;
-    choice.rays = read_ray_table_from_dict(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
-    choice.limits =
-        intersect_range_limits({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
+    choice.rays = read_rays(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
+    choice.limits = intersect({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
     choice.name = "rays";
     choice.lidar = lidar_index;
     return choice;
 }
 
-py::dict convert_to_array_dict(const RayTable& rays) {
+py::dict to_array_dict(const RayTable& rays) {
     const NumpyShape image{rays.rows, rays.columns}, vectors{rays.rows, rays.columns, 3};
     py::dict dict;
-    dict["directions"] = move_to_numpy_array<float>(to_vector(rays.direction), vectors);
-    dict["origin"] = move_to_numpy_array<float>(to_vector(rays.origin), vectors);
-    dict["time"] = move_to_numpy_array<float>(to_vector(rays.time_offset_s), image);
-    dict["ring"] = move_to_numpy_array<std::uint16_t>(to_vector(rays.channel), image);
+    dict["directions"] = move_to_numpy<float>(to_vector(rays.direction), vectors);
+    dict["origin"] = move_to_numpy<float>(to_vector(rays.origin), vectors);
+    dict["time"] = move_to_numpy<float>(to_vector(rays.time_offset_s), image);
+    dict["ring"] = move_to_numpy<std::uint16_t>(to_vector(rays.channel), image);
     return dict;
 }
 
-void bind_sensor_functions(py::module_& module) {
-    module.def("sensors", &list_sensor_names,
+void bind_sensors(py::module_& module) {
+    module.def("sensors", &list_sensors,
                "Returns the names of the sensors that rays() and Run.render() accept in addition to "
                "\"native\", the sensor of the log.");
     module.def(
         "rays",
         [](const std::string& sensor, double time) {
-            return convert_to_array_dict(make_rays(find_sensor(sensor), time));
+            return to_array_dict(make_rays(find_sensor(sensor), time));
         },
         py::arg("sensor"), py::arg("time") = 0.0,
         "Returns the rays of one scan of a sensor. The sensor is a name or a file: a beam table such as "

@@ -12,15 +12,14 @@ namespace relidar::python {
 
 /// Returns the sensor that a Python argument describes. None means the sensor in the
 /// settings of the run.
-/// @param lidar_index LiDAR of the log that the sensor replaces
-/// @throws UsageError or DataError if find_or_load_sensor() rejects the sensor
+/// @param lidar LiDAR of the log that the sensor replaces
+/// @throws UsageError or DataError if choose_sensor() rejects the sensor
 /// @throws DataError if the ray arrays have a wrong shape, or a direction does not have
 /// length 1
-SimulatedSensor find_or_make_sensor_for_run(const pybind11::handle& sensor_name_or_ray_dict,
-                                            const TrainedRun& run, int lidar_index);
+SimulatedSensor sensor_for_run(const pybind11::handle& sensor_name_or_ray_dict, const Run& run, int lidar);
 
 /// Returns the rays of a sensor as a dict of arrays: directions and origin
 /// [rows,columns,3] float32, time [rows,columns] float32, ring [rows,columns] uint16.
-pybind11::dict convert_to_array_dict(const RayTable& rays);
+pybind11::dict to_array_dict(const RayTable& rays);
 
 }  // namespace relidar::python

@@ -25,20 +25,20 @@ namespace {
 
 namespace fs = std::filesystem;
 
-LoadedLog load_dataset_log(const std::string& dataset_path, const std::optional<Config>& config,
-                           const PythonProgressCallback& progress) {
-    LoadedLog log{{}, config.value_or(make_preset_config("default"))};
-    log.config.dataset.path = make_dataset_path_absolute(dataset_path);
+LoadedLog load_dataset(const std::string& dataset_path, const std::optional<Config>& config,
+                       const PythonProgressCallback& progress) {
+    LoadedLog log{{}, config.value_or(make_preset("default"))};
+    log.config.dataset.path = absolute_dataset(dataset_path);
     const py::gil_scoped_release others_run;
-    store_scans_above_limit_in_file(std::uint64_t(log.config.dataset.memory_mib) << 20);
-    log.sequence = load_log(log.config, wrap_python_progress_callback(progress));
-    log.config = replace_automatic_max_range(std::move(log.config), log.sequence);
+    limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << 20);
+    log.sequence = load_log(log.config, wrap_progress(progress));
+    log.config = with_max_range(std::move(log.config), log.sequence);
     return log;
 }
 
 py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> position) {
     const int index_of_frame_in_log = position;
-    const std::vector<LidarFrame>& frames = log.sequence.frames;
+    const std::vector<Frame>& frames = log.sequence.frames;
     if (index_of_frame_in_log < 0 || index_of_frame_in_log >= static_cast<int>(frames.size()))
         throw py::index_error(fmt::format("cannot read scan {}: the log has only {} frames",
                                           index_of_frame_in_log, frames.size()));
@@ -48,70 +48,69 @@ py::dict make_scan_dict(const LoadedLog& log, IntegerArgument<int, "position"> p
     // In a motion-compensated log, all points of a frame have the same time, so all time
     // offsets are 0.
     if (!log.sequence.rolling_shutter) std::ranges::fill(rays.time_offset_s, 0.0f);
-    py::dict dict = convert_to_array_dict(rays);
-    dict["range"] = move_to_numpy_array<float>(to_vector(scan.range_m), image);
-    dict["intensity"] = move_to_numpy_array<float>(to_vector(scan.intensity), image);
+    py::dict dict = to_array_dict(rays);
+    dict["range"] = move_to_numpy<float>(to_vector(scan.range_m), image);
+    dict["intensity"] = move_to_numpy<float>(to_vector(scan.intensity), image);
     std::vector<std::int32_t> classes;
     for (const SurfaceClass surface : scan.classes) classes.push_back(std::int32_t(surface));
-    if (!classes.empty()) dict["class"] = move_to_numpy_array<std::int32_t>(std::move(classes), image);
+    if (!classes.empty()) dict["class"] = move_to_numpy<std::int32_t>(std::move(classes), image);
     return dict;
 }
 
-void save_synthetic_street(const fs::path& folder, IntegerArgument<std::uint64_t, "seed"> seed,
-                           IntegerArgument<int, "n_frames"> n_frames, IntegerArgument<int, "rows"> rows,
-                           IntegerArgument<int, "columns"> columns, bool with_people, bool with_gait) {
-    SyntheticOptions options;
+void save_street(const fs::path& folder, IntegerArgument<std::uint64_t, "seed"> seed,
+                 IntegerArgument<int, "n_frames"> n_frames, IntegerArgument<int, "rows"> rows,
+                 IntegerArgument<int, "columns"> columns, bool with_people, bool with_gait) {
+    StreetOptions options;
     options.seed = seed;
     options.n_frames = n_frames;
     options.rows = rows;
     options.columns = columns;
     options.people = with_people;
     options.gait = with_gait;
-    save_synthetic_options(options, folder);
+    save_street(options, folder);
 }
 
 }  // namespace
 
-py::object make_frame_time_array(const LidarSequence& sequence) {
+py::object frame_times(const Log& sequence) {
     std::vector<double> times;
-    for (const LidarFrame& frame : sequence.frames) times.push_back(frame.time_s);
-    return move_to_numpy_array<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
+    for (const Frame& frame : sequence.frames) times.push_back(frame.time_s);
+    return move_to_numpy<double>(std::move(times), {static_cast<py::ssize_t>(sequence.frames.size())});
 }
 
-py::object make_frame_number_array(const LidarSequence& sequence) {
+py::object frame_numbers(const Log& sequence) {
     std::vector<std::int32_t> numbers;
-    for (const LidarFrame& frame : sequence.frames) numbers.push_back(frame.index);
-    return move_to_numpy_array<std::int32_t>(std::move(numbers),
-                                             {static_cast<py::ssize_t>(sequence.frames.size())});
+    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
+    return move_to_numpy<std::int32_t>(std::move(numbers),
+                                       {static_cast<py::ssize_t>(sequence.frames.size())});
 }
 
-py::object make_vehicle_trajectory(const LidarSequence& sequence) {
-    return convert_track_to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
+py::object vehicle_path(const Log& sequence) {
+    return to_times_and_poses(sequence.world_from_vehicle, sequence.world_offset_m);
 }
 
-py::object make_lidar_mounting_dict(const LidarSequence& sequence) {
+py::object mounting_dict(const Log& sequence) {
     py::dict mountings;
     for (const Lidar& lidar : sequence.lidars)
-        mountings[py::str(lidar.name)] = convert_pose_to_matrix_array(lidar.vehicle_from_sensor);
+        mountings[py::str(lidar.name)] = pose_matrix(lidar.vehicle_from_sensor);
     return mountings;
 }
 
-py::object make_actor_track_dict(const LidarSequence& sequence, const std::vector<std::string>& track_names) {
+py::object track_dict(const Log& sequence, const std::vector<std::string>& track_names) {
     py::dict actors;
     for (const BoxTrack& box : sequence.boxes)
         if (std::find(track_names.begin(), track_names.end(), box.id) != track_names.end())
-            actors[py::str(box.id)] =
-                convert_track_to_times_and_poses(box.world_from_box, sequence.world_offset_m);
+            actors[py::str(box.id)] = to_times_and_poses(box.world_from_box, sequence.world_offset_m);
     return actors;
 }
 
 namespace {
 
-void bind_sequence_class(py::module_& module) {
+void bind_class(py::module_& module) {
     py::class_<LoadedLog> type(
         module, "Sequence",
         "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates it.");
-    bind_sequence_properties(type, [](const LoadedLog& log) -> const LidarSequence& { return log.sequence; });
+    bind_sequence_properties(type, [](const LoadedLog& log) -> const Log& { return log.sequence; });
     type.def(
             "__len__", [](const LoadedLog& log) { return log.sequence.frames.size(); }, "Number of frames.")
         .def_property_readonly("name", [](const LoadedLog& log) { return log.sequence.name; })
@@ -128,8 +127,8 @@ void bind_sequence_class(py::module_& module) {
             "frame_lidars",
             [](const LoadedLog& log) {
                 py::list names;
-                for (const LidarFrame& frame : log.sequence.frames)
-                    names.append(log.sequence.get_lidar(frame).name);
+                for (const Frame& frame : log.sequence.frames)
+                    names.append(log.sequence.lidar_of(frame).name);
                 return names;
             },
             "Name of the LiDAR of each frame, [frames]. Empty if the log has a single LiDAR.")
@@ -138,15 +137,15 @@ void bind_sequence_class(py::module_& module) {
             [](const LoadedLog& log) {
                 std::vector<std::string> track_names;
                 for (const BoxTrack& box : log.sequence.boxes) track_names.push_back(box.id);
-                return make_actor_track_dict(log.sequence, track_names);
+                return track_dict(log.sequence, track_names);
             },
             "Trajectories of the labelled boxes in the dataset's world: dict of track -> (times [n], poses "
             "[n,4,4]) of the centre of the box.")
         .def(
             "rays",
             [](const LoadedLog& log, const std::string& lidar) {
-                return convert_to_array_dict(make_rays(
-                    log.sequence.lidars[std::size_t(find_lidar_index_by_name(log.sequence, lidar))].sensor));
+                return to_array_dict(
+                    make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
             },
             py::arg("lidar") = "",
             "Returns the rays of a LiDAR of the log, in the form of relidar.rays(). Empty name: the first "
@@ -157,13 +156,13 @@ void bind_sequence_class(py::module_& module) {
              "position: 0 ... len(sequence) - 1");
 }
 
-void bind_loading_functions(py::module_& module) {
+void bind_loading(py::module_& module) {
     module.def(
         "load_sequence",
         [](const py::object& dataset, const std::optional<Config>& config,
            const PythonProgressCallback& progress) {
-            return load_dataset_log(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(),
-                                    config, progress);
+            return load_dataset(py::module_::import("os").attr("fspath")(dataset).cast<std::string>(), config,
+                                progress);
         },
         py::arg("dataset"), py::arg("config") = py::none(), py::arg("progress") = py::none(),
         "Reads a log.\n\n"
@@ -171,7 +170,7 @@ void bind_loading_functions(py::module_& module) {
         "config: its settings dataset.* select frames, poses and ranges; None: preset \"default\"\n"
         "progress: called with the name of a step and its progress from 0 to 1\n\n"
         "Raises DataError with the name of the file and a description of the error.");
-    module.def("save_street", &save_synthetic_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
+    module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
                py::arg("n_frames") = 30, py::arg("rows") = 32, py::arg("columns") = 512,
                py::arg("people") = false, py::arg("gait") = false,
                "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. "
@@ -181,9 +180,9 @@ void bind_loading_functions(py::module_& module) {
 
 }  // namespace
 
-void bind_sequence_class_and_loading(py::module_& module) {
-    bind_sequence_class(module);
-    bind_loading_functions(module);
+void bind_sequence(py::module_& module) {
+    bind_class(module);
+    bind_loading(module);
 }
 
 }  // namespace relidar::python

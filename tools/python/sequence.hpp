@@ -11,37 +11,36 @@
 namespace relidar::python {
 
 struct LoadedLog {
-    LidarSequence sequence;
+    Log sequence;
     /// settings; config.dataset and config.sensor.rolling_shutter have the values with
     /// which the log was loaded
     Config config;
 };
 
-pybind11::object make_frame_time_array(const LidarSequence& sequence);
-pybind11::object make_frame_number_array(const LidarSequence& sequence);
-pybind11::object make_vehicle_trajectory(const LidarSequence& sequence);
-pybind11::object make_lidar_mounting_dict(const LidarSequence& sequence);
+pybind11::object frame_times(const Log& sequence);
+pybind11::object frame_numbers(const Log& sequence);
+pybind11::object vehicle_path(const Log& sequence);
+pybind11::object mounting_dict(const Log& sequence);
 /// Returns a dict from the track name to (times, poses). The poses are poses of the box
 /// centre.
-pybind11::object make_actor_track_dict(const LidarSequence& sequence,
-                                       const std::vector<std::string>& track_names);
+pybind11::object track_dict(const Log& sequence, const std::vector<std::string>& track_names);
 
 /// Adds the properties that logs and runs have in common.
 /// @param get returns the sequence of an Owner
 template <class Owner, class Get>
 void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
     type.def_property_readonly(
-            "times", [get](const Owner& owner) { return make_frame_time_array(get(owner)); },
+            "times", [get](const Owner& owner) { return frame_times(get(owner)); },
             "Times in seconds at which the head of the LiDAR faced forward, [frames] float64.")
         .def_property_readonly(
-            "frame_numbers", [get](const Owner& owner) { return make_frame_number_array(get(owner)); },
+            "frame_numbers", [get](const Owner& owner) { return frame_numbers(get(owner)); },
             "Frame numbers of the dataset, [frames] int32.")
         .def_property_readonly(
-            "trajectory", [get](const Owner& owner) { return make_vehicle_trajectory(get(owner)); },
+            "trajectory", [get](const Owner& owner) { return vehicle_path(get(owner)); },
             "Trajectory of the vehicle in the dataset's world: (times [n], poses [n,4,4]), float64, metres, "
             "in the form of Run.render(). For a single LiDAR, it is the trajectory of the sensor.")
         .def_property_readonly(
-            "mountings", [get](const Owner& owner) { return make_lidar_mounting_dict(get(owner)); },
+            "mountings", [get](const Owner& owner) { return mounting_dict(get(owner)); },
             "Mountings of the LiDARs: dict of LiDAR name -> pose vehicle from sensor, [4,4] float64. The "
             "poses of a LiDAR are poses @ mountings[name]. A single LiDAR has an empty name and the "
             "identity.");

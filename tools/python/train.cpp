@@ -27,7 +27,7 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-Config merge_requested_and_log_settings(const LoadedLog& log, const std::optional<Config>& requested_config) {
+Config merge_settings(const LoadedLog& log, const std::optional<Config>& requested_config) {
     Config config = requested_config.value_or(log.config);
     config.dataset = log.config.dataset;
     if (requested_config) {
@@ -38,30 +38,29 @@ Config merge_requested_and_log_settings(const LoadedLog& log, const std::optiona
     return config;
 }
 
-std::optional<Checkpoint> load_newest_checkpoint_if_resuming(
-    const TrainArguments& arguments, const std::function<void(const std::string&)>& print_note) {
+std::optional<Checkpoint> load_checkpoint(const TrainArguments& arguments,
+                                          const std::function<void(const std::string&)>& print_note) {
     if (!arguments.resume) return std::nullopt;
     if (!arguments.checkpoints)
         throw UsageError(
             "train: resume=True needs the argument checkpoints, which is the folder that contains the "
             "checkpoints");
-    return load_newest_checkpoint(*arguments.checkpoints, print_note);
+    return load_newest(*arguments.checkpoints, print_note);
 }
 
-TrainResult train_scene_with_device_lock(LockableDevice& device, TrainedRun& run,
-                                         const TrainArguments& arguments, PythonCallGuard& python_calls) {
+TrainResult train_scene(LockableDevice& device, Run& run, const TrainArguments& arguments,
+                        PythonCallGuard& python_calls) {
     const auto note = [&](const std::string& line) {
         python_calls([&] {
             if (arguments.note) (*arguments.note)(line);
         });
     };
-    const auto stop = [&] { return !python_calls.has_no_exception_or_interrupt(); };
-    const std::optional<Checkpoint> start = load_newest_checkpoint_if_resuming(arguments, note);
+    const auto stop = [&] { return !python_calls.can_continue(); };
+    const std::optional<Checkpoint> start = load_checkpoint(arguments, note);
     const DeviceLock use(device);
-    prepare_log_for_training(
-        run.sequence, run.split, run.config,
-        {note, stop, [&](std::string_view, double) { (void)python_calls.has_no_exception_or_interrupt(); }});
-    if (start) require_training_is_resumable(*start, run.sequence, run.split, run.config);
+    prepare_log(run.sequence, run.split, run.config,
+                {note, stop, [&](std::string_view, double) { (void)python_calls.can_continue(); }});
+    if (start) check_resume(*start, run.sequence, run.split, run.config);
     const auto report = [&](const TrainProgress& line) {
         bool go_on = true;
         return python_calls([&] {
@@ -73,80 +72,77 @@ TrainResult train_scene_with_device_lock(LockableDevice& device, TrainedRun& run
                  {arguments.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
-void align_held_out_scans_with_scene(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
+void align_held_out(LockableDevice& device, Run& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
-    estimate_held_out_vehicle_poses(device.device, run,
-                                    {{}, [&] { return !python_calls.has_no_exception_or_interrupt(); }});
-    python_calls.rethrow_stored_exception();
+    register_held_out(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    python_calls.rethrow();
 }
 
-void fit_intensity_noise(LockableDevice& device, TrainedRun& run, PythonCallGuard& python_calls) {
+void fit_noise(LockableDevice& device, Run& run, PythonCallGuard& python_calls) {
     const DeviceLock use(device);
-    run.intensity_scatter = fit_intensity_scatter_model_per_lidar(
-        device.device, run, {{}, [&] { return !python_calls.has_no_exception_or_interrupt(); }});
-    python_calls.rethrow_stored_exception();
+    run.intensity_scatter =
+        learn_scatter(device.device, run, {{}, [&] { return !python_calls.can_continue(); }});
+    python_calls.rethrow();
 }
 
 /// Trains the ray-drop network. Only prints a note if the log has no suitable training
 /// data, or if the checkpoint belongs to another network.
-void train_ray_drop_network(LockableDevice& device, TrainedRun& run, const TrainArguments& arguments,
-                            PythonCallGuard& python_calls) {
+void train_drop_network(LockableDevice& device, Run& run, const TrainArguments& arguments,
+                        PythonCallGuard& python_calls) {
     const auto note = [&](const std::string& line) {
         if (arguments.note) python_calls([&] { (*arguments.note)(line); });
     };
     const fs::path folder = arguments.checkpoints ? *arguments.checkpoints / kRefineCheckpoints : fs::path();
     std::optional<Checkpoint> start;
     try {
-        if (arguments.resume) start = load_newest_checkpoint(folder, note);
-        if (start) require_network_training_is_resumable(*start, run);
+        if (arguments.resume) start = load_newest(folder, note);
+        if (start) check_drop_resume(*start, run);
     } catch (const Error& error) {
         note(error.what());
         start.reset();
     }
     try {
         const DeviceLock use(device);
-        run.drop_network = train_ray_drop_network_of_run(
-            device.device, run,
-            {.stop = [&] { return !python_calls.has_no_exception_or_interrupt(); },
-             .checkpoints = folder,
-             .start = start ? &*start : nullptr,
-             .note = note});
+        run.drop_network = train_drops(device.device, run,
+                                       {.stop = [&] { return !python_calls.can_continue(); },
+                                        .checkpoints = folder,
+                                        .start = start ? &*start : nullptr,
+                                        .note = note});
     } catch (const DataError& error) {
         note(error.what());
     }
-    python_calls.rethrow_stored_exception();
+    python_calls.rethrow();
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
 std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments& arguments) {
-    const Config config = merge_requested_and_log_settings(log, arguments.config);
-    TrainedRun run{
-        {},
-        config,
-        log.sequence,
-        split_frames_into_train_and_test(log.sequence, config.dataset.test_every, config.dataset.test_frames),
-        {}};
-    const SharedDevice device = get_device_or_default(arguments.device);
+    const Config config = merge_settings(log, arguments.config);
+    Run run{{},
+            config,
+            log.sequence,
+            split_frames(log.sequence, config.dataset.test_every, config.dataset.test_frames),
+            {}};
+    const SharedDevice device = device_or_default(arguments.device);
     PythonCallGuard python;
     TrainResult result;
     try {
-        result = train_scene_with_device_lock(*device, run, arguments, python);
+        result = train_scene(*device, run, arguments, python);
     } catch (const Error&) {
         // If a Python callback raised an exception, raises this exception instead of the
         // error of the library.
-        python.rethrow_stored_exception();
+        python.rethrow();
         throw;
     }
-    python.rethrow_stored_exception();
-    move_result_into_run(run, result);
-    if (!result.interrupted) align_held_out_scans_with_scene(*device, run, python);
-    if (!result.interrupted) fit_intensity_noise(*device, run, python);
-    if (config.refine.enabled && !result.interrupted) train_ray_drop_network(*device, run, arguments, python);
-    for (LidarFrame& frame : run.sequence.frames) frame.scan = {};
+    python.rethrow();
+    move_result(run, result);
+    if (!result.interrupted) align_held_out(*device, run, python);
+    if (!result.interrupted) fit_noise(*device, run, python);
+    if (config.refine.enabled && !result.interrupted) train_drop_network(*device, run, arguments, python);
+    for (Frame& frame : run.sequence.frames) frame.scan = {};
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-py::dict convert_loss_terms_to_dict(const TrainProgress& progress) {
+py::dict loss_dict(const TrainProgress& progress) {
     py::dict terms;
     for (std::size_t k = 0; k < progress.terms.size(); ++k) terms[kLossTermNames[k]] = progress.terms[k];
     return terms;
@@ -154,7 +150,7 @@ py::dict convert_loss_terms_to_dict(const TrainProgress& progress) {
 
 }  // namespace
 
-void bind_train_function(py::module_& module) {
+void bind_train(py::module_& module) {
     py::class_<TrainProgress>(module, "TrainProgress", "One line of the training log.")
         .def_readonly("iteration", &TrainProgress::iteration)
         .def_readonly("n_iterations", &TrainProgress::n_iterations)
@@ -162,8 +158,7 @@ void bind_train_function(py::module_& module) {
         .def_readonly("iterations_per_second", &TrainProgress::iterations_per_second)
         .def_readonly("eta_s", &TrainProgress::eta_s)
         .def_readonly("loss", &TrainProgress::loss, "Mean loss over the iterations since the previous line.")
-        .def_property_readonly("terms", &convert_loss_terms_to_dict,
-                               "Dict of name -> weighted term of the loss.")
+        .def_property_readonly("terms", &loss_dict, "Dict of name -> weighted term of the loss.")
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",

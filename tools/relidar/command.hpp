@@ -23,22 +23,22 @@ struct ParsedCommand {
 
 void add_commands(CLI::App& app, ParsedCommand& selected_command);
 
-void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_command);
-void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_command);
-void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_command);
-void add_list_command(CLI::App& app, ParsedCommand& selected_command);
-void add_convert_command(CLI::App& app, ParsedCommand& selected_command);
-void add_info_command(CLI::App& app, ParsedCommand& selected_command);
-void add_train_command(CLI::App& app, ParsedCommand& selected_command);
-void add_refine_command(CLI::App& app, ParsedCommand& selected_command);
-void add_serve_command(CLI::App& app, ParsedCommand& selected_command);
-void add_edit_command(CLI::App& app, ParsedCommand& selected_command);
-void add_assets_command(CLI::App& app, ParsedCommand& selected_command);
-void add_render_command(CLI::App& app, ParsedCommand& selected_command);
-void add_eval_command(CLI::App& app, ParsedCommand& selected_command);
-void add_export_command(CLI::App& app, ParsedCommand& selected_command);
-void add_demo_command(CLI::App& app, ParsedCommand& selected_command);
-void add_view_command(CLI::App& app, ParsedCommand& selected_command);
-void add_check_command(CLI::App& app, ParsedCommand& selected_command);
+void add_list_devices(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list_sensors(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list_settings(CLI::App& list_command, ParsedCommand& selected_command);
+void add_list(CLI::App& app, ParsedCommand& selected_command);
+void add_convert(CLI::App& app, ParsedCommand& selected_command);
+void add_info(CLI::App& app, ParsedCommand& selected_command);
+void add_train(CLI::App& app, ParsedCommand& selected_command);
+void add_refine(CLI::App& app, ParsedCommand& selected_command);
+void add_serve(CLI::App& app, ParsedCommand& selected_command);
+void add_edit(CLI::App& app, ParsedCommand& selected_command);
+void add_assets(CLI::App& app, ParsedCommand& selected_command);
+void add_render(CLI::App& app, ParsedCommand& selected_command);
+void add_eval(CLI::App& app, ParsedCommand& selected_command);
+void add_export(CLI::App& app, ParsedCommand& selected_command);
+void add_demo(CLI::App& app, ParsedCommand& selected_command);
+void add_view(CLI::App& app, ParsedCommand& selected_command);
+void add_check(CLI::App& app, ParsedCommand& selected_command);
 
 }  // namespace relidar::cli

@@ -22,7 +22,7 @@ constexpr std::chrono::milliseconds kTerminalInterval{100};
 bool line_open = false;
 
 /// Assumes that each UTF-8 character needs one column.
-std::size_t count_terminal_columns(const std::string& text) {
+std::size_t count_columns(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(text.begin(), text.end(), [](char character) {
         return (static_cast<unsigned char>(character) & 0xC0) != 0x80;
     }));
@@ -38,7 +38,7 @@ std::string format_table(const std::vector<std::vector<std::string>>& rows) {
         right.resize(widths.size(), true);
         for (std::size_t c = 0; c < rows[r].size(); ++c) {
             const std::string& cell = rows[r][c];
-            widths[c] = std::max(widths[c], count_terminal_columns(cell));
+            widths[c] = std::max(widths[c], count_columns(cell));
             const bool is_numeric =
                 cell.empty() || cell == "-" || std::isdigit(static_cast<unsigned char>(cell.front())) ||
                 (cell.size() > 1 && cell.front() == '-' && std::isdigit(static_cast<unsigned char>(cell[1])));
@@ -49,7 +49,7 @@ std::string format_table(const std::vector<std::vector<std::string>>& rows) {
     for (const auto& row : rows) {
         std::string line;
         for (std::size_t c = 0; c < row.size(); ++c) {
-            const std::string gap(widths[c] - count_terminal_columns(row[c]), ' ');
+            const std::string gap(widths[c] - count_columns(row[c]), ' ');
             line += (c > 0 ? "  " : "") + (right[c] ? gap + row[c] : row[c] + gap);
         }
         text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
@@ -64,26 +64,26 @@ std::string format_duration(double seconds) {
     return fmt::format("{}:{:02}:{:02}", s / 3600, s / 60 % 60, s % 60);
 }
 
-std::string format_byte_size(std::uint64_t n_bytes) {
-    constexpr const char* kUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
+std::string format_bytes(std::uint64_t n_bytes) {
+    constexpr const char* kByteUnits[] = {"B", "KiB", "MiB", "GiB", "TiB"};
     auto value = static_cast<double>(n_bytes);
     std::size_t unit = 0;
-    while (value >= 1024.0 && unit + 1 < std::size(kUnits)) {
+    while (value >= 1024.0 && unit + 1 < std::size(kByteUnits)) {
         value /= 1024.0;
         ++unit;
     }
-    return unit == 0 ? fmt::format("{} B", n_bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
+    return unit == 0 ? fmt::format("{} B", n_bytes) : fmt::format("{:.1f} {}", value, kByteUnits[unit]);
 }
 
-std::string format_four_significant_digits(double value) { return fmt::format("{:.4g}", value); }
+std::string format_number(double value) { return fmt::format("{:.4g}", value); }
 
-std::string replace_control_characters(std::string text) {
+std::string make_one_line(std::string text) {
     std::replace_if(
         text.begin(), text.end(), [](unsigned char character) { return std::iscntrl(character) != 0; }, ' ');
     return text;
 }
 
-std::string quote_word_for_shell(const std::string& word) {
+std::string quote_for_shell(const std::string& word) {
     const bool plain = !word.empty() && std::all_of(word.begin(), word.end(), [](unsigned char character) {
         return std::isalnum(character) ||
                std::string("-_./=:,+%@").find(static_cast<char>(character)) != std::string::npos;
@@ -102,8 +102,8 @@ bool notes_hidden = false, warnings_hidden = false;
 
 void print_remark(bool hidden, const char* kind, const std::string& text) {
     if (hidden) return;
-    end_progress_line();
-    std::fputs(fmt::format("relidar: {}: {}\n", kind, replace_control_characters(text)).c_str(), stderr);
+    end_progress();
+    std::fputs(fmt::format("relidar: {}: {}\n", kind, make_one_line(text)).c_str(), stderr);
     std::fflush(stderr);
 }
 
@@ -117,14 +117,14 @@ void set_quiet(bool hide_notes, bool hide_warnings) {
     warnings_hidden = hide_warnings;
 }
 
-void end_progress_line() {
+void end_progress() {
     if (line_open) std::fputs("\n", stderr);
     line_open = false;
 }
 
 TerminalProgress::TerminalProgress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
 
-void TerminalProgress::show_progress_text(const std::string& text, bool ignore_rate_limit) {
+void TerminalProgress::show_text(const std::string& text, bool ignore_rate_limit) {
     const auto time = Clock::now();
     Clock::duration interval = kPlainInterval;
     if (terminal_) interval = kTerminalInterval;
@@ -143,19 +143,17 @@ void TerminalProgress::show_progress_text(const std::string& text, bool ignore_r
     line_open = terminal_;
 }
 
-void TerminalProgress::show_step_progress(const std::string& description, std::size_t n_done,
-                                          std::size_t n_total) {
+void TerminalProgress::show_step(const std::string& description, std::size_t n_done, std::size_t n_total) {
     const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
     const double rate = static_cast<double>(n_done) / std::max(seconds, 1e-9);
-    show_progress_text(
-        fmt::format("{} {}/{}  {:.2f}/s  remaining {}", description, n_done, n_total, rate,
-                    format_duration(static_cast<double>(n_total - n_done) / std::max(rate, 1e-9))),
-        n_done == n_total);
+    show_text(fmt::format("{} {}/{}  {:.2f}/s  remaining {}", description, n_done, n_total, rate,
+                          format_duration(static_cast<double>(n_total - n_done) / std::max(rate, 1e-9))),
+              n_done == n_total);
 }
 
-relidar::ProgressReporter make_terminal_progress_callback(TerminalProgress& terminal_progress) {
+relidar::Progress progress_callback(TerminalProgress& terminal_progress) {
     return [&terminal_progress](std::string_view description, double done) {
-        terminal_progress.show_progress_text(fmt::format("{} {:.0f} %", description, 100.0 * done));
+        terminal_progress.show_text(fmt::format("{} {:.0f} %", description, 100.0 * done));
     };
 }
 

@@ -17,12 +17,12 @@ namespace relidar::cli {
 /// Aligned columns; columns of numbers to the right. The first row is the header.
 std::string format_table(const std::vector<std::vector<std::string>>& rows);
 
-std::string format_duration(double seconds);               ///< For example "0:42" or "1:54:00".
-std::string format_byte_size(std::uint64_t n_bytes);       ///< For example "512 B" or "1.3 GiB".
-std::string format_four_significant_digits(double value);  ///< Formats a number with four significant digits.
+std::string format_duration(double seconds);      ///< For example "0:42" or "1:54:00".
+std::string format_bytes(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
+std::string format_number(double value);          ///< Formats a number with four significant digits.
 /// Uses spaces instead.
-std::string replace_control_characters(std::string text);
-std::string quote_word_for_shell(const std::string& word);
+std::string make_one_line(std::string text);
+std::string quote_for_shell(const std::string& word);
 
 void print(const std::string& text);
 
@@ -33,20 +33,20 @@ void print_warning(const std::string& text);
 void set_quiet(bool hide_notes, bool hide_warnings = false);
 
 /// Other output then starts on a new line.
-void end_progress_line();
+void end_progress();
 
 class TerminalProgress {
 public:
     explicit TerminalProgress(bool quiet);
-    ~TerminalProgress() { end_progress_line(); }
+    ~TerminalProgress() { end_progress(); }
     TerminalProgress(const TerminalProgress&) = delete;
     TerminalProgress& operator=(const TerminalProgress&) = delete;
 
     /// Does nothing if the previous text was shown only a short time ago.
-    void show_progress_text(const std::string& text, bool ignore_rate_limit = false);
+    void show_text(const std::string& text, bool ignore_rate_limit = false);
 
     /// Shows "what 3/10  2.1/s  remaining 0:03".
-    void show_step_progress(const std::string& description, std::size_t n_done, std::size_t n_total);
+    void show_step(const std::string& description, std::size_t n_done, std::size_t n_total);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -57,6 +57,6 @@ private:
 };
 
 /// Prints for example "rendering 30 %".
-relidar::ProgressReporter make_terminal_progress_callback(TerminalProgress& terminal_progress);
+relidar::Progress progress_callback(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

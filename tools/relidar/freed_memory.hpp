@@ -15,7 +15,7 @@
 namespace relidar::cli {
 
 /// Keeps up to 256 MiB. Must be called once at program start.
-inline void make_malloc_keep_freed_memory() {
+inline void keep_freed_memory() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
     mallopt(M_MMAP_THRESHOLD, 128 * kMiB);
@@ -25,7 +25,7 @@ inline void make_malloc_keep_freed_memory() {
 }
 
 /// Call it before a stage that needs other memory, for example a GPU that shares it.
-inline void return_freed_memory_to_system() {
+inline void release_freed_memory() {
 #ifdef __GLIBC__
     malloc_trim(0);
 #endif

@@ -19,7 +19,7 @@ constexpr long long kSameSignal_ms = 1000;
 std::atomic<long long> first_signal_ms{0};
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 
-extern "C" void handle_interrupt_signal(int signal_number) {
+extern "C" void handle_signal(int signal_number) {
     timespec now{};
     ::clock_gettime(CLOCK_MONOTONIC, &now);
     const long long now_ms = now.tv_sec * 1000LL + now.tv_nsec / 1'000'000;
@@ -32,14 +32,14 @@ extern "C" void handle_interrupt_signal(int signal_number) {
 
 }  // namespace
 
-void install_interrupt_handlers() {
-    std::signal(SIGINT, handle_interrupt_signal);
-    std::signal(SIGTERM, handle_interrupt_signal);
+void install_handlers() {
+    std::signal(SIGINT, handle_signal);
+    std::signal(SIGTERM, handle_signal);
 }
 
 bool is_interrupted() { return first_signal_ms != 0; }
 
-void throw_if_interrupted() {
+void check_interrupt() {
     if (is_interrupted())
         throw Error(ExitCode::interrupted, "interrupted; the files that were already written are complete");
 }

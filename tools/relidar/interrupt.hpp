@@ -7,9 +7,9 @@
 namespace relidar::cli {
 
 /// The handlers for SIGINT and SIGTERM only store the time of the signal.
-void install_interrupt_handlers();
+void install_handlers();
 bool is_interrupted();
 /// @throws Error with exit code 130 after Ctrl-C
-void throw_if_interrupted();
+void check_interrupt();
 
 }  // namespace relidar::cli

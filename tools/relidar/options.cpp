@@ -23,7 +23,7 @@ namespace {
 namespace fs = std::filesystem;
 
 template <class T>
-std::optional<T> parse_number_text(const std::string& text) {
+std::optional<T> parse_number(const std::string& text) {
     T value{};
     const char* begin = text.data() + (!text.empty() && text.front() == '+' ? 1 : 0);
     const char* end = text.data() + text.size();
@@ -52,18 +52,18 @@ void add_quiet_option(CLI::App& command, bool& quiet) {
     });
 }
 
-DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice) {
+DeviceOptions to_device_options(const DeviceCommandOptions& device_choice) {
     DeviceOptions options;
     if (device_choice.index < -1)
         fail<UsageError>("--device: found {}; expected a device number from `relidar list devices`",
                          device_choice.index);
     options.index = device_choice.index;
-    options.traversal = parse_ray_tracing_backend(device_choice.traversal);
-    set_device_open_callbacks({test_device_capabilities, print_warning});
-    return apply_environment_variables(options);
+    options.traversal = parse_backend(device_choice.traversal);
+    set_open_callbacks({test_device, print_warning});
+    return apply_environment(options);
 }
 
-std::vector<std::string> make_device_arguments(const DeviceCommandOptions& device_choice) {
+std::vector<std::string> device_arguments(const DeviceCommandOptions& device_choice) {
     std::vector<std::string> words;
     if (device_choice.index >= 0)
         words.insert(words.end(), {"--device", fmt::format("{}", device_choice.index)});
@@ -78,7 +78,7 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_c
             "--channels", parsed_channel_list,
             fmt::format(
                 "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
-                fmt::join(list_optional_channel_names(), ", ")))
+                fmt::join(optional_names(), ", ")))
         ->type_name("LIST");
 }
 
@@ -89,11 +89,11 @@ void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
             "--weather", parsed_weather_text,
             fmt::format(
                 "{}; applies to {} (default: clear); the channel `source` says what caused each point",
-                make_weather_help(), scope_help_text))
+                weather_help(), scope_help_text))
         ->type_name("WEATHER");
 }
 
-void add_setting_override_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts) {
+void add_set_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts) {
     command
         .add_option("--set", parsed_setting_texts,
                     "change one setting, for example loss.depth=0.2; repeatable; `relidar list settings` "
@@ -111,40 +111,40 @@ void add_settings_options(CLI::App& command, SettingsCommandOptions& settings) {
         ->type_name("NAME");
     command.add_option("--config", settings.file, "TOML file with settings that replace those of the preset")
         ->type_name("FILE");
-    add_setting_override_option(command, settings.sets);
+    add_set_option(command, settings.sets);
 }
 
-Config make_config_from_settings(const SettingsCommandOptions& settings) {
-    Config config = make_preset_config(settings.preset);
-    if (!settings.file.empty()) apply_config_file(config, settings.file);
-    parse_and_apply_setting_texts(config, settings.sets);
+Config make_config(const SettingsCommandOptions& settings) {
+    Config config = make_preset(settings.preset);
+    if (!settings.file.empty()) apply_file(config, settings.file);
+    apply_settings(config, settings.sets);
     return config;
 }
 
-void parse_and_apply_setting_texts(Config& config, const std::vector<std::string>& key_value_texts) {
+void apply_settings(Config& config, const std::vector<std::string>& key_value_texts) {
     for (const std::string& set : key_value_texts) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
             fail<UsageError>("--set: found \"{}\"; expected KEY=VALUE, for example loss.depth=0.2", set);
-        set_config_value(config, set.substr(0, equals), set.substr(equals + 1));
+        set_value(config, set.substr(0, equals), set.substr(equals + 1));
     }
 }
 
-std::vector<std::string> list_rendering_setting_names() {
+std::vector<std::string> render_settings() {
     return split_text(
         "dataset.min_range_m,dataset.max_range_m,sensor.grid,sensor.grid_method,sensor.rolling_shutter,"
-        "sensor.sub_rays,sensor.divergence_mrad,sensor.returns,sensor.return_separation_m,image.,"
-        "refine.enabled,render.,trace.",
+        "sensor.sub_rays,sensor.divergence_mrad,sensor.returns,sensor.return_separation_m,image.,refine."
+        "enabled,render.,trace.",
         ',');
 }
 
-void require_settings_used_by_command(const std::vector<std::string>& setting_texts,
-                                      const std::vector<std::string>& names_and_prefixes_with_effect,
-                                      const std::string& command_name) {
+void check_settings_used(const std::vector<std::string>& setting_texts,
+                         const std::vector<std::string>& names_and_prefixes_with_effect,
+                         const std::string& command_name) {
     Config scratch;
     for (const std::string& set : setting_texts) {
         // Checks key and value.
-        parse_and_apply_setting_texts(scratch, {set});
+        apply_settings(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used =
             std::ranges::any_of(names_and_prefixes_with_effect, [&](const std::string& name) {
@@ -159,7 +159,7 @@ void require_settings_used_by_command(const std::vector<std::string>& setting_te
     }
 }
 
-void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_selection) {
+void add_log_options(CLI::App& command, LogSelection& log_selection) {
     command
         .add_option("--frames", log_selection.frames,
                     "frames of the log to read, first:end, by the dataset's frame numbers (default: all)")
@@ -170,20 +170,20 @@ void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_select
         ->type_name("NAME");
 }
 
-void apply_log_selection_to_config(Config& config, const LogSelection& log_selection) {
+void apply_selection(Config& config, const LogSelection& log_selection) {
     if (!log_selection.sequence.empty()) config.dataset.sequence = log_selection.sequence;
     if (log_selection.frames.empty()) return;
-    const FrameRange range = parse_frame_range(log_selection.frames);
+    const FrameRange range = parse_frames(log_selection.frames);
     config.dataset.frames_begin = range.begin;
     config.dataset.frames_end = range.end;
 }
 
-FrameRange parse_frame_range(const std::string& text) {
+FrameRange parse_frames(const std::string& text) {
     const std::size_t colon = text.find(':');
     const std::string begin = text.substr(0, colon),
                       end = colon == std::string::npos ? "" : text.substr(colon + 1);
-    const int first = begin.empty() ? 0 : parse_number_text<int>(begin).value_or(-1),
-              last = end.empty() ? -1 : parse_number_text<int>(end).value_or(-1);
+    const int first = begin.empty() ? 0 : parse_number<int>(begin).value_or(-1),
+              last = end.empty() ? -1 : parse_number<int>(end).value_or(-1);
     if (colon == std::string::npos || first < 0 || (!end.empty() && last < 0)) {
         fail<UsageError>(
             "--frames: found \"{}\"; expected FIRST:END, for example 0:50 for the frames 0 to 49", text);
@@ -193,26 +193,26 @@ FrameRange parse_frame_range(const std::string& text) {
     return {first, last};
 }
 
-void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int last_frame_number,
-                                        const std::string& run_or_log_path) {
+void note_missing_frames(const FrameRange& requested_frames, int last_frame_number,
+                         const std::string& run_or_log_path) {
     if (requested_frames.end > last_frame_number + 1)
         print_note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped",
                                requested_frames.begin, requested_frames.end, run_or_log_path,
                                last_frame_number));
 }
 
-std::optional<double> parse_finite_number(const std::string& text) {
-    const std::optional<double> value = parse_number_text<double>(trim_spaces_and_tabs(text));
+std::optional<double> parse_finite(const std::string& text) {
+    const std::optional<double> value = parse_number<double>(trim_spaces(text));
     return value && std::isfinite(*value) ? value : std::nullopt;
 }
 
-std::vector<double> parse_number_list(const std::string& option_name, const std::string& text) {
+std::vector<double> parse_list(const std::string& option_name, const std::string& text) {
     std::vector<double> numbers;
     for (const std::string& typed : split_text(text, ',')) {
-        const std::optional<double> value = parse_finite_number(typed);
+        const std::optional<double> value = parse_finite(typed);
         if (!value)
             fail<UsageError>("{}: found \"{}\" in \"{}\", expected finite numbers separated by commas",
-                             option_name, trim_spaces_and_tabs(typed), text);
+                             option_name, trim_spaces(typed), text);
         numbers.push_back(*value);
     }
     return numbers;
@@ -227,30 +227,29 @@ std::vector<std::string> split_text(const std::string& text, char separator) {
     return words;
 }
 
-std::string trim_spaces_and_tabs(const std::string& text) {
+std::string trim_spaces(const std::string& text) {
     const std::size_t begin = text.find_first_not_of(" \t"), end = text.find_last_not_of(" \t");
     return begin == std::string::npos ? "" : text.substr(begin, end - begin + 1);
 }
 
-std::string make_absolute_path(const std::string& path) {
+std::string absolute_path(const std::string& path) {
     if (path.empty()) return path;
     const std::string clean = fs::absolute(path).lexically_normal().string();
     return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
 }
 
-LidarSequence load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
+Log load_dataset(const Config& config, bool quiet, int max_scans_per_lidar) {
     TerminalProgress progress(quiet);
-    store_scans_above_limit_in_file(std::uint64_t(config.dataset.memory_mib) << 20);
-    LidarSequence sequence = load_log(config, make_terminal_progress_callback(progress), max_scans_per_lidar);
+    limit_scan_memory(std::uint64_t(config.dataset.memory_mib) << 20);
+    Log sequence = load_log(config, progress_callback(progress), max_scans_per_lidar);
     if (!sequence.frames.empty())
-        print_note_if_frames_after_log_end({config.dataset.frames_begin, config.dataset.frames_end},
-                                           sequence.frames.back().index, sequence.source);
-    if (const ScanMemoryUse use = get_scan_memory_use(); use.in_file > 0 && !quiet)
-        print_note(
-            fmt::format("{} of scan data are stored in memory and {} in a temporary file in {}; the setting "
-                        "dataset.memory_mib is the limit",
-                        format_byte_size(use.in_memory), format_byte_size(use.in_file),
-                        fs::temp_directory_path().string()));
+        note_missing_frames({config.dataset.frames_begin, config.dataset.frames_end},
+                            sequence.frames.back().index, sequence.source);
+    if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
+        print_note(fmt::format(
+            "{} of scan data are stored in memory and {} in a temporary file in {}; the setting "
+            "dataset.memory_mib is the limit",
+            format_bytes(use.in_memory), format_bytes(use.in_file), fs::temp_directory_path().string()));
     return sequence;
 }
 

@@ -25,9 +25,9 @@ struct DeviceCommandOptions {
 };
 void add_device_options(CLI::App& command, DeviceCommandOptions& device_choice);
 void add_quiet_option(CLI::App& command, bool& quiet);
-DeviceOptions convert_to_device_options(const DeviceCommandOptions& device_choice);
+DeviceOptions to_device_options(const DeviceCommandOptions& device_choice);
 /// Words of a command line for another process, without default values.
-std::vector<std::string> make_device_arguments(const DeviceCommandOptions& device_choice);
+std::vector<std::string> device_arguments(const DeviceCommandOptions& device_choice);
 
 /// A later option in this order overwrites an earlier one.
 struct SettingsCommandOptions {
@@ -42,42 +42,41 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_c
 void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
                         const std::string& scope_help_text);
 /// For commands that read all other settings from a trained run.
-void add_setting_override_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
-Config make_config_from_settings(const SettingsCommandOptions& settings);
-void parse_and_apply_setting_texts(Config& config, const std::vector<std::string>& key_value_texts);
+void add_set_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
+Config make_config(const SettingsCommandOptions& settings);
+void apply_settings(Config& config, const std::vector<std::string>& key_value_texts);
 /// A name that ends in a dot means all settings of that group.
-std::vector<std::string> list_rendering_setting_names();
+std::vector<std::string> render_settings();
 /// @param names_and_prefixes_with_effect a name that ends in a dot means all settings of
 /// that group
 /// @throws UsageError that names the first setting without effect
-void require_settings_used_by_command(const std::vector<std::string>& setting_texts,
-                                      const std::vector<std::string>& names_and_prefixes_with_effect,
-                                      const std::string& command_name);
+void check_settings_used(const std::vector<std::string>& setting_texts,
+                         const std::vector<std::string>& names_and_prefixes_with_effect,
+                         const std::string& command_name);
 
 struct LogSelection {
     std::string frames;
     std::string sequence;
 };
-void add_frames_and_sequence_options(CLI::App& command, LogSelection& log_selection);
-void apply_log_selection_to_config(Config& config, const LogSelection& log_selection);
+void add_log_options(CLI::App& command, LogSelection& log_selection);
+void apply_selection(Config& config, const LogSelection& log_selection);
 
 /// "a:b"; either number may be missing.
 /// @throws UsageError if the text has another form
-FrameRange parse_frame_range(const std::string& text);
-void print_note_if_frames_after_log_end(const FrameRange& requested_frames, int last_frame_number,
-                                        const std::string& run_or_log_path);
+FrameRange parse_frames(const std::string& text);
+void note_missing_frames(const FrameRange& requested_frames, int last_frame_number,
+                         const std::string& run_or_log_path);
 /// Allows spaces around the number.
-std::optional<double> parse_finite_number(const std::string& text);
+std::optional<double> parse_finite(const std::string& text);
 /// Separated by commas.
 /// @throws UsageError that names the option if a word is not a number
-std::vector<double> parse_number_list(const std::string& option_name, const std::string& text);
+std::vector<double> parse_list(const std::string& option_name, const std::string& text);
 std::vector<std::string> split_text(const std::string& text, char separator);
-std::string trim_spaces_and_tabs(
-    const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
+std::string trim_spaces(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
 /// An empty path stays empty.
-std::string make_absolute_path(const std::string& path);
+std::string absolute_path(const std::string& path);
 /// @param max_scans_per_lidar 0: all scans
-LidarSequence load_dataset(const Config& config, bool quiet = false, int max_scans_per_lidar = 0);
+Log load_dataset(const Config& config, bool quiet = false, int max_scans_per_lidar = 0);
 
 }  // namespace relidar::cli

@@ -39,24 +39,24 @@ constexpr std::chrono::milliseconds kEndOfOthers{5000};
 constexpr const char* kLockFile = ".lock";
 
 /// An unlocked lock file or a half-written temporary file of a killed process.
-bool is_lock_or_temporary_file(const fs::path& path) {
+bool is_leftover(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
 
 /// Ignores leftover files of killed processes. True if the folder cannot be read, because
 /// a later write reports that error.
-bool is_folder_without_user_files(const fs::path& folder) {
+bool is_free_folder(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
          entry.increment(failed)) {
-        if (!is_lock_or_temporary_file(entry->path())) return false;
+        if (!is_leftover(entry->path())) return false;
     }
     return true;
 }
 
-void require_free_folder_or_replaceable_run(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
-    if (is_folder_without_user_files(folder)) return;
+void check_folder(const fs::path& folder, ExistingRunPolicy existing_run_policy) {
+    if (is_free_folder(folder)) return;
     if (is_dataset(folder))
         fail<UsageError>("--out {}: this folder contains a log; choose a different folder for the run",
                          folder.string());
@@ -70,20 +70,20 @@ void require_free_folder_or_replaceable_run(const fs::path& folder, ExistingRunP
 }
 
 /// The caller must hold the lock of the folder.
-void remove_temporary_files_of_run(const fs::path& folder) {
-    for (const fs::path& in : {folder, get_checkpoint_folder(folder), get_network_checkpoint_folder(folder)})
-        remove_temporary_files(in);
+void remove_temporary(const fs::path& folder) {
+    for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
+        remove_temp(in);
 }
 
 /// Another process may have replaced the lock file.
-bool is_open_file_still_at_path(int file_descriptor, const fs::path& expected_path) {
+bool is_still_at(int file_descriptor, const fs::path& expected_path) {
     struct stat opened {
     }, named{};
     return ::fstat(file_descriptor, &opened) == 0 && ::stat(expected_path.c_str(), &named) == 0 &&
            opened.st_dev == named.st_dev && opened.st_ino == named.st_ino;
 }
 
-const fs::path& reject_root_and_home_folder(const fs::path& folder) {
+const fs::path& reject_home(const fs::path& folder) {
     const char* home = std::getenv("HOME");
     std::error_code failed;
     for (const fs::path& other : {fs::path("/"), fs::path(home ? home : "/")})
@@ -100,14 +100,14 @@ struct OpenLockFile {
 };
 
 /// @return no value if another process holds the lock
-std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
+std::optional<OpenLockFile> lock_file(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
         if (descriptor < 0)
             fail("cannot write {}: {}", file.string(), std::generic_category().message(errno));
         const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
         const bool held = !locked && errno == EWOULDBLOCK;
-        if (!held && is_open_file_still_at_path(descriptor, file)) return OpenLockFile{descriptor, locked};
+        if (!held && is_still_at(descriptor, file)) return OpenLockFile{descriptor, locked};
         ::close(descriptor);
         if (held) return std::nullopt;
     }
@@ -118,7 +118,7 @@ std::optional<OpenLockFile> open_and_lock_file(const fs::path& file) {
 OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
     std::error_code failed;
     was_there_ = fs::exists(path, failed);
-    create_folder_and_require_writable(path);
+    prepare_folder(path);
 }
 
 OutputFolder::~OutputFolder() {
@@ -127,8 +127,8 @@ OutputFolder::~OutputFolder() {
     if (!was_there_) fs::remove(path_, failed);
 }
 
-void require_folder_for_scans(const fs::path& folder, bool overwrite) {
-    if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
+void check_scan_folder(const fs::path& folder, bool overwrite) {
+    if (const fs::path foreign = find_foreign_file(folder); !foreign.empty())
         fail<UsageError>("--out {}: found {}, which is not listed in a scans.json; expected a new folder",
                          folder.string(), foreign.filename().string());
     const std::vector<fs::path> files = list_scan_files(folder);
@@ -142,32 +142,32 @@ void require_folder_for_scans(const fs::path& folder, bool overwrite) {
             folder.string(), files.size(), files.front().filename().string());
 }
 
-LockedFolder::LockedFolder(const fs::path& path) : folder_(reject_root_and_home_folder(path)), lock_(path) {}
+LockedFolder::LockedFolder(const fs::path& path) : folder_(reject_home(path)), lock_(path) {}
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
 
 FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wait_time)
     : file_(folder / kLockFile) {
     const auto end = std::chrono::steady_clock::now() + max_wait_time;
-    std::optional<OpenLockFile> lock = open_and_lock_file(file_);
-    for (; !lock && std::chrono::steady_clock::now() < end; lock = open_and_lock_file(file_))
+    std::optional<OpenLockFile> lock = lock_file(file_);
+    for (; !lock && std::chrono::steady_clock::now() < end; lock = lock_file(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
         fail("cannot write {}: another relidar process is writing this {}", folder.string(),
              contains_run(folder) ? "run" : "folder");
     descriptor_ = lock->descriptor;
-    if (lock->exclusive) remove_temporary_files_of_run(folder);
+    if (lock->exclusive) remove_temporary(folder);
 }
 
 std::unique_ptr<FolderLock> FolderLock::try_lock_folder(const fs::path& folder) {
     const fs::path file = folder / kLockFile;
-    const std::optional<OpenLockFile> lock = open_and_lock_file(file);
+    const std::optional<OpenLockFile> lock = lock_file(file);
     if (!lock) return nullptr;
-    if (lock->exclusive) remove_temporary_files_of_run(folder);
+    if (lock->exclusive) remove_temporary(folder);
     return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor));
 }
 
-bool FolderLock::is_folder_locked(const fs::path& folder) {
+bool FolderLock::is_locked(const fs::path& folder) {
     const int descriptor = ::open((folder / kLockFile).c_str(), O_RDONLY | O_CLOEXEC);
     if (descriptor < 0) return false;
     const bool held = ::flock(descriptor, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
@@ -177,18 +177,18 @@ bool FolderLock::is_folder_locked(const fs::path& folder) {
 
 FolderLock::~FolderLock() {
     // Otherwise another process could lock the file just before it is removed.
-    if (is_open_file_still_at_path(descriptor_, file_)) ::unlink(file_.c_str());
+    if (is_still_at(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy)
-    : was_empty_(is_folder_without_user_files(path)) {
+    : was_empty_(is_free_folder(path)) {
     // Before locking, because the lock writes a file into the folder.
-    if (!contains_run(path)) require_free_folder_or_replaceable_run(path, existing_run_policy);
+    if (!contains_run(path)) check_folder(path, existing_run_policy);
     folder_.emplace(path);
     lock_.emplace(
         path, existing_run_policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
-    require_free_folder_or_replaceable_run(path, existing_run_policy);
+    check_folder(path, existing_run_policy);
 }
 
 RunOutputFolder::~RunOutputFolder() {
@@ -199,24 +199,24 @@ RunOutputFolder::~RunOutputFolder() {
          entry.increment(failed)) {
         const std::string name = entry->path().filename().string();
         if (name == "config.toml" || name == "log.jsonl") started.push_back(entry->path());
-        else if (!entry->is_directory(failed) && !is_lock_or_temporary_file(entry->path())) return;
+        else if (!entry->is_directory(failed) && !is_leftover(entry->path())) return;
     }
     for (const fs::path& file : started) fs::remove(file, failed);
-    remove_block_folders(path());
-    fs::remove(get_checkpoint_folder(path()), failed);
+    remove_blocks(path());
+    fs::remove(checkpoint_folder(path()), failed);
 }
 
 namespace {
 
-bool contains_only_run_files(const fs::path& folder) {
-    static const std::vector<std::string> kNames = split_text(
+bool has_only_run_files(const fs::path& folder) {
+    static const std::vector<std::string> kRunFileNames = split_text(
         "config.toml,scene.json,model.safetensors,drop_network.safetensors,blocks,checkpoints,log.jsonl,"
         "sweeps.safetensors,metrics.json,report.html,views.png,coverage.safetensors,classes.safetensors,"
         "asset.json,intensity_scatter.safetensors",
         ',');
     for (const auto& entry : fs::directory_iterator(folder))
-        if (!is_lock_or_temporary_file(entry.path()) &&
-            std::ranges::count(kNames, entry.path().filename().string()) == 0)
+        if (!is_leftover(entry.path()) &&
+            std::ranges::count(kRunFileNames, entry.path().filename().string()) == 0)
             return false;
     return true;
 }
@@ -229,13 +229,13 @@ RunFolderWriter::RunFolderWriter(const fs::path& path, bool replace_existing) : 
         earlier_.emplace(path, replace_existing ? ExistingRunPolicy::replace : ExistingRunPolicy::refuse);
 }
 
-void RunFolderWriter::save_run_to_folder(TrainedRun& run) const {
+void RunFolderWriter::save_run_in(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);
-    if (contains_only_run_files(path_)) {
+    if (has_only_run_files(path_)) {
         try {
             run.folder = fs::canonical(path_);
-            replace_folder_by_run_atomically(run);
+            replace_run(run);
             run.folder = path_;
             return;
         } catch (const DataError&) {
@@ -245,46 +245,46 @@ void RunFolderWriter::save_run_to_folder(TrainedRun& run) const {
         }
     }
     overwrite_run(run, [&] {
-        remove_run_result_files(path_);
-        remove_block_folders(path_);
+        remove_results(path_);
+        remove_blocks(path_);
         std::error_code failed;
         // A later training would continue from them.
-        fs::remove_all(get_checkpoint_folder(path_), failed);
+        fs::remove_all(checkpoint_folder(path_), failed);
     });
 }
 
 bool contains_run(const fs::path& folder) {
-    if (is_run_folder(folder) || !list_checkpoints(get_checkpoint_folder(folder)).empty()) return true;
+    if (is_run_folder(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
     const std::string header_line = to_toml({}).substr(0, to_toml({}).find('\n'));
     std::string line;
     std::ifstream config(folder / "config.toml");
     return std::getline(config, line) && line == header_line;
 }
 
-void remove_run_result_files(const fs::path& folder) {
+void remove_results(const fs::path& folder) {
     std::error_code failed;
     for (const char* name : {"scene.json", "model.safetensors", "log.jsonl", "metrics.json", "report.html"})
         fs::remove(folder / name, failed);
 }
 
-void remove_block_folders(const fs::path& run_folder) {
+void remove_blocks(const fs::path& run_folder) {
     std::error_code failed;
-    fs::remove_all(get_blocks_folder(run_folder), failed);
+    fs::remove_all(blocks_folder(run_folder), failed);
 }
 
-fs::path get_blocks_folder(const fs::path& run_folder) { return run_folder / "blocks"; }
+fs::path blocks_folder(const fs::path& run_folder) { return run_folder / "blocks"; }
 
-fs::path get_checkpoint_folder(const fs::path& run_folder) { return run_folder / "checkpoints"; }
+fs::path checkpoint_folder(const fs::path& run_folder) { return run_folder / "checkpoints"; }
 
-fs::path get_network_checkpoint_folder(const fs::path& run_folder) {
-    return get_checkpoint_folder(run_folder) / kRefineCheckpoints;
+fs::path network_checkpoint_folder(const fs::path& run_folder) {
+    return checkpoint_folder(run_folder) / kRefineCheckpoints;
 }
 
-void remove_network_checkpoints(const fs::path& run_folder) {
-    remove_checkpoints(get_network_checkpoint_folder(run_folder));
+void remove_network_state(const fs::path& run_folder) {
+    remove_checkpoints(network_checkpoint_folder(run_folder));
     std::error_code failed;
     // Fails if the folder still contains checkpoints of the scene; the error is ignored.
-    fs::remove(get_checkpoint_folder(run_folder), failed);
+    fs::remove(checkpoint_folder(run_folder), failed);
 }
 
 }  // namespace relidar::cli

@@ -9,7 +9,7 @@
 #include <optional>
 
 namespace relidar {
-struct TrainedRun;
+struct Run;
 }
 
 namespace relidar::cli {
@@ -45,7 +45,7 @@ public:
     /// @return null if another process holds the lock
     /// @throws DataError if the folder cannot be written
     static std::unique_ptr<FolderLock> try_lock_folder(const std::filesystem::path& folder);
-    static bool is_folder_locked(const std::filesystem::path& folder);
+    static bool is_locked(const std::filesystem::path& folder);
 
 private:
     FolderLock(std::filesystem::path file, int descriptor);
@@ -56,7 +56,7 @@ private:
 
 /// @throws UsageError if the folder is a run or a log, or contains files that would be
 /// replaced; `overwrite` allows to replace rendered scans
-void require_folder_for_scans(const std::filesystem::path& folder, bool overwrite);
+void check_scan_folder(const std::filesystem::path& folder, bool overwrite);
 
 class LockedFolder {
 public:
@@ -111,7 +111,7 @@ class RunFolderWriter {
 public:
     RunFolderWriter(const std::filesystem::path& path, bool replace_existing);
     /// Sets `run.folder` to this folder.
-    void save_run_to_folder(TrainedRun& run) const;
+    void save_run_in(Run& run) const;
 
 private:
     std::filesystem::path path_;
@@ -120,12 +120,12 @@ private:
 };
 
 /// Keeps the settings and the checkpoints.
-void remove_run_result_files(const std::filesystem::path& folder);
-void remove_block_folders(const std::filesystem::path& run_folder);
+void remove_results(const std::filesystem::path& folder);
+void remove_blocks(const std::filesystem::path& run_folder);
 /// Each block is stored as a complete run.
-std::filesystem::path get_blocks_folder(const std::filesystem::path& run_folder);
-std::filesystem::path get_checkpoint_folder(const std::filesystem::path& run_folder);
-std::filesystem::path get_network_checkpoint_folder(const std::filesystem::path& run_folder);
-void remove_network_checkpoints(const std::filesystem::path& run_folder);
+std::filesystem::path blocks_folder(const std::filesystem::path& run_folder);
+std::filesystem::path checkpoint_folder(const std::filesystem::path& run_folder);
+std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run_folder);
+void remove_network_state(const std::filesystem::path& run_folder);
 
 }  // namespace relidar::cli

@@ -18,7 +18,7 @@
 namespace relidar::cli {
 namespace {
 
-std::vector<std::string> list_command_names(const CLI::App& app) {
+std::vector<std::string> command_names(const CLI::App& app) {
     std::vector<std::string> names;
     for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
         names.push_back(command->get_name());
@@ -26,7 +26,7 @@ std::vector<std::string> list_command_names(const CLI::App& app) {
 }
 
 /// Adds the expected value to "Could not convert: --device = x".
-std::string explain_conversion_error(const std::string& parser_message) {
+std::string explain_conversion(const std::string& parser_message) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = parser_message.find(middle);
     if (parser_message.rfind(start, 0) != 0 || at == std::string::npos) return parser_message;
@@ -38,7 +38,7 @@ std::string explain_conversion_error(const std::string& parser_message) {
 /// The parser stores each unexpected word in the command that read it. Names the first
 /// one, because it is the user's mistake.
 /// @param app parser after it has failed
-std::string make_usage_error_message(const CLI::App& app, const std::string& parser_message) {
+std::string usage_message(const CLI::App& app, const std::string& parser_message) {
     const CLI::App* chosen = &app;
     std::string path = app.get_name();
     while (!chosen->get_subcommands().empty()) {
@@ -50,32 +50,29 @@ std::string make_usage_error_message(const CLI::App& app, const std::string& par
     std::vector<std::string> unexpected = app.remaining(true);
     if (unexpected.empty() && parser_message.find("subcommand") != std::string::npos)
         return fmt::format("found no subcommand; expected one of {} (see `{}`)",
-                           fmt::join(list_command_names(command), ", "), help);
-    if (unexpected.empty())
-        return fmt::format("{} (see `{}`)", explain_conversion_error(parser_message), help);
+                           fmt::join(command_names(command), ", "), help);
+    if (unexpected.empty()) return fmt::format("{} (see `{}`)", explain_conversion(parser_message), help);
     // --name=value
     const std::string word = unexpected.front().substr(0, unexpected.front().find('='));
     if (word.size() > 1 && word.front() == '-') {
         std::vector<std::string> option_names;
         for (const CLI::Option* option : command.get_options())
             for (const std::string& name : option->get_lnames()) option_names.push_back("--" + name);
-        return fmt::format("unknown option {}{} (see `{}`)", word, format_name_suggestion(word, option_names),
-                           help);
+        return fmt::format("unknown option {}{} (see `{}`)", word, did_you_mean(word, option_names), help);
     }
-    if (const std::vector<std::string> names = list_command_names(command); !names.empty())
-        return fmt::format("unknown command {}{} (see `{}`)", word, format_name_suggestion(word, names),
-                           help);
+    if (const std::vector<std::string> names = command_names(command); !names.empty())
+        return fmt::format("unknown command {}{} (see `{}`)", word, did_you_mean(word, names), help);
     return fmt::format("unexpected argument {}; the command does not accept it (see `{}`)", word, help);
 }
 
-void flush_stdout_or_throw() {
+void flush_stdout() {
     if (std::fflush(stdout) != 0 || std::ferror(stdout))
         throw DataError(
             "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
 /// Each command has only one line, so that the text fits on one screen.
-std::string format_help_with_command_list(const CLI::App& app) {
+std::string format_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
     for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; }))
@@ -83,44 +80,42 @@ std::string format_help_with_command_list(const CLI::App& app) {
     return text + "\n" + app.get_footer() + "\n";
 }
 
-void parse_and_run_command(const ProgramDescription& program, int argc, char** argv) {
+void parse_and_run(const ProgramDescription& program, int argc, char** argv) {
     CLI::App app(program.description, program.name);
-    std::string command_line = program.name;
-    for (int i = 1; i < argc; ++i) command_line += fmt::format(" {}", quote_word_for_shell(argv[i]));
-    ParsedCommand call{command_line, {}};
+    std::string args = program.name;
+    for (int i = 1; i < argc; ++i) args += fmt::format(" {}", quote_for_shell(argv[i]));
+    ParsedCommand call{args, {}};
     app.set_version_flag("--version", fmt::format("{} {}", program.name, RELIDAR_VERSION));
     app.require_subcommand(0, 1);
     app.footer(program.footer);
     program.add_commands(app, call);
-    app.formatter_fn([](const CLI::App* shown, std::string, CLI::AppFormatMode) {
-        return format_help_with_command_list(*shown);
-    });
+    app.formatter_fn(
+        [](const CLI::App* shown, std::string, CLI::AppFormatMode) { return format_help(*shown); });
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
         app.exit(help);  // Prints the help text.
-        return flush_stdout_or_throw();
+        return flush_stdout();
     } catch (const CLI::ParseError& error) {
-        throw UsageError(make_usage_error_message(app, error.what()));
+        throw UsageError(usage_message(app, error.what()));
     }
     if (!call.run)
         fail<UsageError>("found no command; expected one; `{} --help` lists all commands", program.name);
     call.run();
-    flush_stdout_or_throw();
+    flush_stdout();
 }
 
 }  // namespace
 
 int run_program(const ProgramDescription& program, int argc, char** argv) {
     const auto report = [&](ExitCode code, const std::string& message) {
-        end_progress_line();
-        std::fputs(fmt::format("{}: {}\n", program.name, replace_control_characters(message)).c_str(),
-                   stderr);
+        end_progress();
+        std::fputs(fmt::format("{}: {}\n", program.name, make_one_line(message)).c_str(), stderr);
         return static_cast<int>(code);
     };
-    make_malloc_keep_freed_memory();
+    keep_freed_memory();
     try {
-        parse_and_run_command(program, argc, argv);
+        parse_and_run(program, argc, argv);
         return static_cast<int>(ExitCode::ok);
     } catch (const Error& error) {
         return report(error.code(), error.what());

@@ -20,13 +20,13 @@ namespace relidar::cli {
 namespace {
 
 /// MPI_Wait would keep a processor core busy.
-void wait_for_mpi_request(MPI_Request request) {
+void wait_for_mpi(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
 /// FNV-1a; 0 if the program file cannot be read.
-unsigned long long compute_program_file_hash() {
+unsigned long long hash_program() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
     std::vector<char> block(1 << 20);
@@ -38,8 +38,8 @@ unsigned long long compute_program_file_hash() {
 
 /// Different builds may store settings and arrays in a different order.
 /// @throws UsageError if the build differs from that of the first process
-void require_same_build_on_all_ranks(int rank) {
-    const unsigned long long build = compute_program_file_hash();
+void check_same_build(int rank) {
+    const unsigned long long build = hash_program();
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (build != first_build)
@@ -47,13 +47,13 @@ void require_same_build_on_all_ranks(int rank) {
 }
 
 /// Every process receives the complete text.
-std::string gather_and_concatenate_rank_texts(const std::string& text, int n_ranks) {
+std::string gather_text(const std::string& text, int n_ranks) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));
     MPI_Request request;
     MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD,
                    &request);
-    wait_for_mpi_request(request);
+    wait_for_mpi(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
     // MPI stores the number of bytes as int.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
@@ -65,28 +65,26 @@ std::string gather_and_concatenate_rank_texts(const std::string& text, int n_ran
     std::string all(total, '\0');
     MPI_Iallgatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(),
                     displacements.data(), MPI_CHAR, MPI_COMM_WORLD, &request);
-    wait_for_mpi_request(request);
+    wait_for_mpi(request);
     return all;
 }
 
 }  // namespace
 
 MpiProcessGroup::MpiProcessGroup() {
-    if (!is_launched_by_mpi()) return;
+    if (!is_mpi_process()) return;
     MPI_Init(nullptr, nullptr);
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
-    group_.all_gather = [size = group_.size](const std::string& text) {
-        return gather_and_concatenate_rank_texts(text, size);
-    };
+    group_.all_gather = [size = group_.size](const std::string& text) { return gather_text(text, size); };
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);
     int n_here = 1;
     MPI_Comm_size(on_this_machine, &n_here);
     MPI_Comm_free(&on_this_machine);
-    divide_scan_memory_among_processes(n_here);
-    require_same_build_on_all_ranks(group_.rank);
+    share_scan_memory(n_here);
+    check_same_build(group_.rank);
     if (group_.rank > 0) set_quiet(true, true);
 }
 
@@ -96,18 +94,18 @@ MpiProcessGroup::~MpiProcessGroup() {
     if (begun && std::uncaught_exceptions() == 0) MPI_Finalize();
 }
 
-void MpiProcessGroup::wait_for_all_ranks() const {
+void MpiProcessGroup::barrier() const {
     if (size() == 1) return;
     MPI_Request request;
     MPI_Ibarrier(MPI_COMM_WORLD, &request);
-    wait_for_mpi_request(request);
+    wait_for_mpi(request);
 }
 
-std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::string& text) const {
+std::vector<std::string> MpiProcessGroup::gather_texts(const std::string& text) const {
     if (size() == 1) return {text};
-    const std::vector<std::size_t> sizes = group_.gather_from_all_processes(std::vector{text.size()});
+    const std::vector<std::size_t> sizes = group_.gather(std::vector{text.size()});
     const std::string all = group_.all_gather(text);
-    if (!is_first_mpi_process()) return {};
+    if (!is_first()) return {};
     std::vector<std::string> texts;
     std::size_t begin = 0;
     for (const std::size_t n : sizes) {
@@ -117,8 +115,7 @@ std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::
     return texts;
 }
 
-DeviceCommandOptions MpiProcessGroup::select_device_unless_user_chose(
-    DeviceCommandOptions user_device_choice) const {
+DeviceCommandOptions MpiProcessGroup::select_device(DeviceCommandOptions user_device_choice) const {
     if (size() == 1 || user_device_choice.index >= 0) return user_device_choice;
     std::vector<int> gpus;
     for (const DeviceInfo& device : list_devices())

@@ -25,16 +25,16 @@ public:
 
     int size() const { return group_.size; }
     /// The first process prints messages and writes the shared files.
-    bool is_first_mpi_process() const { return group_.is_first_process(); }
-    const ProcessGroup& get_process_group() const { return group_; }
+    bool is_first() const { return group_.is_first(); }
+    const ProcessGroup& group() const { return group_; }
     /// @return in the first process, the texts in the order of ranks; elsewhere, an empty
     /// list
-    std::vector<std::string> gather_texts_on_first_rank(const std::string& text) const;
+    std::vector<std::string> gather_texts(const std::string& text) const;
     /// Sleeps while it waits.
-    void wait_for_all_ranks() const;
+    void barrier() const;
     /// Different GPUs for the processes of one machine, unless the user has chosen a
     /// device.
-    DeviceCommandOptions select_device_unless_user_chose(DeviceCommandOptions user_device_choice) const;
+    DeviceCommandOptions select_device(DeviceCommandOptions user_device_choice) const;
 
 private:
     ProcessGroup group_;

@@ -10,18 +10,15 @@
 namespace relidar::cli {
 
 MpiProcessGroup::MpiProcessGroup() {
-    if (is_launched_by_mpi())
+    if (is_mpi_process())
         throw UsageError(
             "mpirun has started this program, but it was built without MPI; install libopenmpi-dev and build "
             "relidar again");
 }
 MpiProcessGroup::~MpiProcessGroup() = default;
-std::vector<std::string> MpiProcessGroup::gather_texts_on_first_rank(const std::string& text) const {
-    return {text};
-}
-void MpiProcessGroup::wait_for_all_ranks() const {}
-DeviceCommandOptions MpiProcessGroup::select_device_unless_user_chose(
-    DeviceCommandOptions user_device_choice) const {
+std::vector<std::string> MpiProcessGroup::gather_texts(const std::string& text) const { return {text}; }
+void MpiProcessGroup::barrier() const {}
+DeviceCommandOptions MpiProcessGroup::select_device(DeviceCommandOptions user_device_choice) const {
     return user_device_choice;
 }
 

@@ -24,23 +24,23 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
-Scene make_scene_of_actors(int n_actors, bool one_model_per_actor) {
+Scene make_actor_scene(int n_actors, bool one_model_per_actor) {
     // A test actor is the benchmark street, scaled down to a length of about 4 m.
     constexpr float kHalfLength_m = 2.0f;
-    Surfels actor = make_benchmark_street_surfels(kActorSurfels);
+    Surfels actor = make_street_surfels(kActorSurfels);
     float longest = 0.0f;
     for (const glm::vec3& mean : actor.mean) longest = std::max(longest, glm::length(mean));
     for (glm::vec3& mean : actor.mean) mean *= kHalfLength_m / longest;
-    Scene scene = make_background_scene({});
+    Scene scene = wrap_background({});
     scene.models.push_back({"actor", 0, kActorSurfels});
-    scene.surfels = actor.reorder(compute_kd_tree_order(actor.mean));
+    scene.surfels = actor.reorder(kd_tree_order(actor.mean));
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
-    return one_model_per_actor ? relidar::duplicate_shared_models(std::move(scene)) : scene;
+    return one_model_per_actor ? relidar::unshare_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
 /// actors are placed on a spiral, about 5 m apart. Each step moves all actors by 1 cm.
-std::vector<InstancePose> make_spiral_actor_poses(int n_actors, int n_centimetres_moved) {
+std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     constexpr double kGoldenAngle_rad = 2.39996323;
     std::vector<InstancePose> placed{InstancePose{}};
     for (int i = 0; i < n_actors; ++i) {
@@ -52,48 +52,48 @@ std::vector<InstancePose> make_spiral_actor_poses(int n_actors, int n_centimetre
     return placed;
 }
 
-DevCase make_actor_benchmark(int n_actors, bool one_model_per_actor) {
+DevCase make_actor_case(int n_actors, bool one_model_per_actor) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
-    const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
+    const RayTable table = make_street_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};
-    bench.scene = make_scene_of_actors(n_actors, one_model_per_actor);
-    bench.config = make_preset_config("paper");
+    bench.scene = make_actor_scene(n_actors, one_model_per_actor);
+    bench.config = make_preset("paper");
     bench.config.image.sh_direction = one_model_per_actor ? ShDirection::surfel : ShDirection::ray;
-    bench.placed = make_spiral_actor_poses(n_actors, 0);
+    bench.placed = spiral_poses(n_actors, 0);
     return bench;
 }
 
-void measure_actor_pose_update_times(Device& device, const DevCase& bench_case, int n_repetitions,
-                                     ActorBenchTimes& actor_times) {
+void measure_updates(Device& device, const DevCase& bench_case, int n_repetitions,
+                     ActorBenchTimes& actor_times) {
     constexpr int kWarmUp = 3;
     DeviceScene on_device(device, bench_case.scene);
-    AccelerationStructure accel(device, on_device, make_benchmark_accel_options(bench_case));
+    AccelerationStructure accel(device, on_device, accel_options(bench_case));
     Stream stream(device, false);
-    on_device.record_activation_of_surfel_parameters(stream, bench_case.config.image, glm::vec3(0.0f));
+    on_device.activate(stream, bench_case.config.image, glm::vec3(0.0f));
     stream.submit_and_wait();
     Clock::time_point start = Clock::now();
-    accel.record_bvh_refit_or_build(stream, on_device);
+    accel.record_refit(stream, on_device);
     stream.submit_and_wait();
-    actor_times.build_ms = measure_ms_since(start);
-    const std::uint64_t builds_before = accel.get_build_and_refit_count();
+    actor_times.build_ms = ms_since(start);
+    const std::uint64_t builds_before = accel.n_updates();
     std::vector<double> samples;
     for (int step = 1; step <= kWarmUp + n_repetitions; ++step) {
-        throw_if_interrupted();
-        const std::vector<InstancePose> placed = make_spiral_actor_poses(actor_times.n_actors, step);
+        check_interrupt();
+        const std::vector<InstancePose> placed = spiral_poses(actor_times.n_actors, step);
         start = Clock::now();
-        on_device.record_upload_of_instance_poses(stream, placed);
-        accel.record_top_level_bvh_update(stream, on_device);
+        on_device.stage_poses(stream, placed);
+        accel.record_top_level(stream, on_device);
         stream.submit_and_wait();
-        if (step > kWarmUp) samples.push_back(measure_ms_since(start));
+        if (step > kWarmUp) samples.push_back(ms_since(start));
     }
-    actor_times.move_ms = compute_p10_median_p90(samples);
-    actor_times.builds = accel.get_build_and_refit_count() - builds_before;
+    actor_times.move_ms = percentiles_of(samples);
+    actor_times.builds = accel.n_updates() - builds_before;
 }
 
-TimePercentiles get_iteration_wall_time_percentiles(const BenchResult& result) {
+TimePercentiles iteration_times(const BenchResult& result) {
     const auto row = std::ranges::find(result.phases, "iteration_wall", &KernelBenchTime::name);
     if (row == result.phases.end())
         throw DeviceError(
@@ -101,7 +101,7 @@ TimePercentiles get_iteration_wall_time_percentiles(const BenchResult& result) {
     return row->ms;
 }
 
-std::string format_median_ms(const TimePercentiles& percentiles_ms) {
+std::string median_ms(const TimePercentiles& percentiles_ms) {
     return fmt::format("{:.2f}", percentiles_ms.median);
 }
 
@@ -111,42 +111,42 @@ std::uint64_t ActorBenchTimes::n_surfels() const {
     return std::uint64_t(copy_shared_models ? n_actors : 1) * kActorSurfels;
 }
 
-ActorBenchTimes measure_actor_times(Device& device, int n_actors, bool one_model_per_actor,
-                                    const BenchSettings& settings) {
-    const DevCase bench = make_actor_benchmark(n_actors, one_model_per_actor);
+ActorBenchTimes measure_actors(Device& device, int n_actors, bool one_model_per_actor,
+                               const BenchSettings& settings) {
+    const DevCase bench = make_actor_case(n_actors, one_model_per_actor);
     ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = one_model_per_actor};
-    measure_actor_pose_update_times(device, bench, settings.repeat, times);
+    measure_updates(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;
     step.backward = true;
-    times.scan_ms = get_iteration_wall_time_percentiles(run_benchmark(device, bench, scan));
+    times.scan_ms = iteration_times(run_benchmark(device, bench, scan));
     const BenchResult trained = run_benchmark(device, bench, step);
-    times.step_ms = get_iteration_wall_time_percentiles(trained);
+    times.step_ms = iteration_times(trained);
     times.memory =
         trained.memory.scene + trained.memory.accel + trained.memory.training + trained.memory.rays;
     return times;
 }
 
-std::string format_actor_times(const std::vector<ActorBenchTimes>& times) {
+std::string format_actors(const std::vector<ActorBenchTimes>& times) {
     std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
                                                 "scan ms", "step ms", "memory MiB", "actor trees rebuilt"}};
     for (const ActorBenchTimes& t : times)
         rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "separate" : "shared",
                         fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
-                        format_median_ms(t.move_ms), format_median_ms(t.scan_ms), format_median_ms(t.step_ms),
+                        median_ms(t.move_ms), median_ms(t.scan_ms), median_ms(t.step_ms),
                         fmt::format("{:.1f}", double(t.memory) / double(1 << 20)),
                         fmt::format("{}", t.builds)});
     return format_table(rows);
 }
 
-std::string make_actor_times_json(const std::vector<ActorBenchTimes>& times, const Device& device,
-                                  const std::string& command_line) {
+std::string actors_json(const std::vector<ActorBenchTimes>& times, const Device& device,
+                        const std::string& args) {
     const auto json_of = [](const TimePercentiles& s) {
         return nlohmann::ordered_json{{"p10", s.p10}, {"median", s.median}, {"p90", s.p90}};
     };
     nlohmann::ordered_json json = {
         {"format", "relidar-dev bench actors"}, {"version", 2},
-        {"relidar", RELIDAR_VERSION},           {"command", command_line},
+        {"relidar", RELIDAR_VERSION},           {"command", args},
         {"device", device.info().name},         {"actors", nlohmann::ordered_json::array()}};
     for (const ActorBenchTimes& t : times)
         json["actors"].push_back({{"actors", t.n_actors},

@@ -48,9 +48,9 @@ struct BenchOptions {
 
 constexpr int kMaxActors = 1000;
 
-std::vector<int> parse_actor_counts(const std::string& list) {
+std::vector<int> parse_counts(const std::string& list) {
     std::vector<int> counts;
-    for (const double n : parse_number_list("--actors", list)) {
+    for (const double n : parse_list("--actors", list)) {
         if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n))
             fail<UsageError>("--actors: found {} in \"{}\", expected whole numbers from 1 to {}", n, list,
                              kMaxActors);
@@ -64,27 +64,27 @@ std::pair<std::string, std::string> run_other_benchmark(const BenchOptions& opti
                                                         const std::string& command_line) {
     if (!options.actors.empty()) {
         std::vector<ActorBenchTimes> times;
-        for (const int n : parse_actor_counts(options.actors))
+        for (const int n : parse_counts(options.actors))
             for (const bool copy_shared_models : {false, true})
-                times.push_back(measure_actor_times(device, n, copy_shared_models, options.settings));
-        end_progress_line();
-        return {format_actor_times(times), make_actor_times_json(times, device, command_line)};
+                times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
+        end_progress();
+        return {format_actors(times), actors_json(times, device, command_line)};
     }
     if (options.scans.n_scans != 0) {
         ScanBenchOptions bench = options.scans;
         bench.run = options.choice.run;
         bench.sensor = options.service.sensor;
-        const ScanBenchTimes times = measure_scan_times(device, bench);
-        return {format_scan_times(times), make_scan_times_json(times, device, command_line)};
+        const ScanBenchTimes times = measure_scans(device, bench);
+        return {format_scans(times), scans_json(times, device, command_line)};
     }
     const TrainingStepTimes times =
-        measure_training_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
-    return {format_step_times(times, device), make_step_times_json(times, device, command_line)};
+        measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
+    return {format_steps(times, device), steps_json(times, device, command_line)};
 }
 
-void run_bench_command(const BenchOptions& options, const std::string& command_line) {
-    if (!options.service.address.empty()) return run_service_benchmark(options.service);
-    require_valid_bench_options(options.choice);
+void run_bench(const BenchOptions& options, const std::string& command_line) {
+    if (!options.service.address.empty()) return bench_service(options.service);
+    check_options(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
         throw UsageError(
             "--run: found --scene, --surfels or --rays in the same command; expected only --run");
@@ -95,7 +95,7 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
         fail("--json {}: found a folder, expected the name of a file", options.json);
-    if (!options.actors.empty()) parse_actor_counts(options.actors);
+    if (!options.actors.empty()) parse_counts(options.actors);
     if (options.scans.n_scans != 0 && options.choice.run.empty())
         throw UsageError("--scans: the option --run is missing; expected --run RUN with the run to render");
     if (options.n_steps != 0 && options.choice.run.empty())
@@ -107,20 +107,20 @@ void run_bench_command(const BenchOptions& options, const std::string& command_l
                          kMostTimedSteps);
     std::optional<OutputFolder> folder;
     if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
-    Device device(convert_to_device_options(options.device));
+    Device device(to_device_options(options.device));
 
-    install_interrupt_handlers();
+    install_handlers();
     std::string text, json_text;
     if (!options.actors.empty() || options.scans.n_scans != 0 || options.n_steps != 0) {
         std::tie(text, json_text) = run_other_benchmark(options, device, command_line);
     } else {
-        const DevCase bench = make_benchmark_from_options(options.choice);
+        const DevCase bench = make_case(options.choice);
         BenchResult result = run_benchmark(device, bench, settings);
         // Measured last, when the memory of the scene is free again.
-        result.copy_bytes_per_s = measure_copy_bandwidth_bytes_per_s(device);
-        end_progress_line();
-        text = format_bench_result(bench, result, device);
-        json_text = make_bench_result_json(bench, settings, result, device, command_line);
+        result.copy_bytes_per_s = measure_bandwidth(device);
+        end_progress();
+        text = format_result(bench, result, device);
+        json_text = result_json(bench, settings, result, device, command_line);
     }
     if (!json.empty()) write_text_file(json, json_text);
     if (!settings.quiet) print(text);
@@ -145,7 +145,7 @@ Examples:
 
 }  // namespace
 
-void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_bench(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand(
         "bench", "measure the time of each kernel of a training iteration, on a synthetic street or a run");
     const auto options = std::make_shared<BenchOptions>();
@@ -154,16 +154,14 @@ void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
     const auto add = [&](const char* name, auto& value, const char* type, const char* text) {
         return command->add_option(name, value, text)->type_name(type);
     };
-    const CLI::Option* scene =
-        add("--scene", choice.street, "A|B|C",
-            "synthetic street; A: surfels of 0.1 to 0.3 m; B: the more surfels, the smaller they are; C: "
-            "like B, but with opacity 0.1 (default: A)");
+    const CLI::Option* scene = add("--scene", choice.street, "A|B|C",
+                                   "synthetic street; A: surfels of 0.1 to 0.3 m; B: the more surfels, the "
+                                   "smaller they are; C: like B, but with opacity 0.1 (default: A)");
     const CLI::Option* surfels =
         add("--surfels", choice.n_surfels, "N", "number of surfels of the street (default: 100000)");
-    const CLI::Option* rays =
-        add("--rays", choice.rays, "NAME|ROWSxCOLUMNS",
-            "size of the image: waymo (64 x 2650), kitti (66 x 1030) or ROWSxCOLUMNS; +2.0 to -24.9 degrees "
-            "(default: 64x1024)");
+    const CLI::Option* rays = add("--rays", choice.rays, "NAME|ROWSxCOLUMNS",
+                                  "size of the image: waymo (64 x 2650), kitti (66 x 1030) or ROWSxCOLUMNS; "
+                                  "+2.0 to -24.9 degrees (default: 64x1024)");
     add("--run", choice.run, "RUN",
         "measure a run instead of a street: its scene, and the rays of its sensor at the first held-out "
         "frame");
@@ -171,15 +169,13 @@ void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
         "number of hits of a ray that are sorted together, 1 to 64 (default: 16, or the value of the run)");
     add("--proxy", choice.proxy, "WHAT",
         "shape that represents a surfel in ray queries: auto, triangles or boxes (default: auto, or the "
-        "value "
-        "of the run)");
+        "value of the run)");
     add("--walk", choice.traversal_mode, "HOW",
         "unit that searches the software tree for a ray: auto, lane or subgroup (default: auto, or the value "
         "of the run)");
     add("--order", choice.order, "HOW",
         "how hits are sorted: chunks during the search, or complete lists after it (default: auto, which "
-        "uses "
-        "lists on a GPU)");
+        "uses lists on a GPU)");
     add("--sh", choice.sh, "ray|surfel",
         "evaluate spherical harmonics for each ray or once per surfel (default: ray, or the value of the "
         "run)");
@@ -202,8 +198,7 @@ void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
         "instead measure this number of complete scans along the path of --run");
     add("--together", options->scans.together, "N",
         "number of scans of --scans that are submitted to the device together; a GPU renders them in "
-        "parallel "
-        "(default: all sensors of a rig, otherwise 1)");
+        "parallel (default: all sensors of a rig, otherwise 1)");
     add("--steps", options->n_steps, "N",
         "instead measure this number of training steps that continue --run: the time of each kernel and the "
         "time between kernels");
@@ -227,7 +222,7 @@ void add_bench_command(CLI::App& app, ParsedCommand& selected_command) {
     command->callback([&selected_command, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
         selected_command.run = [&selected_command, options] {
-            run_bench_command(*options, selected_command.command_line);
+            run_bench(*options, selected_command.command_line);
         };
     });
 }

@@ -6,7 +6,7 @@
 
 namespace relidar::cli {
 
-void add_bench_command(CLI::App& app, ParsedCommand& selected_command);
-void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command);
+void add_bench(CLI::App& app, ParsedCommand& selected_command);
+void add_pipelines(CLI::App& app, ParsedCommand& selected_command);
 
 }  // namespace relidar::cli

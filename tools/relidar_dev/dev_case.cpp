@@ -36,17 +36,17 @@ struct ImageSize {
     long long columns = 0;
 };
 
-bool try_parse_positive_integer(const std::string& text, long long& parsed_value) {
+bool parse_positive(const std::string& text, long long& parsed_value) {
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), parsed_value);
     return error == std::errc() && stop == text.data() + text.size() && parsed_value >= 1;
 }
 
-std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
+std::optional<ImageSize> parse_grid_size(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
     const std::vector<std::string> words = split_text(text, 'x');
     ImageSize size;
-    if (words.size() != 2 || !try_parse_positive_integer(words[0], size.rows) ||
-        !try_parse_positive_integer(words[1], size.columns)) {
+    if (words.size() != 2 || !parse_positive(words[0], size.rows) ||
+        !parse_positive(words[1], size.columns)) {
         fail<UsageError>("--rays: found \"{}\", expected waymo, kitti or ROWSxCOLUMNS, for example 64x1024",
                          text);
     }
@@ -56,13 +56,12 @@ std::optional<ImageSize> parse_ray_grid_size(const std::string& text) {
     return size;
 }
 
-void set_config_from_bench_options(const BenchCaseOptions& bench_choice, Config& config) {
-    if (!bench_choice.chunk.empty()) set_config_value(config, "trace.chunk", bench_choice.chunk);
-    if (!bench_choice.keep_hits.empty()) set_config_value(config, "trace.keep_hits", bench_choice.keep_hits);
-    if (!bench_choice.likelihood.empty())
-        set_config_value(config, "loss.likelihood", bench_choice.likelihood);
+void apply_options(const BenchCaseOptions& bench_choice, Config& config) {
+    if (!bench_choice.chunk.empty()) set_value(config, "trace.chunk", bench_choice.chunk);
+    if (!bench_choice.keep_hits.empty()) set_value(config, "trace.keep_hits", bench_choice.keep_hits);
+    if (!bench_choice.likelihood.empty()) set_value(config, "loss.likelihood", bench_choice.likelihood);
     if (bench_choice.deterministic) config.train.deterministic = true;
-    if (!bench_choice.sh.empty()) set_config_value(config, "image.sh_direction", bench_choice.sh);
+    if (!bench_choice.sh.empty()) set_value(config, "image.sh_direction", bench_choice.sh);
 }
 
 /// Converts a word of the command line to a value of an enumeration. `words` are in the
@@ -76,7 +75,7 @@ Enum parse_word(const char* option, const std::string& word, const std::vector<s
 }
 
 void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
-    set_config_from_bench_options(choice, bench.config);
+    apply_options(choice, bench.config);
     bench.proxy = parse_word<ProxyShape>("--proxy", choice.proxy, {"auto", "triangles", "boxes"});
     bench.traversal_mode =
         parse_word<BvhTraversalMode>("--walk", choice.traversal_mode, {"auto", "lane", "subgroup"});
@@ -84,13 +83,13 @@ void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
     bench.keeps_more_hits = choice.keep_hits.empty();
 }
 
-DevCase make_benchmark_of_synthetic_street(const BenchCaseOptions& bench_choice) {
-    const std::optional<ImageSize> size = parse_ray_grid_size(bench_choice.rays);
-    const RayTable rays = size ? make_benchmark_rays(static_cast<int>(size->rows),
-                                                     static_cast<int>(size->columns), kTop_deg, kBottom_deg)
-                               : make_benchmark_rays(bench_choice.rays);
-    DevCase bench{make_synthetic_street_benchmark(static_cast<std::uint32_t>(bench_choice.n_surfels),
-                                                  bench_choice.street != "A", rays)};
+DevCase make_street_case(const BenchCaseOptions& bench_choice) {
+    const std::optional<ImageSize> size = parse_grid_size(bench_choice.rays);
+    const RayTable rays = size ? make_street_rays(static_cast<int>(size->rows),
+                                                  static_cast<int>(size->columns), kTop_deg, kBottom_deg)
+                               : make_street_rays(bench_choice.rays);
+    DevCase bench{
+        street_case(static_cast<std::uint32_t>(bench_choice.n_surfels), bench_choice.street != "A", rays)};
     bench.name = "street " + bench_choice.street;
     if (bench_choice.street == "C")
         bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
@@ -99,28 +98,28 @@ DevCase make_benchmark_of_synthetic_street(const BenchCaseOptions& bench_choice)
 
 }  // namespace
 
-void require_valid_bench_options(const BenchCaseOptions& bench_choice) {
+void check_options(const BenchCaseOptions& bench_choice) {
     if (bench_choice.street != "A" && bench_choice.street != "B" && bench_choice.street != "C")
         fail<UsageError>("--scene: found \"{}\", expected A, B or C", bench_choice.street);
     if (bench_choice.n_surfels < 1 || bench_choice.n_surfels > kMaxSurfels)
         fail<UsageError>("--surfels: found {}, expected a number from 1 to {}", bench_choice.n_surfels,
                          kMaxSurfels);
-    parse_ray_grid_size(bench_choice.rays);
+    parse_grid_size(bench_choice.rays);
     DevCase unused;
     apply_tracing_options(bench_choice, unused);
 }
 
-DevCase make_benchmark_from_options(const BenchCaseOptions& bench_choice) {
-    DevCase bench = bench_choice.run.empty() ? make_benchmark_of_synthetic_street(bench_choice)
-                                             : DevCase{make_benchmark_from_run(load_run(bench_choice.run))};
+DevCase make_case(const BenchCaseOptions& bench_choice) {
+    DevCase bench = bench_choice.run.empty() ? make_street_case(bench_choice)
+                                             : DevCase{case_of_run(load_run(bench_choice.run))};
     apply_tracing_options(bench_choice, bench);
     return bench;
 }
 
-AccelOptions make_benchmark_accel_options(const DevCase& bench_case) { return {.proxy = bench_case.proxy}; }
+AccelOptions accel_options(const DevCase& bench_case) { return {.proxy = bench_case.proxy}; }
 
-TraceOptions make_benchmark_trace_options(const DevCase& bench_case) {
-    TraceOptions options = make_common_trace_options(bench_case.config);
+TraceOptions trace_options(const DevCase& bench_case) {
+    TraceOptions options = common_options(bench_case.config);
     options.traversal_mode = bench_case.traversal_mode;
     options.order = bench_case.order;
     return options;

@@ -38,11 +38,11 @@ struct DevCase : BenchCase {
     bool keeps_more_hits = true;
 };
 
-AccelOptions make_benchmark_accel_options(const DevCase& bench_case);
-TraceOptions make_benchmark_trace_options(const DevCase& bench_case);
+AccelOptions accel_options(const DevCase& bench_case);
+TraceOptions trace_options(const DevCase& bench_case);
 
-void require_valid_bench_options(const BenchCaseOptions& bench_choice);
+void check_options(const BenchCaseOptions& bench_choice);
 
-DevCase make_benchmark_from_options(const BenchCaseOptions& bench_choice);
+DevCase make_case(const BenchCaseOptions& bench_choice);
 
 }  // namespace relidar::cli

@@ -11,10 +11,11 @@ namespace {
 using Sizes = const MemoryTrafficSizes&;
 
 // Sizes in bytes of the data structures that kernels read and write (shaders/shared).
-constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
-                 kTarget = 12, kUpstream = 20, kStoredHit = 16, kHit = 16, kHitRecord = 16, kRow = 4,
-                 kMark = 4;
-constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
+constexpr double kSurfelRecordBytes = 64, kGeometryBytes = 4 * (3 + 4 + 2 + 1), kNodeBytes = 80,
+                 kRayBytes = 24, kRenderedBytes = 36, kTargetBytes = 12, kUpstreamBytes = 20,
+                 kStoredHitBytes = 16, kHitBytes = 16, kHitRecordBytes = 16, kRowIndexBytes = 4,
+                 kMarkBytes = 4;
+constexpr double kBoxBytes = 24, kCornersBytes = 48, kSortKeyBytes = 8, kIndexBytes = 4;
 // Minimum number of BVH nodes per surfel. Leaves have 4 surfels and nodes have 8
 // children, so n surfels need at least about n / 4 / 7 nodes.
 constexpr double kFewestNodes = 1.0 / 28.0;
@@ -25,8 +26,9 @@ constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 double sh_bytes(Sizes s) { return 4 * 3 * s.n_sh; }
 double ray_sh_bytes(Sizes s) { return s.sh_per_surfel ? 0.0 : sh_bytes(s); }
 
-double count_bvh_refit_bytes(Sizes s) {
-    return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox);
+double refit_bytes(Sizes s) {
+    return s.n_surfels * (kBoxBytes + kIndexBytes) +
+           kFewestNodes * s.n_surfels * (28 + kNodeBytes + kBoxBytes);
 }
 
 /// Returns the number of bytes that building the tree must read and write. The build
@@ -34,33 +36,35 @@ double count_bvh_refit_bytes(Sizes s) {
 /// keys. For each 8-bit digit, the sort reads the keys twice and the values once, and
 /// writes both. Then the build writes the binary tree, reads its topology, and writes the
 /// leaf order and the wide nodes.
-double count_bvh_build_bytes(Sizes s) {
+double build_bytes(Sizes s) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
-    const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
-    const double tree = kBox + kKey + kIndex + (kKey + kBox + 28 + kIndex) + (kKey + kIndex);
-    return s.n_surfels * (kBox + 12 + kKey + kIndex + sort + tree + kIndex) + count_bvh_refit_bytes(s);
+    const double sort = std::ceil(bits / 8) * (3 * kSortKeyBytes + 2 * kIndexBytes);
+    const double tree = kBoxBytes + kSortKeyBytes + kIndexBytes +
+                        (kSortKeyBytes + kBoxBytes + 28 + kIndexBytes) + (kSortKeyBytes + kIndexBytes);
+    return s.n_surfels * (kBoxBytes + 12 + kSortKeyBytes + kIndexBytes + sort + tree + kIndexBytes) +
+           refit_bytes(s);
 }
 
-double count_backward_trace_bytes(Sizes s) {
-    const double sums =
-        s.gather ? s.n_hits * (kHitRecord + kRow) : s.n_touched * 2 * (kRecord + ray_sh_bytes(s));
-    return s.n_rays * (kRay + kRendered + kUpstream) + s.n_stored_hits_read * kStoredHit +
-           s.n_touched * (kRecord + ray_sh_bytes(s)) + sums;
+double backward_bytes(Sizes s) {
+    const double sums = s.gather ? s.n_hits * (kHitRecordBytes + kRowIndexBytes)
+                                 : s.n_touched * 2 * (kSurfelRecordBytes + ray_sh_bytes(s));
+    return s.n_rays * (kRayBytes + kRenderedBytes + kUpstreamBytes) + s.n_stored_hits_read * kStoredHitBytes +
+           s.n_touched * (kSurfelRecordBytes + ray_sh_bytes(s)) + sums;
 }
 
 /// Returns the memory traffic in bytes of the kernel that differentiates the activation
 /// functions. The kernel reads the gradients of all surfels. For surfels with a gradient,
 /// it also reads parameters and writes parameter gradients.
-double count_activation_gradient_bytes(Sizes s) {
+double activation_bytes(Sizes s) {
     const double sh = s.sh_per_surfel ? sh_bytes(s) : 0.0;
-    return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh);
+    return s.n_surfels * (kSurfelRecordBytes + kMarkBytes) + s.n_touched * 2 * (kGeometryBytes + sh);
 }
 
 /// Returns the number of bytes of one optimizer step (Adam). The kernel reads the
 /// gradients that are not zero. It reads and writes the parameters and both moments.
-double count_adam_step_bytes(Sizes s) {
+double adam_bytes(Sizes s) {
     const double updated = s.only_touched ? s.n_touched : s.n_surfels;
-    return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh_bytes(s));
+    return s.n_surfels * kMarkBytes + (s.n_touched + 6 * updated) * (kGeometryBytes + sh_bytes(s));
 }
 
 enum class When { always, software, training, gather, chunks, lists };
@@ -76,41 +80,42 @@ struct KernelTraffic {
 /// `n_touched`, the number of surfels with a gradient.
 constexpr KernelTraffic kFloorRows[] = {
     {"scene/activate", When::always,
-     [](Sizes s) { return s.n_surfels * (kGeometry + sh_bytes(s) + kRecord); }},
+     [](Sizes s) { return s.n_surfels * (kGeometryBytes + sh_bytes(s) + kSurfelRecordBytes); }},
     {"diff/accel/proxies", When::always,
-     [](Sizes s) { return s.n_surfels * (kRecord + (s.boxes ? kBox : kCorners)); }},
-    {"accel/build", When::software, count_bvh_build_bytes},
-    {"accel/refit", When::software, count_bvh_refit_bytes},
+     [](Sizes s) { return s.n_surfels * (kSurfelRecordBytes + (s.boxes ? kBoxBytes : kCornersBytes)); }},
+    {"accel/build", When::software, build_bytes},
+    {"accel/refit", When::software, refit_bytes},
     {"diff/forward/append", When::lists,
-     [](Sizes s) { return s.n_rays * kRay + s.n_touched * kRecord + s.n_hits * kHit; }},
-    {"diff/forward/sort_hits", When::lists, [](Sizes s) { return 2 * s.n_hits * kHit; }},
+     [](Sizes s) { return s.n_rays * kRayBytes + s.n_touched * kSurfelRecordBytes + s.n_hits * kHitBytes; }},
+    {"diff/forward/sort_hits", When::lists, [](Sizes s) { return 2 * s.n_hits * kHitBytes; }},
     {"diff/forward/blend", When::lists,
      [](Sizes s) {
-         return s.n_rays * kRendered + s.n_hits * kHit + s.n_hits_written * kStoredHit +
-                s.n_touched * (kRecord + ray_sh_bytes(s));
+         return s.n_rays * kRenderedBytes + s.n_hits * kHitBytes + s.n_hits_written * kStoredHitBytes +
+                s.n_touched * (kSurfelRecordBytes + ray_sh_bytes(s));
      }},
     {"diff/forward/trace", When::chunks,
      [](Sizes s) {
-         return s.n_rays * (kRay + kRendered) + s.n_hits_written * kStoredHit +
-                s.n_touched * (kRecord + ray_sh_bytes(s));
+         return s.n_rays * (kRayBytes + kRenderedBytes) + s.n_hits_written * kStoredHitBytes +
+                s.n_touched * (kSurfelRecordBytes + ray_sh_bytes(s));
      }},
     {"diff/loss/image_loss", When::training,
-     [](Sizes s) { return s.n_rays * (kRendered + kTarget + kUpstream); }},
+     [](Sizes s) { return s.n_rays * (kRenderedBytes + kTargetBytes + kUpstreamBytes); }},
     {"fill", When::training,
-     [](Sizes s) { return s.n_surfels * (kRecord + (s.sh_per_surfel ? 0.0 : 192.0)); }},
-    {"diff/backward/trace", When::training, count_backward_trace_bytes},
+     [](Sizes s) { return s.n_surfels * (kSurfelRecordBytes + (s.sh_per_surfel ? 0.0 : 192.0)); }},
+    {"diff/backward/trace", When::training, backward_bytes},
     {"backward/sort", When::gather,
      [](Sizes s) {
          // number of 8-bit digits that n_surfels different keys need
          const double n_digits = std::ceil(std::bit_width(static_cast<std::uint64_t>(s.n_surfels)) / 8.0);
-         return s.n_hits * n_digits * (kRow + 2 * (kRow + kIndex));
+         return s.n_hits * n_digits * (kRowIndexBytes + 2 * (kRowIndexBytes + kIndexBytes));
      }},
     {"diff/backward/gather", When::gather,
      [](Sizes s) {
-         return s.n_hits * (kHitRecord + kRow + kIndex) + s.n_touched * 2 * (kRecord + ray_sh_bytes(s));
+         return s.n_hits * (kHitRecordBytes + kRowIndexBytes + kIndexBytes) +
+                s.n_touched * 2 * (kSurfelRecordBytes + ray_sh_bytes(s));
      }},
-    {"scene/activate_vjp", When::training, count_activation_gradient_bytes},
-    {"diff/optimizer/adam", When::training, count_adam_step_bytes},
+    {"scene/activate_vjp", When::training, activation_bytes},
+    {"diff/optimizer/adam", When::training, adam_bytes},
 };
 
 bool is_kernel_used(const KernelTraffic& row, Sizes s) {
@@ -121,21 +126,21 @@ bool is_kernel_used(const KernelTraffic& row, Sizes s) {
 
 }  // namespace
 
-std::map<std::string, double> compute_min_traffic_bytes_per_kernel(const MemoryTrafficSizes& s) {
+std::map<std::string, double> min_traffic_bytes(const MemoryTrafficSizes& s) {
     std::map<std::string, double> bytes;
     for (const KernelTraffic& row : kFloorRows)
         if (is_kernel_used(row, s)) bytes[row.kernel] = row.bytes(s);
     return bytes;
 }
 
-std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTrafficSizes& s) {
+std::map<std::string, double> cache_load_bytes(const MemoryTrafficSizes& s) {
     std::map<std::string, double> bytes;
     if (s.nodes_opened <= 0.0) return bytes;
-    const double search = s.nodes_opened * kNode + s.surfels_tested * kRecord;
-    const double shading = s.n_hits * (kRecord + ray_sh_bytes(s));
+    const double search = s.nodes_opened * kNodeBytes + s.surfels_tested * kSurfelRecordBytes;
+    const double shading = s.n_hits * (kSurfelRecordBytes + ray_sh_bytes(s));
     if (s.lists) {
-        bytes["diff/forward/append"] = search + s.n_hits * kHit;
-        bytes["diff/forward/blend"] = shading + s.n_hits * kHit;
+        bytes["diff/forward/append"] = search + s.n_hits * kHitBytes;
+        bytes["diff/forward/blend"] = shading + s.n_hits * kHitBytes;
     } else {
         bytes["diff/forward/trace"] = search + shading;
     }
@@ -146,12 +151,12 @@ std::map<std::string, double> compute_cache_load_bytes_per_kernel(const MemoryTr
     // Bytes that the kernel writes per hit. With `gather`, the kernel stores the
     // gradients of the hit. Otherwise, it adds 16 floats with atomics. It also adds the
     // gradients of spherical harmonics if they are evaluated per ray.
-    const double sums = s.gather ? kHitRecord + kRow : kRecord + ray_sh_bytes(s);
-    bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
+    const double sums = s.gather ? kHitRecordBytes + kRowIndexBytes : kSurfelRecordBytes + ray_sh_bytes(s);
+    bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kSurfelRecordBytes + sums);
     return bytes;
 }
 
-double estimate_traversal_operation_count(const MemoryTrafficSizes& s) {
+double traversal_operations(const MemoryTrafficSizes& s) {
     return s.nodes_opened * kNodeOperations + s.surfels_tested * kSurfelOperations;
 }
 

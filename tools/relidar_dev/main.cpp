@@ -7,8 +7,8 @@
 namespace {
 
 void add_dev_commands(CLI::App& app, relidar::cli::ParsedCommand& selected_command) {
-    relidar::cli::add_bench_command(app, selected_command);
-    relidar::cli::add_pipelines_command(app, selected_command);
+    relidar::cli::add_bench(app, selected_command);
+    relidar::cli::add_pipelines(app, selected_command);
 }
 
 }  // namespace

@@ -31,27 +31,27 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using TimesByKernel = std::map<std::string, std::vector<double>>;
 
-constexpr const char* kOrder[] = {"scene/activate",
-                                  "diff/accel/proxies",
-                                  "accel/build",
-                                  "accel/refit",
-                                  "accel/top_level",
-                                  "diff/forward/append",
-                                  "diff/forward/sort_hits",
-                                  "diff/forward/blend",
-                                  "diff/forward/trace",
-                                  "diff/loss/image_loss",
-                                  "fill",
-                                  "backward/sort",
-                                  "diff/backward/trace",
-                                  "diff/backward/gather",
-                                  "diff/backward/gather_heads",
-                                  "scene/activate_vjp",
-                                  "diff/optimizer/adam"};
+constexpr const char* kRowOrder[] = {"scene/activate",
+                                     "diff/accel/proxies",
+                                     "accel/build",
+                                     "accel/refit",
+                                     "accel/top_level",
+                                     "diff/forward/append",
+                                     "diff/forward/sort_hits",
+                                     "diff/forward/blend",
+                                     "diff/forward/trace",
+                                     "diff/loss/image_loss",
+                                     "fill",
+                                     "backward/sort",
+                                     "diff/backward/trace",
+                                     "diff/backward/gather",
+                                     "diff/backward/gather_heads",
+                                     "scene/activate_vjp",
+                                     "diff/optimizer/adam"};
 
 /// Returns the row of the result table to which a kernel's time is added. Several
 /// kernels, for example all kernels that build the BVH, share a row.
-std::string get_table_row_name_of_kernel(const std::string& kernel_name, const std::string& phase_name) {
+std::string row_name(const std::string& kernel_name, const std::string& phase_name) {
     if (kernel_name == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel_name.starts_with("diff/accel/bvh_"))
         return phase_name == "rebuild" ? "accel/build" : "accel/refit";
@@ -59,41 +59,39 @@ std::string get_table_row_name_of_kernel(const std::string& kernel_name, const s
     return kernel_name;
 }
 
-RendererOptions make_forward_renderer_options(const DevCase& bench_case) {
-    return {.accel = make_benchmark_accel_options(bench_case),
-            .trace = make_benchmark_trace_options(bench_case),
+RendererOptions forward_options(const DevCase& bench_case) {
+    return {.accel = accel_options(bench_case),
+            .trace = trace_options(bench_case),
             .n_rays = static_cast<std::uint32_t>(bench_case.rays.size())};
 }
 
 /// Returns how many hits per ray would be stored at the end of a training. Training
 /// increases this number until only few rays have more hits.
-std::uint32_t predict_stored_hits_per_ray(const DevCase& bench_case,
-                                          const std::vector<std::uint32_t>& measured_hits_per_ray) {
+std::uint32_t predict_hits(const DevCase& bench_case,
+                           const std::vector<std::uint32_t>& measured_hits_per_ray) {
     auto keep = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits);
     while (bench_case.keeps_more_hits) {
         const auto n_overfull = std::count_if(measured_hits_per_ray.begin(), measured_hits_per_ray.end(),
                                               [&](std::uint32_t count) { return count > keep; });
-        const std::uint32_t more =
-            recommend_stored_hits_per_ray(keep, static_cast<std::uint64_t>(n_overfull));
+        const std::uint32_t more = grow_stored_hits(keep, static_cast<std::uint64_t>(n_overfull));
         if (more == keep) break;
         keep = more;
     }
     return keep;
 }
 
-BenchMemory measure_gpu_memory_of_each_part(Device& device, const DevCase& bench_case,
-                                            bool includes_training) {
+BenchMemory measure_memory(Device& device, const DevCase& bench_case, bool includes_training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
     };
     BenchMemory memory;
     const DeviceScene scene(device, bench_case.scene);
     memory.scene = since_last();
-    const AccelerationStructure accel(device, scene, make_benchmark_accel_options(bench_case));
+    const AccelerationStructure accel(device, scene, accel_options(bench_case));
     memory.accel = since_last();
     if (!includes_training) return memory;
     const DeviceGradients gradients(device, scene);
-    const Adam adam(device, scene.size(), {}, scene.get_surfel_parameters().get_parameter_set());
+    const Adam adam(device, scene.size(), {}, scene.surfel_parameters().parameters_used());
     memory.training = since_last();
     return memory;
 }
@@ -108,16 +106,14 @@ public:
 
     /// Renders an image to count its hits. If `includes_training` is true, also creates
     /// the training step and its target values.
-    void create_renderers_and_count_hits(bool includes_training) {
-        memory_ = measure_gpu_memory_of_each_part(device_, case_, includes_training);
-        image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image,
-                                            make_forward_renderer_options(case_));
-        image_->record_scene_update_for_view(case_.placed, case_.view_origin_m);
-        image_->record_forward_pass(make_ray_batch());
+    void create_renderers(bool includes_training) {
+        memory_ = measure_memory(device_, case_, includes_training);
+        image_ = std::make_unique<Renderer>(device_, case_.scene, case_.config.image, forward_options(case_));
+        image_->update(case_.placed, case_.view_origin_m);
+        image_->record_forward(make_ray_batch());
         image_->stream().submit_and_wait();
-        const RenderedRayValues rendering =
-            convert_rays_to_rendered_values(image_->get_last_rendered_batch().rendered->download());
-        const std::uint32_t keep = includes_training ? predict_stored_hits_per_ray(case_, rendering.hits) : 0,
+        const RenderedRayValues rendering = to_ray_values(image_->last_batch().rendered->download());
+        const std::uint32_t keep = includes_training ? predict_hits(case_, rendering.hits) : 0,
                             chunk = static_cast<std::uint32_t>(case_.config.trace.chunk);
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
@@ -126,63 +122,62 @@ public:
         }
         if (!includes_training) return;
         image_.reset();
-        RendererOptions options = make_forward_renderer_options(case_);
-        options.trace = make_training_trace_options(case_.config);
+        RendererOptions options = forward_options(case_);
+        options.trace = training_options(case_.config);
         options.trace.traversal_mode = case_.traversal_mode;
         options.trace.order = case_.order;
         options.keep_hits = keep;
         training_ = std::make_unique<TrainingStep>(
-            device_, case_, options, make_noisy_loss_targets(rendering, case_.config.loss.normalised_depth));
+            device_, case_, options, noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
     /// Runs one repetition: rebuilds the acceleration structure, runs a training
     /// iteration, and moves an instance away and back.
-    void run_repetition_with_gpu_timestamps() {
+    void run_repetition() {
         Renderer& r = get_renderer();
         Stream& stream = r.stream();
-        r.accel().record_bvh_refit_or_build(stream, r.scene(), true);
+        r.accel().record_refit(stream, r.scene(), true);
         stream.submit_and_wait();
-        append_kernel_times_since_last_call("rebuild", rebuild_kernels_);
+        append_times("rebuild", rebuild_kernels_);
         const Clock::time_point start = Clock::now();
-        r.record_scene_update_for_view(case_.placed, case_.view_origin_m);
-        r.record_forward_pass(make_ray_batch());
+        r.update(case_.placed, case_.view_origin_m);
+        r.record_forward(make_ray_batch());
         if (training_) {
-            training_->record_loss_kernels(make_ray_batch());
-            training_->differentiable.record_backward_pass();
-            training_->record_optimizer_kernels();
+            training_->record_losses(make_ray_batch());
+            training_->differentiable.record_backward();
+            training_->record_optimizer();
         }
         stream.submit_and_wait();
-        phases_["iteration_wall"].push_back(measure_ms_since(start));
-        append_kernel_times_since_last_call("iteration", kernels_);
-        const std::vector<InstancePose> before = r.scene().get_instance_poses();
+        phases_["iteration_wall"].push_back(ms_since(start));
+        append_times("iteration", kernels_);
+        const std::vector<InstancePose> before = r.scene().poses();
         std::vector<InstancePose> moved = before;
         moved.back().world_from_model.translation.x += 1.0;
-        r.scene().record_upload_of_instance_poses(stream, moved);
-        r.accel().record_top_level_bvh_update(stream, r.scene());
+        r.scene().stage_poses(stream, moved);
+        r.accel().record_top_level(stream, r.scene());
         stream.submit_and_wait();
-        append_kernel_times_since_last_call("move", rebuild_kernels_);
-        r.scene().record_upload_of_instance_poses(
-            stream, before);  // The new pose takes effect in the next iteration.
+        append_times("move", rebuild_kernels_);
+        r.scene().stage_poses(stream, before);  // The new pose takes effect in the next iteration.
     }
 
     /// Measures only the forward pass by wall time. Used for devices without timestamps.
-    void measure_forward_pass_by_wall_clock() {
+    void measure_forward() {
         Renderer& r = get_renderer();
-        r.record_scene_update_for_view(case_.placed, case_.view_origin_m);
+        r.update(case_.placed, case_.view_origin_m);
         r.stream().submit_and_wait();
         const Clock::time_point start = Clock::now();
-        r.record_forward_pass(make_ray_batch());
+        r.record_forward(make_ray_batch());
         r.stream().submit_and_wait();
-        kernels_["diff/forward/trace"].push_back(measure_ms_since(start));
+        kernels_["diff/forward/trace"].push_back(ms_since(start));
     }
 
-    void clear_time_samples() {
-        get_renderer().stream().reset_kernel_times();
+    void clear_samples() {
+        get_renderer().stream().reset_times();
         for (TimesByKernel* samples : {&kernels_, &rebuild_kernels_, &phases_}) samples->clear();
     }
 
-    BenchResult make_bench_result();
-    MemoryTrafficSizes compute_memory_traffic_sizes(const BenchResult& result);
+    BenchResult bench_result();
+    MemoryTrafficSizes traffic_sizes(const BenchResult& result);
 
 private:
     Device& device_;
@@ -207,24 +202,23 @@ private:
                 training_ ? &training_->targets : nullptr};
     }
 
-    void append_kernel_times_since_last_call(const std::string& phase_name, TimesByKernel& kernel_samples) {
+    void append_times(const std::string& phase_name, TimesByKernel& kernel_samples) {
         double total = 0.0;
         std::map<std::string, double> sums;
         Stream& stream = get_renderer().stream();
         for (const auto& [kernel, times] : stream.times().milliseconds)
-            sums[get_table_row_name_of_kernel(kernel, phase_name)] +=
-                std::accumulate(times.begin(), times.end(), 0.0);
+            sums[row_name(kernel, phase_name)] += std::accumulate(times.begin(), times.end(), 0.0);
         for (const auto& [row, ms] : sums) {
             kernel_samples[row].push_back(ms);
             total += ms;
         }
         phases_[phase_name].push_back(total);
-        stream.reset_kernel_times();
+        stream.reset_times();
     }
 };
 
-std::vector<KernelBenchTime> compute_percentile_rows_of_kernels(
-    const TimesByKernel& samples, std::vector<std::string> preferred_row_order) {
+std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples,
+                                             std::vector<std::string> preferred_row_order) {
     for (const auto& [name, unused] : samples) {
         if (std::find(preferred_row_order.begin(), preferred_row_order.end(), name) ==
             preferred_row_order.end())
@@ -233,26 +227,25 @@ std::vector<KernelBenchTime> compute_percentile_rows_of_kernels(
     std::vector<KernelBenchTime> rows;
     for (const std::string& name : preferred_row_order) {
         if (const auto it = samples.find(name); it != samples.end())
-            rows.push_back({name, compute_p10_median_p90(it->second)});
+            rows.push_back({name, percentiles_of(it->second)});
     }
     return rows;
 }
 
-BenchResult BenchRunner::make_bench_result() {
+BenchResult BenchRunner::bench_result() {
     Renderer& r = get_renderer();
-    if (const std::uint32_t capped = r.forward_pass().get_truncated_ray_count_on_device().download()[0])
+    if (const std::uint32_t capped = r.forward_pass().n_truncated_rays().download()[0])
         fail<DeviceError>(
-            "cannot trace {} rays: {} of them reached the maximum number of passes or filled the "
-            "traversal stack, expected none",
+            "cannot trace {} rays: {} of them reached the maximum number of passes or filled the traversal "
+            "stack, expected none",
             rays_.size(), capped);
     // Adds the kernels that do not run in an iteration, such as the build of the
     // acceleration structure.
     kernels_.merge(rebuild_kernels_);
     BenchResult result;
-    result.proxy = r.accel().get_proxy_shape_of_surfels() == ProxyShape::boxes ? "boxes" : "triangles";
-    result.kernels = compute_percentile_rows_of_kernels(kernels_, {std::begin(kOrder), std::end(kOrder)});
-    result.phases =
-        compute_percentile_rows_of_kernels(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
+    result.proxy = r.accel().proxy_shape() == ProxyShape::boxes ? "boxes" : "triangles";
+    result.kernels = percentile_rows(kernels_, {std::begin(kRowOrder), std::end(kRowOrder)});
+    result.phases = percentile_rows(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
     const double krays = static_cast<double>(rays_.size()) / 1000.0;
     double forward_ms = 0.0;
     for (const KernelBenchTime& row : result.kernels) {
@@ -261,19 +254,19 @@ BenchResult BenchRunner::make_bench_result() {
     }
     result.forward_mrays_per_s = krays / forward_ms;
     result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
-    result.stored_hits_per_ray = r.get_stored_hits_per_ray();
+    result.stored_hits_per_ray = r.stored_hits_per_ray();
     result.memory = memory_;
     result.memory.rays =
         device_.allocated_bytes() - allocated_before_ - memory_.scene - memory_.accel - memory_.training;
-    result.memory.peak = device_.peak_allocated_bytes();
-    if (const auto visits = count_bvh_visits(device_, r.scene(), r.accel(), make_ray_batch(),
-                                             case_.config.image, make_benchmark_trace_options(case_)))
+    result.memory.peak = device_.peak_bytes();
+    if (const auto visits = count_visits(device_, r.scene(), r.accel(), make_ray_batch(), case_.config.image,
+                                         trace_options(case_)))
         result.visits = BenchVisits{visits->nodes, visits->surfels};
-    result.sizes = compute_memory_traffic_sizes(result);
+    result.sizes = traffic_sizes(result);
     return result;
 }
 
-MemoryTrafficSizes BenchRunner::compute_memory_traffic_sizes(const BenchResult& result) {
+MemoryTrafficSizes BenchRunner::traffic_sizes(const BenchResult& result) {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();
     s.n_models = static_cast<double>(case_.scene.models.size());
@@ -284,8 +277,8 @@ MemoryTrafficSizes BenchRunner::compute_memory_traffic_sizes(const BenchResult& 
     s.lists = kernels_.contains("diff/forward/append");
     s.gather = kernels_.contains("diff/backward/gather");
     s.only_touched = case_.config.train.only_touched;
-    s.boxes = get_renderer().accel().get_proxy_shape_of_surfels() == ProxyShape::boxes;
-    s.software = device_.get_ray_tracing_backend() == RayTracingBackend::software;
+    s.boxes = get_renderer().accel().proxy_shape() == ProxyShape::boxes;
+    s.software = device_.backend() == RayTracingBackend::software;
     if (result.visits) {
         s.nodes_opened = result.visits->nodes * s.n_rays;
         s.surfels_tested = result.visits->surfels * s.n_rays;
@@ -299,11 +292,11 @@ MemoryTrafficSizes BenchRunner::compute_memory_traffic_sizes(const BenchResult& 
 
 }  // namespace
 
-double measure_ms_since(Clock::time_point start) {
+double ms_since(Clock::time_point start) {
     return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-TimePercentiles compute_p10_median_p90(std::vector<double> samples) {
+TimePercentiles percentiles_of(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());
     const auto at = [&](double share) {
         const double sample_position = share * static_cast<double>(samples.size() - 1);
@@ -316,30 +309,27 @@ TimePercentiles compute_p10_median_p90(std::vector<double> samples) {
 
 BenchResult run_benchmark(Device& device, const DevCase& bench_case, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
-    TerminalProgress(settings.quiet).show_progress_text("running repetitions that are not measured");
+    TerminalProgress(settings.quiet).show_text("running repetitions that are not measured");
     BenchRunner bench(device, bench_case);
-    const auto repeat = [&] {
-        device_clock ? bench.run_repetition_with_gpu_timestamps()
-                     : bench.measure_forward_pass_by_wall_clock();
-    };
-    bench.create_renderers_and_count_hits(settings.backward && device_clock);
+    const auto repeat = [&] { device_clock ? bench.run_repetition() : bench.measure_forward(); };
+    bench.create_renderers(settings.backward && device_clock);
     // Warms up, because the first launches compile kernels, and because a GPU raises its
     // clock rate only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     const Clock::time_point start = Clock::now();
     do {
-        throw_if_interrupted();
+        check_interrupt();
         repeat();
-    } while (measure_ms_since(start) < warm_up_ms);
-    bench.clear_time_samples();
+    } while (ms_since(start) < warm_up_ms);
+    bench.clear_samples();
     TerminalProgress progress(settings.quiet);
     for (int i = 0; i < settings.repeat; ++i) {
-        throw_if_interrupted();
+        check_interrupt();
         repeat();
-        progress.show_step_progress("repetition", static_cast<std::size_t>(i) + 1,
-                                    static_cast<std::size_t>(settings.repeat));
+        progress.show_step("repetition", static_cast<std::size_t>(i) + 1,
+                           static_cast<std::size_t>(settings.repeat));
     }
-    BenchResult result = bench.make_bench_result();
+    BenchResult result = bench.bench_result();
     result.device_clock = device_clock;
     return result;
 }

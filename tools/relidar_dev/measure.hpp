@@ -25,9 +25,9 @@ struct TimePercentiles {
     double median = 0.0;
     double p90 = 0.0;
 };
-TimePercentiles compute_p10_median_p90(std::vector<double> samples);
+TimePercentiles percentiles_of(std::vector<double> samples);
 
-double measure_ms_since(std::chrono::steady_clock::time_point start);
+double ms_since(std::chrono::steady_clock::time_point start);
 
 struct KernelBenchTime {
     std::string name;

@@ -22,25 +22,22 @@ struct PipelinesOptions {
     bool tsv = false;
 };
 
-std::vector<PipelineStatistics> compile_pipelines_for_backend(int device_index, RayTracingBackend backend) {
+std::vector<PipelineStatistics> compile_backend(int device_index, RayTracingBackend backend) {
     Device device({.index = device_index, .traversal = backend, .compile_only = true});
     TerminalProgress progress(false);
-    compile_all_pipelines(device, [&](const std::string& description) {
-        progress.show_progress_text("compiling: " + description);
-    });
-    return device.get_pipeline_statistics();
+    compile_pipelines(device, [&](const std::string& text) { progress.show_text("compiling: " + text); });
+    return device.statistics();
 }
 
 /// Compiles the pipelines for the requested kind of ray traversal. "both" means all kinds
 /// that the device supports. Each pipeline is listed only once.
-std::vector<PipelineStatistics> compile_requested_pipelines(const PipelinesOptions& options) {
-    const DeviceInfo info =
-        Device(apply_environment_variables({.index = options.device, .compile_only = true})).info();
+std::vector<PipelineStatistics> compile_requested(const PipelinesOptions& options) {
+    const DeviceInfo info = Device(apply_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
     std::set<std::string> pipeline_names;
     const auto add = [&](const char* name, RayTracingBackend traversal, bool has) {
         if (options.traversal != name && !(options.traversal == "both" && has)) return;
-        for (PipelineStatistics& p : compile_pipelines_for_backend(info.index, traversal)) {
+        for (PipelineStatistics& p : compile_backend(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
             if (pipeline_names.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size))
                     .second)
@@ -52,7 +49,7 @@ std::vector<PipelineStatistics> compile_requested_pipelines(const PipelinesOptio
     return all;
 }
 
-std::vector<std::vector<std::string>> make_statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
+std::vector<std::vector<std::string>> statistic_rows(const std::vector<PipelineStatistics>& pipelines) {
     std::set<std::string> names;
     for (const PipelineStatistics& p : pipelines)
         for (const auto& [name, value] : p.values) names.insert(name);
@@ -68,19 +65,19 @@ std::vector<std::vector<std::string>> make_statistic_rows(const std::vector<Pipe
     return rows;
 }
 
-void print_pipeline_statistics(const PipelinesOptions& options) {
-    const std::vector<PipelineStatistics> pipelines = compile_requested_pipelines(options);
+void print_statistics(const PipelinesOptions& options) {
+    const std::vector<PipelineStatistics> pipelines = compile_requested(options);
     if (!options.tsv) {
-        print(format_table(make_statistic_rows(pipelines)));
+        print(format_table(statistic_rows(pipelines)));
         return;
     }
-    for (const std::vector<std::string>& row : make_statistic_rows(pipelines))
+    for (const std::vector<std::string>& row : statistic_rows(pipelines))
         print(fmt::format("{}\n", fmt::join(row, "\t")));
 }
 
 }  // namespace
 
-void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_pipelines(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("pipelines",
                                            "compile each kernel as relidar uses it and print statistics from "
                                            "the compiler of the driver: registers, spills, waves");
@@ -94,9 +91,8 @@ void add_pipelines_command(CLI::App& app, ParsedCommand& selected_command) {
     command->footer(
         "No kernel runs, so a driver without hardware is sufficient (tools/dev/gpu_report).\nExample: "
         "relidar-dev pipelines --kernel trace");
-    command->callback([&selected_command, options] {
-        selected_command.run = [options] { print_pipeline_statistics(*options); };
-    });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { print_statistics(*options); }; });
 }
 
 }  // namespace relidar::cli

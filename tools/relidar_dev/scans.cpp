@@ -29,29 +29,27 @@ constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 /// If a rig has several sensors, consecutive requests use one sensor after the other.
 class LogPathRequests {
 public:
-    LogPathRequests(const TrainedRun& run, const ScanBenchOptions& bench) {
-        const PoseTrack log =
-            add_offset_to_track_positions(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
+    LogPathRequests(const Run& run, const ScanBenchOptions& bench) {
+        const PoseTrack log = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
         first_s_ = log.time_s.front();
         last_s_ = log.time_s.back();
         if (const auto rig = read_sensor_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
-                sensors_.push_back(make_simulated_sensor(mounted));
-                tracks_.push_back(
-                    compute_mounted_track(subdivide_turning_segments(log), mounted.rig_from_sensor));
+                sensors_.push_back(simulate_sensor(mounted));
+                tracks_.push_back(mount_track(subdivide_turns(log), mounted.rig_from_sensor));
             }
         } else {
-            sensors_.push_back(find_or_load_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config,
-                                                   run.sequence));
+            sensors_.push_back(
+                choose_sensor(bench.sensor.empty() ? "native" : bench.sensor, run.config, run.sequence));
             tracks_.push_back(log);
         }
         n_moments_ = (bench.n_scans - 1) / n_sensors() + 1;
     }
     int n_sensors() const { return int(sensors_.size()); }
-    const SimulatedSensor& get_sensor_of_scan(int scan_index) const {
+    const SimulatedSensor& sensor_of(int scan_index) const {
         return sensors_[std::size_t(scan_index % n_sensors())];
     }
-    ScanRequest make_scan_request(int scan_index) const {
+    ScanRequest make_request(int scan_index) const {
         const int moment = scan_index / n_sensors();
         return {first_s_ + (last_s_ - first_s_) * (moment + 0.5) / n_moments_,
                 tracks_[std::size_t(scan_index % n_sensors())]};
@@ -70,7 +68,7 @@ double sum_kernel_ms(const KernelTimes& kernel_times) {
     return sum;
 }
 
-double get_thread_cpu_time_ms() {
+double thread_cpu_ms() {
     timespec t{};
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
     return 1e3 * double(t.tv_sec) + 1e-6 * double(t.tv_nsec);
@@ -78,7 +76,7 @@ double get_thread_cpu_time_ms() {
 
 }  // namespace
 
-ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_options) {
+ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& bench_options) {
     using Send = ScanRenderer::SubmissionTiming;
     if (bench_options.n_scans < 1 || bench_options.n_scans > kMostInOneGo)
         fail<UsageError>("--scans: found {}, expected a number from 1 to {}", bench_options.n_scans,
@@ -86,7 +84,7 @@ ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_
     if (bench_options.together < 0 || bench_options.together > kMostTogether)
         fail<UsageError>("--together: found {}, expected a number from 1 to {}", bench_options.together,
                          kMostTogether);
-    const TrainedRun run = load_run(bench_options.run);
+    const Run run = load_run(bench_options.run);
     ScanRenderer renderer(device, run);
     const LogPathRequests drive(run, bench_options);
     const int together = std::min(bench_options.together ? bench_options.together : drive.n_sensors(),
@@ -94,26 +92,25 @@ ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_
     const auto ask = [&](int first) {
         const int end = std::min(first + together, bench_options.n_scans);
         for (int scan = first; scan < end; ++scan) {
-            const ScanRequest request = drive.make_scan_request(scan);
-            renderer.submit_points(drive.get_sensor_of_scan(scan), request, request.time_s,
+            const ScanRequest request = drive.make_request(scan);
+            renderer.submit_points(drive.sensor_of(scan), request, request.time_s,
                                    bench_options.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
                                    scan + 1 < end ? Send::with_next : Send::now);
         }
         return end - first;
     };
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
-    ScanBenchTimes result{
-        .sensor = drive.n_sensors() > 1 ? bench_options.sensor : drive.get_sensor_of_scan(0).name,
-        .n_scans = bench_options.n_scans,
-        .together = together,
-        .side_by_side = std::min(together, renderer.get_max_parallel_scans())};
+    ScanBenchTimes result{.sensor = drive.n_sensors() > 1 ? bench_options.sensor : drive.sensor_of(0).name,
+                          .n_scans = bench_options.n_scans,
+                          .together = together,
+                          .side_by_side = std::min(together, renderer.max_parallel())};
     const double kernels_before_ms = sum_kernel_ms(renderer.times());
     std::vector<double> scan_ms;
     const auto start = std::chrono::steady_clock::now();
-    const double thread_begun_ms = get_thread_cpu_time_ms();
+    const double thread_begun_ms = thread_cpu_ms();
     RenderedPoints scan;
     for (int first = 0, n_requested = ask(0); n_requested > 0;) {
-        throw_if_interrupted();
+        check_interrupt();
         const auto begun = std::chrono::steady_clock::now();
         const int n_scans = n_requested;
         first += n_scans;
@@ -125,16 +122,16 @@ ScanBenchTimes measure_scan_times(Device& device, const ScanBenchOptions& bench_
             result.points += double(scan.points.size()) / bench_options.n_scans;
             result.rays += double(scan.n_rays) / bench_options.n_scans;
         }
-        scan_ms.push_back(measure_ms_since(begun) / n_scans);
+        scan_ms.push_back(ms_since(begun) / n_scans);
     }
-    result.host_ms = (get_thread_cpu_time_ms() - thread_begun_ms) / bench_options.n_scans;
-    result.scans_per_s = 1e3 * bench_options.n_scans / measure_ms_since(start);
-    result.scan_ms = compute_p10_median_p90(scan_ms).median;
+    result.host_ms = (thread_cpu_ms() - thread_begun_ms) / bench_options.n_scans;
+    result.scans_per_s = 1e3 * bench_options.n_scans / ms_since(start);
+    result.scan_ms = percentiles_of(scan_ms).median;
     result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / bench_options.n_scans;
     return result;
 }
 
-std::string format_scan_times(const ScanBenchTimes& times) {
+std::string format_scans(const ScanBenchTimes& times) {
     return fmt::format(
         "{}: {} scans of {:.0f} rays, {:.0f} points each{}\n"
         "{:.1f} scans/s, {:.2f} ms per scan (median); kernels {:.2f} ms per scan; processor time of the "
@@ -146,12 +143,11 @@ std::string format_scan_times(const ScanBenchTimes& times) {
         times.scans_per_s, times.scan_ms, times.device_ms, times.host_ms);
 }
 
-std::string make_scan_times_json(const ScanBenchTimes& times, const Device& device,
-                                 const std::string& command_line) {
+std::string scans_json(const ScanBenchTimes& times, const Device& device, const std::string& args) {
     const nlohmann::ordered_json json = {{"format", "relidar-dev bench scans"},
                                          {"version", 1},
                                          {"relidar", RELIDAR_VERSION},
-                                         {"command", command_line},
+                                         {"command", args},
                                          {"device", device.info().name},
                                          {"sensor", times.sensor},
                                          {"scans", times.n_scans},

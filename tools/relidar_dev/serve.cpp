@@ -16,7 +16,7 @@ constexpr int kMostClients = 256, kMostCalls = 1'000'000;
 
 }  // namespace
 
-void run_service_benchmark(const ServeBenchOptions& bench_options) {
+void bench_service(const ServeBenchOptions& bench_options) {
     if (bench_options.clients < 1 || bench_options.clients > kMostClients)
         fail<UsageError>("--clients: found {}, expected a number from 1 to {}", bench_options.clients,
                          kMostClients);

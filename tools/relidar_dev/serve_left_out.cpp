@@ -6,7 +6,7 @@
 
 namespace relidar::cli {
 
-void run_service_benchmark(const ServeBenchOptions&) {
+void bench_service(const ServeBenchOptions&) {
     throw UsageError(
         "--serve is not available, because relidar-dev was built without gRPC; run `tools/dev/setup --serve` "
         "and build it again");

@@ -14,15 +14,15 @@
 
 namespace relidar::cli {
 
-TrainingStepTimes measure_training_steps(Device& device, const std::string& folder, int n_steps, bool quiet) {
-    TrainedRun run = load_run(folder);
-    copy_scans_into_run(run, run.split.train, load_dataset(run.config, quiet));
-    TrainingStepTimes times = measure_step_times(device, run, n_steps, is_interrupted);
-    throw_if_interrupted();
+TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet) {
+    Run run = load_run(folder);
+    copy_scans(run, run.split.train, load_dataset(run.config, quiet));
+    TrainingStepTimes times = measure_steps(device, run, n_steps, is_interrupted);
+    check_interrupt();
     return times;
 }
 
-std::string format_step_times(const TrainingStepTimes& times, const Device& device) {
+std::string format_steps(const TrainingStepTimes& times, const Device& device) {
     using KernelTimeRow = std::pair<std::string, TrainingStepTimes::StepKernelTime>;
     std::vector<KernelTimeRow> rows(times.kernels.begin(), times.kernels.end());
     std::sort(rows.begin(), rows.end(), [](const KernelTimeRow& first, const KernelTimeRow& second) {
@@ -44,15 +44,14 @@ std::string format_step_times(const TrainingStepTimes& times, const Device& devi
     return text + fmt::format("{:.2f} steps/s\n", 1e3 / times.wall_ms);
 }
 
-std::string make_step_times_json(const TrainingStepTimes& times, const Device& device,
-                                 const std::string& command_line) {
+std::string steps_json(const TrainingStepTimes& times, const Device& device, const std::string& args) {
     nlohmann::ordered_json kernels = nlohmann::ordered_json::object();
     for (const auto& [name, kernel] : times.kernels)
         kernels[name] = {{"launches", kernel.launches}, {"ms", kernel.ms}};
     const nlohmann::ordered_json json = {{"format", "relidar-dev bench steps"},
                                          {"version", 1},
                                          {"relidar", RELIDAR_VERSION},
-                                         {"command", command_line},
+                                         {"command", args},
                                          {"device", device.info().name},
                                          {"steps", times.n_steps},
                                          {"surfels", times.surfels},

@@ -9,11 +9,9 @@
 
 namespace relidar::cli {
 
-TrainingStepTimes measure_training_steps(Device& device, const std::string& run_folder, int n_steps,
-                                         bool quiet);
+TrainingStepTimes measure_steps(Device& device, const std::string& folder, int n_steps, bool quiet);
 
-std::string format_step_times(const TrainingStepTimes& times, const Device& device);
-std::string make_step_times_json(const TrainingStepTimes& times, const Device& device,
-                                 const std::string& command_line);
+std::string format_steps(const TrainingStepTimes& times, const Device& device);
+std::string steps_json(const TrainingStepTimes& times, const Device& device, const std::string& args);
 
 }  // namespace relidar::cli

@@ -18,60 +18,55 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-std::string format_milliseconds(double ms) {
+std::string format_ms(double ms) {
     int n_decimals = 1;
     if (ms < 1.0) n_decimals = 4;
     else if (ms < 100.0) n_decimals = 3;
     return fmt::format("{:.{}f}", ms, n_decimals);
 }
 
-std::string format_phase_name(const std::string& phase_id, bool includes_training) {
+std::string phase_title(const std::string& phase_id, bool includes_training) {
     const std::string repetition = includes_training ? "complete iteration" : "complete frame";
     if (phase_id == "iteration") return repetition;
     if (phase_id == "iteration_wall") return repetition + ", wall time";
     return phase_id == "rebuild" ? "rebuild of the tree" : "move of one instance";
 }
 
-std::string get_bvh_traversal_mode_name(const DevCase& bench_case) {
+std::string mode_name(const DevCase& bench_case) {
     return std::array{"automatic", "lane", "subgroup"}[std::size_t(bench_case.traversal_mode)];
 }
 
-std::string get_device_backend_name(const Device& device) {
-    return device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray_query";
+std::string backend_name(const Device& device) {
+    return device.backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
-std::string get_sh_evaluation_direction_name(const DevCase& bench_case) {
+std::string sh_direction_name(const DevCase& bench_case) {
     return bench_case.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
 }
-std::string get_gradient_summation_method_name(const BenchResult& result) {
+std::string summation_method(const BenchResult& result) {
     if (!result.sizes.training) return "none";
     return result.sizes.gather ? "gather" : "atomics";
 }
-std::uint64_t sum_scene_bvh_and_training_bytes(const BenchMemory& memory) {
-    return memory.scene + memory.accel + memory.training;
-}
+std::uint64_t total_bytes(const BenchMemory& memory) { return memory.scene + memory.accel + memory.training; }
 
-double divide_bytes_by_item_count(std::uint64_t n_bytes, std::size_t count) {
+double bytes_per_item(std::uint64_t n_bytes, std::size_t count) {
     return static_cast<double>(n_bytes) / static_cast<double>(std::max<std::size_t>(count, 1));
 }
 
-std::string format_memory_report(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
+std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
     return fmt::format(
         "memory    {} at peak; {:.0f} bytes per surfel (scene {:.0f}, acceleration structure {:.0f}, "
         "gradients and moments {:.0f}), {:.0f} bytes per ray\n",
-        format_byte_size(memory.peak),
-        divide_bytes_by_item_count(sum_scene_bvh_and_training_bytes(memory), n_surfels),
-        divide_bytes_by_item_count(memory.scene, n_surfels),
-        divide_bytes_by_item_count(memory.accel, n_surfels),
-        divide_bytes_by_item_count(memory.training, n_surfels),
-        divide_bytes_by_item_count(memory.rays, n_rays));
+        format_bytes(memory.peak), bytes_per_item(total_bytes(memory), n_surfels),
+        bytes_per_item(memory.scene, n_surfels), bytes_per_item(memory.accel, n_surfels),
+        bytes_per_item(memory.training, n_surfels), bytes_per_item(memory.rays, n_rays));
 }
 
 /// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
 /// phase (a group of kernels) is the sum of their bounds.
-std::map<std::string, double> compute_lower_bound_times_ms(const BenchResult& result) {
+std::map<std::string, double> lower_bounds_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;
-    for (const auto& [kernel, bytes] : compute_min_traffic_bytes_per_kernel(result.sizes))
+    for (const auto& [kernel, bytes] : min_traffic_bytes(result.sizes))
         floors[kernel] = bytes / *result.copy_bytes_per_s * 1000.0;
     double iteration = 0.0;
     for (const auto& [kernel, ms] : floors) iteration += kernel == "accel/build" ? 0.0 : ms;
@@ -81,27 +76,26 @@ std::map<std::string, double> compute_lower_bound_times_ms(const BenchResult& re
     return floors;
 }
 
-std::string format_time_lower_bounds(const BenchResult& result) {
+std::string format_bounds(const BenchResult& result) {
     if (!result.copy_bytes_per_s)
         return "floors    unknown, because too little device memory is free to measure a copy\n";
     std::string text = fmt::format(
         "floors    minimum memory traffic at the speed of a copy ({:.1f} GB/s), without latency, divergence "
         "and arithmetic\n",
         *result.copy_bytes_per_s * 1e-9);
-    const std::map<std::string, double> cached = compute_cache_load_bytes_per_kernel(result.sizes);
+    const std::map<std::string, double> cached = cache_load_bytes(result.sizes);
     for (const auto& [kernel, bytes] : cached)
-        text +=
-            fmt::format("caches    {} loads {:.3f} GB, which takes {} ms at the speed of a copy\n", kernel,
-                        bytes * 1e-9, format_milliseconds(bytes / *result.copy_bytes_per_s * 1000.0));
+        text += fmt::format("caches    {} loads {:.3f} GB, which takes {} ms at the speed of a copy\n",
+                            kernel, bytes * 1e-9, format_ms(bytes / *result.copy_bytes_per_s * 1000.0));
     if (!cached.empty())
         text += fmt::format("search    about {:.3f} G operations in {}\n",
-                            estimate_traversal_operation_count(result.sizes) * 1e-9,
+                            traversal_operations(result.sizes) * 1e-9,
                             result.sizes.lists ? "diff/forward/append" : "diff/forward/trace");
     return text;
 }
 
-Json make_time_percentiles_json(const std::vector<KernelBenchTime>& rows,
-                                const std::map<std::string, double>& min_times_ms) {
+Json percentiles_json(const std::vector<KernelBenchTime>& rows,
+                      const std::map<std::string, double>& min_times_ms) {
     Json json = Json::object();
     for (const KernelBenchTime& row : rows) {
         Json& entry = json[row.name] = {{"p10", row.ms.p10},
@@ -117,62 +111,60 @@ Json make_time_percentiles_json(const std::vector<KernelBenchTime>& rows,
     return json;
 }
 
-Json make_time_lower_bounds_json(const BenchResult& result) {
+Json bounds_json(const BenchResult& result) {
     Json json = {{"copy_bytes_per_s", nullptr},
-                 {"bytes", compute_min_traffic_bytes_per_kernel(result.sizes)},
-                 {"cache_bytes", compute_cache_load_bytes_per_kernel(result.sizes)},
-                 {"search_operations", estimate_traversal_operation_count(result.sizes)},
+                 {"bytes", min_traffic_bytes(result.sizes)},
+                 {"cache_bytes", cache_load_bytes(result.sizes)},
+                 {"search_operations", traversal_operations(result.sizes)},
                  {"surfels_with_gradient", result.sizes.n_touched},
                  {"left_out", "latency, divergence, second loads of what a cache loses, arithmetic"}};
     if (result.copy_bytes_per_s) json["copy_bytes_per_s"] = *result.copy_bytes_per_s;
     return json;
 }
 
-Json make_memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
-    return {
-        {"peak_bytes", memory.peak},
-        {"scene_bytes", memory.scene},
-        {"accel_bytes", memory.accel},
-        {"training_bytes", memory.training},
-        {"ray_bytes", memory.rays},
-        {"bytes_per_surfel", divide_bytes_by_item_count(sum_scene_bvh_and_training_bytes(memory), n_surfels)},
-        {"accel_bytes_per_surfel", divide_bytes_by_item_count(memory.accel, n_surfels)},
-        {"bytes_per_ray", divide_bytes_by_item_count(memory.rays, n_rays)}};
+Json memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {
+    return {{"peak_bytes", memory.peak},
+            {"scene_bytes", memory.scene},
+            {"accel_bytes", memory.accel},
+            {"training_bytes", memory.training},
+            {"ray_bytes", memory.rays},
+            {"bytes_per_surfel", bytes_per_item(total_bytes(memory), n_surfels)},
+            {"accel_bytes_per_surfel", bytes_per_item(memory.accel, n_surfels)},
+            {"bytes_per_ray", bytes_per_item(memory.rays, n_rays)}};
 }
 
 }  // namespace
 
-std::string format_bench_result(const DevCase& bench_case, const BenchResult& result, const Device& device) {
+std::string format_result(const DevCase& bench_case, const BenchResult& result, const Device& device) {
     std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench_case.name,
                                    bench_case.scene.surfels.size(), bench_case.rays.size(), bench_case.rows,
                                    bench_case.columns);
-    const std::string traversal_variant = device.get_ray_tracing_backend() == RayTracingBackend::software
-                                              ? "walk " + get_bvh_traversal_mode_name(bench_case)
+    const std::string traversal_variant = device.backend() == RayTracingBackend::software
+                                              ? "walk " + mode_name(bench_case)
                                               : "proxy " + result.proxy;
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
-                        device.info().name, get_device_backend_name(device), traversal_variant,
-                        bench_case.config.trace.chunk, get_sh_evaluation_direction_name(bench_case));
-    text += result.sizes.training
-                ? fmt::format(", {} hits stored per ray, gradients by {}\n", result.stored_hits_per_ray,
-                              get_gradient_summation_method_name(result))
-                : "\n";
+                        device.info().name, backend_name(device), traversal_variant,
+                        bench_case.config.trace.chunk, sh_direction_name(bench_case));
+    text += result.sizes.training ? fmt::format(", {} hits stored per ray, gradients by {}\n",
+                                                result.stored_hits_per_ray, summation_method(result))
+                                  : "\n";
     if (!result.device_clock)
         text +=
             "note      the device has no timestamps; times are wall times of the forward pass, including "
             "waits\n";
     std::vector<std::vector<std::string>> rows{
         {"kernel", "p10 ms", "median ms", "p90 ms", "floor ms", "median / floor"}};
-    const std::map<std::string, double> floors = compute_lower_bound_times_ms(result);
+    const std::map<std::string, double> floors = lower_bounds_ms(result);
     const auto add = [&](const KernelBenchTime& row, const std::string& name) {
         const auto floor = floors.find(row.name);
         const bool has_floor = floor != floors.end();
-        rows.push_back({name, format_milliseconds(row.ms.p10), format_milliseconds(row.ms.median),
-                        format_milliseconds(row.ms.p90), has_floor ? format_milliseconds(floor->second) : "-",
+        rows.push_back({name, format_ms(row.ms.p10), format_ms(row.ms.median), format_ms(row.ms.p90),
+                        has_floor ? format_ms(floor->second) : "-",
                         has_floor ? fmt::format("{:.1f}", row.ms.median / floor->second) : "-"});
     };
     for (const KernelBenchTime& row : result.kernels) add(row, row.name);
     for (const KernelBenchTime& row : result.phases)
-        add(row, format_phase_name(row.name, result.backward_mrays_per_s.has_value()));
+        add(row, phase_title(row.name, result.backward_mrays_per_s.has_value()));
     text += "\n" + format_table(rows) +
             fmt::format("\nforward   {:.3f} Mrays/s, {:.2f} blended hits per ray\n",
                         result.forward_mrays_per_s, result.hits_per_ray);
@@ -181,25 +173,24 @@ std::string format_bench_result(const DevCase& bench_case, const BenchResult& re
                             result.visits->nodes, result.visits->surfels);
     if (result.backward_mrays_per_s)
         text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
-    return text + format_time_lower_bounds(result) +
-           format_memory_report(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size());
+    return text + format_bounds(result) +
+           format_memory(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size());
 }
 
-std::string make_bench_result_json(const DevCase& bench_case, const BenchSettings& settings,
-                                   const BenchResult& result, const Device& device,
-                                   const std::string& command_line) {
+std::string result_json(const DevCase& bench_case, const BenchSettings& settings, const BenchResult& result,
+                        const Device& device, const std::string& args) {
     const DeviceInfo& info = device.info();
     Json json = {
         {"format", "relidar-dev bench"},
         {"version", 1},
         {"relidar", RELIDAR_VERSION},
-        {"command", command_line},
+        {"command", args},
         {"device",
          {{"name", info.name},
           {"type", info.type},
           {"driver", info.driver},
           {"float_atomics", info.float_atomics},
-          {"traversal", get_device_backend_name(device)}}},
+          {"traversal", backend_name(device)}}},
         {"case",
          {{"name", bench_case.name},
           {"surfels", bench_case.scene.surfels.size()},
@@ -209,23 +200,23 @@ std::string make_bench_result_json(const DevCase& bench_case, const BenchSetting
           {"columns", bench_case.columns},
           {"chunk", bench_case.config.trace.chunk},
           {"proxy", result.proxy},
-          {"walk", get_bvh_traversal_mode_name(bench_case)},
-          {"sh", get_sh_evaluation_direction_name(bench_case)},
+          {"walk", mode_name(bench_case)},
+          {"sh", sh_direction_name(bench_case)},
           {"sh_degree", bench_case.config.image.sh_degree},
           {"keep_hits", result.stored_hits_per_ray},
-          {"reduction", get_gradient_summation_method_name(result)}}},
+          {"reduction", summation_method(result)}}},
         {"repetitions", settings.repeat},
         {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"
                                       : "wall time of the forward pass, waits included"},
-        {"kernels_ms", make_time_percentiles_json(result.kernels, compute_lower_bound_times_ms(result))},
-        {"phases_ms", make_time_percentiles_json(result.phases, compute_lower_bound_times_ms(result))},
-        {"floor", make_time_lower_bounds_json(result)},
+        {"kernels_ms", percentiles_json(result.kernels, lower_bounds_ms(result))},
+        {"phases_ms", percentiles_json(result.phases, lower_bounds_ms(result))},
+        {"floor", bounds_json(result)},
         {"forward_mrays_per_s", result.forward_mrays_per_s},
         {"backward_mrays_per_s", nullptr},
         {"hits_per_ray", result.hits_per_ray},
         {"nodes_per_ray", nullptr},
         {"surfels_tested_per_ray", nullptr},
-        {"memory", make_memory_json(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size())}};
+        {"memory", memory_json(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size())}};
     if (result.backward_mrays_per_s) json["backward_mrays_per_s"] = *result.backward_mrays_per_s;
     if (result.visits) {
         json["nodes_per_ray"] = result.visits->nodes;

@@ -28,13 +28,13 @@ namespace relidar::serve {
 namespace {
 
 // If the system has no free file descriptor.
-constexpr std::chrono::milliseconds kPause{50};
+constexpr std::chrono::milliseconds kRetryPause{50};
 // Maximum number of open file descriptors of the process. Connections count too.
 constexpr int kMostDescriptors = 16384;
 // Number of file descriptors that are reserved for files and the GPU driver.
 constexpr int kReservedDescriptors = 256;
 
-[[noreturn]] void throw_listen_error(const std::string& address, const std::string& reason) {
+[[noreturn]] void fail_listen(const std::string& address, const std::string& reason) {
     fail<UsageError>("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, reason);
 }
 
@@ -43,13 +43,13 @@ struct FreeAddresses {
 };
 using AddrInfoPtr = std::unique_ptr<addrinfo, FreeAddresses>;
 
-AddrInfoPtr resolve_host_addresses(const std::string& host, const std::string& address_for_errors) {
+AddrInfoPtr resolve_host(const std::string& host, const std::string& address_for_errors) {
     addrinfo hints{};
     hints.ai_socktype = SOCK_STREAM;
     hints.ai_flags = AI_PASSIVE;
     addrinfo* all = nullptr;
     if (const int error = ::getaddrinfo(host.c_str(), nullptr, &hints, &all); error != 0)
-        throw_listen_error(address_for_errors, ::gai_strerror(error));
+        fail_listen(address_for_errors, ::gai_strerror(error));
     return AddrInfoPtr(all);
 }
 
@@ -59,7 +59,7 @@ void set_port(sockaddr& address, int port) {
     else reinterpret_cast<sockaddr_in&>(address).sin_port = number;
 }
 
-int get_bound_port(int listening_socket) {
+int bound_port(int listening_socket) {
     sockaddr_storage storage{};
     socklen_t size = sizeof(storage);
     if (::getsockname(listening_socket, reinterpret_cast<sockaddr*>(&storage), &size) != 0) return 0;
@@ -67,18 +67,18 @@ int get_bound_port(int listening_socket) {
     return ntohs(reinterpret_cast<const sockaddr_in&>(storage).sin_port);
 }
 
-void set_integer_socket_option(int socket, int level, int option_name, int option_value) {
+void set_option(int socket, int level, int option_name, int option_value) {
     (void)::setsockopt(socket, level, option_name, &option_value, sizeof(option_value));
 }
 
 /// @return the socket, or -1 if an error occurs; errno then holds the reason
-int open_listening_socket(const addrinfo& address) {
+int open_listener(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
-    set_integer_socket_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
-    set_integer_socket_option(listener, IPPROTO_TCP, TCP_NODELAY,
-                              1);  // Accepted connections inherit this option.
-    if (address.ai_family == AF_INET6) set_integer_socket_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
+    set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
+    set_option(listener, IPPROTO_TCP, TCP_NODELAY,
+               1);  // Accepted connections inherit this option.
+    if (address.ai_family == AF_INET6) set_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
     if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0)
         return listener;
     const int error = errno;
@@ -91,33 +91,33 @@ int open_listening_socket(const addrinfo& address) {
 
 Acceptor::Acceptor(const std::string& text) {
     const HostPort host_port = parse_host_port(text, "--listen", 0);
-    const AddrInfoPtr all = resolve_host_addresses(host_port.host, text);
+    const AddrInfoPtr all = resolve_host(host_port.host, text);
     int error = EADDRNOTAVAIL;
     port_ = host_port.port;
     for (const addrinfo* address = all.get(); address; address = address->ai_next) {
         set_port(*address->ai_addr, port_);
-        const int listener = open_listening_socket(*address);
+        const int listener = open_listener(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
         // The machine may not support this address family (IPv4 or IPv6).
         if (listener < 0) continue;
         listeners_.push_back(listener);
-        port_ = get_bound_port(listener);
+        port_ = bound_port(listener);
     }
     const bool is_port_in_use = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_port_in_use || ::pipe2(wake_, O_CLOEXEC) != 0) {
-        close_all_listening_sockets();
-        throw_listen_error(text, is_port_in_use ? "another process already uses it"
-                                                : std::generic_category().message(error));
+        close_listeners();
+        fail_listen(text, is_port_in_use ? "another process already uses it"
+                                         : std::generic_category().message(error));
     }
 }
 
 Acceptor::~Acceptor() {
-    stop_accepting_and_close_sockets();
-    close_all_listening_sockets();
+    stop();
+    close_listeners();
 }
 
-void Acceptor::close_all_listening_sockets() {
+void Acceptor::close_listeners() {
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
     for (int& end : wake_)
@@ -129,7 +129,7 @@ void Acceptor::start_accepting(ConnectionCallback handle_connection) {
     thread_ = std::thread([this] { run_accept_loop(); });
 }
 
-void Acceptor::stop_accepting_and_close_sockets() {
+void Acceptor::stop() {
     if (!thread_.joinable()) return;
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
@@ -145,15 +145,15 @@ void Acceptor::run_accept_loop() {
         if (::poll(waits.data(), waits.size(), -1) < 0) continue;
         if (waits.front().revents != 0) return;
         for (const pollfd& wait : waits)
-            if (wait.revents != 0) accept_connection(wait.fd);
+            if (wait.revents != 0) accept_one(wait.fd);
     }
 }
 
-void Acceptor::accept_connection(int listening_socket) {
+void Acceptor::accept_one(int listening_socket) {
     const int connection = ::accept4(listening_socket, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
     const bool is_full =
         connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
-    if (is_full) std::this_thread::sleep_for(kPause);
+    if (is_full) std::this_thread::sleep_for(kRetryPause);
     if (connection < 0) return;
     rlimit limit{};
     const bool has_usable_limit =

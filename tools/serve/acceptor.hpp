@@ -26,20 +26,18 @@ public:
     /// If too few file descriptors are free, closes new connections immediately.
     void start_accepting(ConnectionCallback handle_connection);
     /// Waits until a running callback has returned.
-    void stop_accepting_and_close_sockets();
+    void stop();
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {
-        -1,
-        -1};  ///< Pipe that stop_accepting_and_close_sockets() uses to wake the thread that waits for connections.
+    int wake_[2] = {-1, -1};  ///< Pipe that stop() uses to wake the thread that waits for connections.
     int port_ = 0;
     ConnectionCallback receive_;
     std::thread thread_;
 
-    void close_all_listening_sockets();
+    void close_listeners();
     void run_accept_loop();
-    void accept_connection(int listening_socket);
+    void accept_one(int listening_socket);
 };
 
 }  // namespace relidar::serve

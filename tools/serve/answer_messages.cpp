@@ -22,12 +22,12 @@ static_assert(std::endian::native == std::endian::little,
               "relidar sends arrays in the byte order of this machine, which must be little-endian");
 
 template <class T>
-void copy_array_to_bytes(std::string& output_bytes, const std::vector<T>& array) {
+void copy_bytes(std::string& output_bytes, const std::vector<T>& array) {
     output_bytes.assign(reinterpret_cast<const char*>(array.data()), array.size() * sizeof(T));
 }
 
 template <class Messages>
-void add_channels_to_message(const std::vector<ScanChannel>& channels, Messages& channel_messages) {
+void add_channels(const std::vector<ScanChannel>& channels, Messages& channel_messages) {
     for (const auto& [info, values, second] : channels) {
         v1::Channel& message = *channel_messages.Add();
         message.set_name(info.name);
@@ -35,31 +35,30 @@ void add_channels_to_message(const std::vector<ScanChannel>& channels, Messages&
         message.set_meaning(info.meaning);
         message.set_components(std::holds_alternative<std::vector<glm::vec3>>(values) ? 3 : 1);
         message.set_is_integer(std::holds_alternative<std::vector<std::int32_t>>(values));
-        std::visit([&](const auto& of_rays) { copy_array_to_bytes(*message.mutable_values(), of_rays); },
-                   values);
+        std::visit([&](const auto& of_rays) { copy_bytes(*message.mutable_values(), of_rays); }, values);
     }
 }
 
 void write_points(const LidarPoints& points, v1::Points& message) {
     message.set_count(std::uint32_t(points.size()));
-    copy_array_to_bytes(*message.mutable_xyz_m(), points.position_m);
-    copy_array_to_bytes(*message.mutable_intensity(), points.intensity);
-    copy_array_to_bytes(*message.mutable_ring(), points.ring);
-    copy_array_to_bytes(*message.mutable_time_s(), points.time_offset_s);
-    copy_array_to_bytes(*message.mutable_instance(), points.instance);
+    copy_bytes(*message.mutable_xyz_m(), points.position_m);
+    copy_bytes(*message.mutable_intensity(), points.intensity);
+    copy_bytes(*message.mutable_ring(), points.ring);
+    copy_bytes(*message.mutable_time_s(), points.time_offset_s);
+    copy_bytes(*message.mutable_instance(), points.instance);
     if (points.return_number.empty()) message.mutable_return_number()->assign(points.size(), 1);
-    else copy_array_to_bytes(*message.mutable_return_number(), points.return_number);
-    add_channels_to_message(points.channels, *message.mutable_channels());
+    else copy_bytes(*message.mutable_return_number(), points.return_number);
+    add_channels(points.channels, *message.mutable_channels());
 }
 
-std::size_t count_first_returns(const LidarPoints& points) {
+std::size_t count_firsts(const LidarPoints& points) {
     if (points.return_number.empty()) return points.size();
     return std::size_t(std::ranges::count(points.return_number, 1));
 }
 
-void write_actor_into_message(const TrainedRun& run, const std::string& actor_name, v1::Actor& message) {
+void write_actor(const Run& run, const std::string& actor_name, v1::Actor& message) {
     message.set_name(actor_name);
-    const BoxTrack* box = find_box_track_by_id(run.sequence, actor_name);
+    const BoxTrack* box = find_box(run.sequence, actor_name);
     if (!box) return;
     const PoseTrack& track = box->world_from_box;
     message.set_category(box->category);
@@ -76,40 +75,37 @@ void write_actor_into_message(const TrainedRun& run, const std::string& actor_na
 
 }  // namespace
 
-void write_scan_into_message(const RenderedPoints& scan, const RenderRequest& request,
-                             v1::LidarScan& message) {
+void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message) {
     message.set_sensor(request.sensor->name);
     message.set_time_s(scan.points.time_s);
     message.set_points_at_s(request.points_at_s);
     write_pose(scan.points.world_from_points, *message.mutable_dataset_from_points());
     message.set_rays(std::uint32_t(scan.n_rays));
-    message.set_returned(std::uint32_t(count_first_returns(scan.points)));
+    message.set_returned(std::uint32_t(count_firsts(scan.points)));
     if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
     if (request.points) write_points(scan.points, *message.mutable_points());
 }
 
-void write_scan_into_message(const RenderedScan& scan, const RenderRequest& request,
-                             const Config& config_with_range_limits, v1::LidarScan& message) {
-    const Pose dataset_from_points =
-        request.request.dataset_from_sensor.interpolate_pose(request.points_at_s);
-    write_scan_into_message({convert_scan_to_points(scan, config_with_range_limits, dataset_from_points),
-                             scan.image.range_m.size(), scan.unseen_share},
-                            request, message);
+void write_scan(const RenderedScan& scan, const RenderRequest& request,
+                const Config& config_with_range_limits, v1::LidarScan& message) {
+    const Pose dataset_from_points = request.request.dataset_from_sensor.pose_at(request.points_at_s);
+    write_scan({place_points(scan, config_with_range_limits, dataset_from_points), scan.image.range_m.size(),
+                scan.unseen_share},
+               request, message);
     if (!request.range_image && !request.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
     image.set_rows(std::uint32_t(scan.image.rows));
     image.set_columns(std::uint32_t(scan.image.columns));
-    if (request.drop_probability)
-        copy_array_to_bytes(*image.mutable_drop_probability(), scan.image.drop_prob);
+    if (request.drop_probability) copy_bytes(*image.mutable_drop_probability(), scan.image.drop_prob);
     if (!request.range_image) return;
-    copy_array_to_bytes(*image.mutable_range_m(), scan.image.range_m);
-    copy_array_to_bytes(*image.mutable_intensity(), scan.image.intensity);
-    add_channels_to_message(scan.channels, *image.mutable_channels());
+    copy_bytes(*image.mutable_range_m(), scan.image.range_m);
+    copy_bytes(*image.mutable_intensity(), scan.image.intensity);
+    add_channels(scan.channels, *image.mutable_channels());
 }
 
-void write_actor_boxes_into_message(const RenderedScan& scan, const RenderRequest& request,
-                                    const TrainedRun& run_with_actors, v1::LidarScan& message) {
-    ScanOutputOptions format = make_default_output_options(run_with_actors, *request.sensor);
+void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run_with_actors,
+                 v1::LidarScan& message) {
+    ScanOutputOptions format = default_options(run_with_actors, *request.sensor);
     std::map<std::string, std::string> names;  // of the actors by track
     if (request.request.dataset_from_actor) {
         format.actors.clear();
@@ -119,9 +115,9 @@ void write_actor_boxes_into_message(const RenderedScan& scan, const RenderReques
             format.instance_names[actor.instance] = actor.track;
             format.actors.push_back({actor.track, actor.category, actor.size_m, {}});
         }
-        set_actor_boxes_to_requested_poses(format, *request.request.dataset_from_actor);
+        move_actor_boxes(format, *request.request.dataset_from_actor);
     }
-    for (const ActorBox& box : find_actor_boxes(scan, format)) {
+    for (const ActorBox& box : actor_boxes_of(scan, format)) {
         v1::ActorBox& written = *message.add_boxes();
         const auto name = names.find(box.track);
         written.set_name(name == names.end() ? box.track : name->second);
@@ -135,8 +131,8 @@ void write_actor_boxes_into_message(const RenderedScan& scan, const RenderReques
     }
 }
 
-void write_scene_description(const std::string& scene_name, const TrainedRun& run, v1::Scene& message) {
-    const LidarSequence& log = run.sequence;
+void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message) {
+    const Log& log = run.sequence;
     message.set_name(scene_name);
     message.set_begin_s(log.frames.front().time_s);
     message.set_end_s(log.frames.back().time_s);
@@ -147,52 +143,47 @@ void write_scene_description(const std::string& scene_name, const TrainedRun& ru
         v1::Lidar& added = *message.add_lidars();
         added.set_name(lidar.name);
         added.set_sensor(lidar.sensor.name);
-        added.set_rays(count_rays_of_sensor(make_sensor_from_config(run.config, log, int(i))));
-        added.set_period_s(lidar.get_sweep_period_s());
+        added.set_rays(count_rays(make_sensor(run.config, log, int(i))));
+        added.set_period_s(lidar.sweep_period_s());
     }
-    for (const std::string& actor : list_actor_names_of_run(run))
-        write_actor_into_message(run, actor, *message.add_actors());
+    for (const std::string& actor : run_actor_names(run)) write_actor(run, actor, *message.add_actors());
 }
 
-void write_recorded_tracks(const TrainedRun& run, int lidar_index,
-                           const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,
-                           v1::GetTracksResponse& message) {
-    const LidarSequence& log = run.sequence;
-    const auto in_dataset = [&](const PoseTrack& track) {
-        return add_offset_to_track_positions(track, log.world_offset_m);
-    };
-    write_track(in_dataset(log.get_world_from_sensor(lidar_index)), *message.mutable_dataset_from_sensor());
+void write_tracks(const Run& run, int lidar_index,
+                  const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,
+                  v1::GetTracksResponse& message) {
+    const Log& log = run.sequence;
+    const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
+    write_track(in_dataset(log.lidar_track(lidar_index)), *message.mutable_dataset_from_sensor());
     if (std::size_t(actor_names_or_all.size()) > run.scene.instances.size())
-        throw_invalid_field("actors", fmt::format("{} names", actor_names_or_all.size()),
-                            "each actor at most once");
+        reject_field("actors", fmt::format("{} names", actor_names_or_all.size()), "each actor at most once");
     std::vector<std::string> names(actor_names_or_all.begin(), actor_names_or_all.end());
-    if (names.empty()) names = list_actor_names_of_run(run);
+    if (names.empty()) names = run_actor_names(run);
     for (const std::string& name : names) {
-        const BoxTrack* box = find_box_track_by_id(run.sequence, name);
+        const BoxTrack* box = find_box(run.sequence, name);
         if (!box)
             refuse(grpc::StatusCode::NOT_FOUND,
                    "cannot read actors: found {}, expected an actor that ListScenes lists",
-                   shorten_and_quote_client_text(name));
+                   quote_client_text(name));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());
     }
 }
 
-void write_asset_into_message(const AssetDescription& asset_description, v1::Asset& message) {
+void write_asset(const AssetDescription& asset_description, v1::Asset& message) {
     message.set_name(asset_description.name);
     message.set_category(asset_description.category);
-    message.set_kind(get_name(asset_description.kind));
+    message.set_kind(name_of(asset_description.kind));
     write_vector(asset_description.size_m, *message.mutable_size_m());
-    message.set_score(asset_description.get_observed_or_mirrored_surface_fraction());
+    message.set_score(asset_description.covered_share());
     message.set_seen(asset_description.seen);
     message.set_nearest_m(asset_description.nearest_m);
     message.set_surfels(asset_description.surfels);
     message.set_sensor(asset_description.sensor);
 }
 
-void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const TrainedRun& run,
-                         v1::SpawnedActor& message) {
+void write_spawned(const SpawnedActorRegistry::SpawnSlot& slot, const Run& run, v1::SpawnedActor& message) {
     message.set_name(slot.actor.name);
     if (slot.actor.source.is_asset) message.set_asset(slot.actor.source.name);
     else message.set_actor(slot.actor.source.name);
@@ -201,7 +192,7 @@ void write_spawned_actor(const SpawnedActorRegistry::SpawnSlot& slot, const Trai
     message.set_surfels(slot.actor.surfels);
 }
 
-void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarScan& message) {
+void write_sparse(const RenderRequest& request, v1::LidarScan& message) {
     if (request.placed.empty()) return;
     const SimulatedSensor& sensor = *request.sensor;
     const double time_s = request.request.time_s;
@@ -209,14 +200,13 @@ void write_actors_with_too_few_surfels(const RenderRequest& request, v1::LidarSc
     const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;
     const RayTable made = makes_rays ? make_rays(*sensor.pattern, time_s) : RayTable{};
     const RayTable& rays = makes_rays ? made : sensor.rays;
-    const Pose dataset_from_sensor = request.request.dataset_from_sensor.interpolate_pose(time_s);
+    const Pose dataset_from_sensor = request.request.dataset_from_sensor.pose_at(time_s);
     for (const VisibleActor& actor : request.placed) {
-        const Pose dataset_from_actor =
-            request.request.dataset_from_actor->at(actor.track).interpolate_pose(time_s);
+        const Pose dataset_from_actor = request.request.dataset_from_actor->at(actor.track).pose_at(time_s);
         const Pose box_from_sensor = inverse(dataset_from_actor) * dataset_from_sensor;
-        const ActorModelResolution detail = compute_actor_model_resolution(
-            rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
-        if (!detail.has_too_few_surfels()) continue;
+        const ActorModelResolution detail =
+            model_resolution(rays.origin, rays.direction, box_from_sensor, actor.size_m, actor.surfels);
+        if (!detail.is_too_coarse()) continue;
         v1::SparseActor& sparse = *message.add_sparse_actors();
         sparse.set_name(actor.name);
         sparse.set_distance_m(detail.nearest_m);

@@ -12,8 +12,8 @@ namespace relidar::serve {
 
 AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
     for (const std::string& folder : folders) {
-        for (const std::filesystem::path& entry : list_asset_folders(folder)) {
-            AssetDescription facts = read_asset_description(entry);
+        for (const std::filesystem::path& entry : list_assets(folder)) {
+            AssetDescription facts = read_description(entry);
             if (const CatalogueEntry* same = find_asset(facts.name))
                 fail<UsageError>(
                     "cannot serve the assets of {}: the asset {} is also in {}, expected different names",

@@ -21,7 +21,7 @@ public:
         std::filesystem::path folder;  ///< Folder of the asset.
         AssetDescription facts;
     };
-    const std::vector<CatalogueEntry>& get_entries() const { return entries_; }
+    const std::vector<CatalogueEntry>& entries() const { return entries_; }
     const CatalogueEntry* find_asset(const std::string& asset_name) const;
 
 private:

@@ -11,7 +11,7 @@
 
 namespace relidar::serve {
 
-std::shared_ptr<grpc::Channel> open_insecure_channel(const std::string& address) {
+std::shared_ptr<grpc::Channel> open_channel(const std::string& address) {
     grpc::ChannelArguments arguments;
     // Removes the size limit of messages, because a scan of a million rays needs 50 MB.
     arguments.SetMaxReceiveMessageSize(-1);
@@ -21,9 +21,9 @@ std::shared_ptr<grpc::Channel> open_insecure_channel(const std::string& address)
 }
 
 ScanClient::ScanClient(std::string address)
-    : address_(std::move(address)), stub_(v1::RenderService::NewStub(open_insecure_channel(address_))) {}
+    : address_(std::move(address)), stub_(v1::RenderService::NewStub(open_channel(address_))) {}
 
-void ScanClient::throw_if_call_failed(const grpc::Status& status) const {
+void ScanClient::check_status(const grpc::Status& status) const {
     if (status.ok()) return;
     fail("the service at {} returned status {}: {}", address_, int(status.error_code()),
          status.error_message());
@@ -32,21 +32,21 @@ void ScanClient::throw_if_call_failed(const grpc::Status& status) const {
 v1::ListScenesResponse ScanClient::list_scenes() {
     grpc::ClientContext context;
     v1::ListScenesResponse answer;
-    throw_if_call_failed(stub_->ListScenes(&context, {}, &answer));
+    check_status(stub_->ListScenes(&context, {}, &answer));
     return answer;
 }
 
-v1::GetTracksResponse ScanClient::get_tracks(const v1::GetTracksRequest& request) {
+v1::GetTracksResponse ScanClient::tracks(const v1::GetTracksRequest& request) {
     grpc::ClientContext context;
     v1::GetTracksResponse answer;
-    throw_if_call_failed(stub_->GetTracks(&context, request, &answer));
+    check_status(stub_->GetTracks(&context, request, &answer));
     return answer;
 }
 
-v1::LidarScan ScanClient::render_lidar_scan(const v1::RenderLidarRequest& request) {
+v1::LidarScan ScanClient::render_scan(const v1::RenderLidarRequest& request) {
     grpc::ClientContext context;
     v1::LidarScan answer;
-    throw_if_call_failed(stub_->RenderLidar(&context, request, &answer));
+    check_status(stub_->RenderLidar(&context, request, &answer));
     return answer;
 }
 

@@ -12,7 +12,7 @@
 namespace relidar::serve {
 
 /// Without TLS and without a limit of message sizes, because scans can be large.
-std::shared_ptr<grpc::Channel> open_insecure_channel(const std::string& address);
+std::shared_ptr<grpc::Channel> open_channel(const std::string& address);
 
 /// @throws DataError with the gRPC code and message if a call fails
 class ScanClient {
@@ -20,14 +20,14 @@ public:
     explicit ScanClient(std::string address);
 
     v1::ListScenesResponse list_scenes();
-    v1::GetTracksResponse get_tracks(const v1::GetTracksRequest& request);
-    v1::LidarScan render_lidar_scan(const v1::RenderLidarRequest& request);
+    v1::GetTracksResponse tracks(const v1::GetTracksRequest& request);
+    v1::LidarScan render_scan(const v1::RenderLidarRequest& request);
 
 private:
     std::string address_;
     std::unique_ptr<v1::RenderService::Stub> stub_;
 
-    void throw_if_call_failed(const grpc::Status& status) const;
+    void check_status(const grpc::Status& status) const;
 };
 
 }  // namespace relidar::serve

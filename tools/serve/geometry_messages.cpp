@@ -11,52 +11,49 @@ namespace relidar::serve {
 namespace {
 
 // Metres or seconds. ScanRenderer rejects larger values.
-constexpr double kFarthest = 1e10;
+constexpr double kMaxCoordinate_m = 1e10;
 // Normalising a unit quaternion would only add rounding errors.
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
 
-double require_finite_number_within_limit(double value, const std::string& field_name) {
-    if (!(std::abs(value) <= kFarthest))
-        throw_invalid_field(field_name, fmt::format("{}", value), "a finite number of at most 1e10");
+double checked_number(double value, const std::string& name) {
+    if (!(std::abs(value) <= kMaxCoordinate_m))
+        reject_field(name, fmt::format("{}", value), "a finite number of at most 1e10");
     return value;
 }
 
 }  // namespace
 
-double require_time_within_limit(double time_s, const std::string& field_name) {
-    return require_finite_number_within_limit(time_s, field_name);
-}
+double checked_time(double time_s, const std::string& name) { return checked_number(time_s, name); }
 
-Pose read_pose(const v1::Pose& message, const std::string& field_name) {
+Pose read_pose(const v1::Pose& message, const std::string& name) {
     const v1::Vector& t = message.translation();
     Pose pose;
-    pose.translation = {require_finite_number_within_limit(t.x(), field_name + ".translation.x"),
-                        require_finite_number_within_limit(t.y(), field_name + ".translation.y"),
-                        require_finite_number_within_limit(t.z(), field_name + ".translation.z")};
+    pose.translation = {checked_number(t.x(), name + ".translation.x"),
+                        checked_number(t.y(), name + ".translation.y"),
+                        checked_number(t.z(), name + ".translation.z")};
     if (!message.has_rotation()) return pose;
     const v1::Quaternion& q = message.rotation();
     pose.rotation = glm::dquat(q.w(), q.x(), q.y(), q.z());
     const double length = glm::length(pose.rotation);
     if (!(std::abs(length - 1.0) <= kUnitSlack))
-        throw_invalid_field(field_name + ".rotation", fmt::format("a quaternion of length {}", length),
-                            "length 1");
+        reject_field(name + ".rotation", fmt::format("a quaternion of length {}", length), "length 1");
     if (std::abs(length - 1.0) > kDoublePrecision) pose.rotation = glm::normalize(pose.rotation);
     return pose;
 }
 
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
-                     const std::string& field_name) {
+                     const std::string& name) {
     if (messages.empty() || messages.size() > kMostPoses)
-        throw_invalid_field(field_name, fmt::format("{} poses", messages.size()),
-                            fmt::format("1 to {} poses", kMostPoses));
+        reject_field(name, fmt::format("{} poses", messages.size()),
+                     fmt::format("1 to {} poses", kMostPoses));
     PoseTrack track;
     for (int i = 0; i < messages.size(); ++i) {
-        const std::string entry = fmt::format("{}[{}]", field_name, i);
-        const double time_s = require_time_within_limit(messages[i].time_s(), entry + ".time_s");
+        const std::string entry = fmt::format("{}[{}]", name, i);
+        const double time_s = checked_time(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
-            throw_invalid_field(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
-                                "increasing times");
+            reject_field(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
+                         "increasing times");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
     }

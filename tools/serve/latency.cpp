@@ -28,22 +28,21 @@ struct LatencySample {
 };
 
 /// Smallest value for which at least this share of the values is less or equal.
-double compute_percentile(std::vector<double> values, double percentile_as_fraction) {
+double percentile(std::vector<double> values, double percentile_as_fraction) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(percentile_as_fraction * double(values.size())));
     return values[std::max<std::size_t>(rank, 1) - 1];
 }
 
-Percentiles compute_percentiles(const std::vector<LatencySample>& samples,
-                                double LatencySample::*time_member) {
+Percentiles percentiles(const std::vector<LatencySample>& samples, double LatencySample::*time_member) {
     std::vector<double> values;
     for (const LatencySample& sample : samples) values.push_back(sample.*time_member);
-    return {compute_percentile(values, 0.5), compute_percentile(values, 0.99)};
+    return {percentile(values, 0.5), percentile(values, 0.99)};
 }
 
 /// A sweep between two successive poses of the log, starting again after the last pose.
-v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const std::string& scene_name,
-                                          const v1::GetTracksResponse& tracks, int number_of_request) {
+v1::RenderLidarRequest sweep_request(const LatencyOptions& options, const std::string& scene_name,
+                                     const v1::GetTracksResponse& tracks, int number_of_request) {
     v1::RenderLidarRequest request;
     request.set_scene(scene_name);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
@@ -53,9 +52,9 @@ v1::RenderLidarRequest make_sweep_request(const LatencyOptions& options, const s
     return request;
 }
 
-LatencySample call_render_and_measure_latency(ScanClient& client, const v1::RenderLidarRequest& request) {
+LatencySample measure_render(ScanClient& client, const v1::RenderLidarRequest& request) {
     const Clock::time_point begin = Clock::now();
-    const v1::LidarScan scan = client.render_lidar_scan(request);
+    const v1::LidarScan scan = client.render_scan(request);
     const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - begin).count();
     return {latency_ms, scan.queued_ms(), scan.rendered_ms(), std::size_t(scan.rays()),
             scan.points().count()};
@@ -72,9 +71,9 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     result.scene = options.scene.empty() ? scenes.scenes(0).name() : options.scene;
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
-    const v1::GetTracksResponse tracks = first.get_tracks(which);
+    const v1::GetTracksResponse tracks = first.tracks(which);
     // The first call computes the rays of the sensor and allocates memory.
-    call_render_and_measure_latency(first, make_sweep_request(options, result.scene, tracks, 0));
+    measure_render(first, sweep_request(options, result.scene, tracks, 0));
 
     std::vector<LatencySample> samples;
     std::exception_ptr failure;
@@ -88,8 +87,8 @@ LatencyResult measure_latency(const LatencyOptions& options) {
                 try {
                     ScanClient client(options.address);
                     for (int number = next++; number < options.calls; number = next++) {
-                        const LatencySample sample = call_render_and_measure_latency(
-                            client, make_sweep_request(options, result.scene, tracks, number));
+                        const LatencySample sample =
+                            measure_render(client, sweep_request(options, result.scene, tracks, number));
                         const std::lock_guard lock(mutex);
                         samples.push_back(sample);
                     }
@@ -101,9 +100,9 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     }
     if (failure) std::rethrow_exception(failure);
     result.scans_per_s = double(samples.size()) / std::chrono::duration<double>(Clock::now() - begin).count();
-    result.latency_ms = compute_percentiles(samples, &LatencySample::latency_ms);
-    result.queued_ms = compute_percentiles(samples, &LatencySample::queued_ms);
-    result.rendered_ms = compute_percentiles(samples, &LatencySample::rendered_ms);
+    result.latency_ms = percentiles(samples, &LatencySample::latency_ms);
+    result.queued_ms = percentiles(samples, &LatencySample::queued_ms);
+    result.rendered_ms = percentiles(samples, &LatencySample::rendered_ms);
     result.rays = samples.front().rays;
     for (const LatencySample& sample : samples)
         result.points += double(sample.points) / double(samples.size());

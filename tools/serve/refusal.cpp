@@ -10,24 +10,24 @@
 
 namespace relidar::serve {
 
-void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,
-                         const std::string& expected_value_text) {
+void reject_field(const std::string& field_name, const std::string& found_value_text,
+                  const std::string& expected_value_text) {
     refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field_name,
            found_value_text, expected_value_text);
 }
 
-void throw_unknown_name(const std::string& field_name, const std::string& name,
-                        const std::vector<std::string>& valid_names) {
-    const std::string nearest = find_most_similar_name(name.substr(0, 80), valid_names);
+void reject_name(const std::string& field_name, const std::string& name,
+                 const std::vector<std::string>& valid_names) {
+    const std::string nearest = nearest_name(name.substr(0, 80), valid_names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
     refuse(grpc::StatusCode::NOT_FOUND, "cannot read {}: found {}, expected {}", field_name,
-           shorten_and_quote_client_text(name), expected);
+           quote_client_text(name), expected);
 }
 
-std::string shorten_and_quote_client_text(const std::string& client_text) {
-    constexpr std::size_t kMost = 80;
-    std::size_t n = std::min(client_text.size(), kMost);
+std::string quote_client_text(const std::string& client_text) {
+    constexpr std::size_t kMaxQuotedBytes = 80;
+    std::size_t n = std::min(client_text.size(), kMaxQuotedBytes);
     // Cuts the text before a UTF-8 character, not in the middle of it.
     while (n < client_text.size() && n > 0 && (static_cast<unsigned char>(client_text[n]) & 0xc0) == 0x80)
         --n;
@@ -39,7 +39,7 @@ std::string shorten_and_quote_client_text(const std::string& client_text) {
                                    : fmt::format("\"{}...\" of {} bytes", shown, client_text.size());
 }
 
-grpc::Status call_and_convert_errors_to_status(const std::function<void()>& handle_request) {
+grpc::Status call_handler(const std::function<void()>& handle_request) {
     try {
         handle_request();
         return grpc::Status::OK;

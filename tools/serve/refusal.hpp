@@ -30,18 +30,18 @@ template <class... T>
 }
 
 /// @throws RejectedRequest always
-[[noreturn]] void throw_invalid_field(const std::string& field_name, const std::string& found_value_text,
-                                      const std::string& expected_value_text);
+[[noreturn]] void reject_field(const std::string& field_name, const std::string& found_value_text,
+                               const std::string& expected_value_text);
 
 /// Suggests a similar valid name.
 /// @throws RejectedRequest always
-[[noreturn]] void throw_unknown_name(const std::string& field_name, const std::string& name,
-                                     const std::vector<std::string>& valid_names);
+[[noreturn]] void reject_name(const std::string& field_name, const std::string& name,
+                              const std::vector<std::string>& valid_names);
 
 /// Removes line breaks and shortens long texts.
-std::string shorten_and_quote_client_text(const std::string& client_text);
+std::string quote_client_text(const std::string& client_text);
 
 /// Converts an exception into an error status with a one-line message.
-grpc::Status call_and_convert_errors_to_status(const std::function<void()>& handle_request);
+grpc::Status call_handler(const std::function<void()>& handle_request);
 
 }  // namespace relidar::serve

@@ -10,12 +10,12 @@ namespace relidar::serve {
 namespace {
 
 /// Interval at which a waiting call checks whether its client has cancelled it.
-constexpr std::chrono::milliseconds kPoll{10};
+constexpr std::chrono::milliseconds kPollInterval{10};
 
 class FunctionRequest final : public QueuedRequest {
 public:
     explicit FunctionRequest(const std::function<void()>& function) : function_(function) {}
-    void submit_to_device(bool) override { function_(); }
+    void submit(bool) override { function_(); }
 
 private:
     const std::function<void()>& function_;
@@ -42,23 +42,23 @@ std::optional<RenderQueue::QueueSlot> RenderQueue::reserve_slot() {
     return QueueSlot(this);
 }
 
-void RenderQueue::wait_for_all_slots(std::chrono::milliseconds max_wait) {
+void RenderQueue::drain(std::chrono::milliseconds max_wait) {
     draining_ = true;
     const auto end = std::chrono::steady_clock::now() + max_wait;
     std::unique_lock lock(mutex_);
     while (n_reserved_ > 0 && std::chrono::steady_clock::now() < end) {
         lock.unlock();
-        std::this_thread::sleep_for(kPoll);
+        std::this_thread::sleep_for(kPollInterval);
         lock.lock();
     }
 }
 
-std::optional<std::string> RenderQueue::get_device_loss_message() {
+std::optional<std::string> RenderQueue::loss_message() {
     const std::lock_guard lock(mutex_);
     return device_loss_;
 }
 
-void RenderQueue::set_max_requests_per_batch(std::size_t max_requests) {
+void RenderQueue::set_batch_size(std::size_t max_requests) {
     const std::lock_guard lock(mutex_);
     batch_size_ = max_requests;
 }
@@ -69,26 +69,27 @@ RenderQueue::QueueSlot::~QueueSlot() {
     --queue_->n_reserved_;
 }
 
-RenderQueue::RequestOutcome RenderQueue::QueueSlot::run_request_and_wait(QueuedRequest& request) {
+RenderQueue::RequestOutcome RenderQueue::QueueSlot::run_request(QueuedRequest& request) {
     request.queued_at_ = QueuedRequest::Clock::now();
     std::unique_lock lock(queue_->mutex_);
     queue_->pending_.push_back(&request);
     queue_->more_.notify_one();
-    queue_->wait_until_request_ended(request, lock);
+    queue_->wait_for_end(request, lock);
     if (request.failure_) std::rethrow_exception(request.failure_);
     return request.state_ == QueuedRequest::RequestState::done ? RequestOutcome::done
                                                                : RequestOutcome::cancelled;
 }
 
-void RenderQueue::QueueSlot::run_on_render_thread(const std::function<void()>& function) {
+void RenderQueue::QueueSlot::run_function(const std::function<void()>& function) {
     FunctionRequest request(function);
-    run_request_and_wait(request);
+    run_request(request);
 }
 
-void RenderQueue::wait_until_request_ended(QueuedRequest& request, std::unique_lock<std::mutex>& lock) {
+void RenderQueue::wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock) {
     using State = QueuedRequest::RequestState;
-    while (request.state_ == State::pending &&
-           !request.changed_.wait_for(lock, kPoll, [&] { return request.state_ != State::pending; })) {
+    while (request.state_ == State::pending && !request.changed_.wait_for(lock, kPollInterval, [&] {
+        return request.state_ != State::pending;
+    })) {
         if (!request.is_cancelled()) continue;
         request.state_ = State::cancelled;
         pending_.erase(std::find(pending_.begin(), pending_.end(), &request));
@@ -99,7 +100,7 @@ void RenderQueue::wait_until_request_ended(QueuedRequest& request, std::unique_l
 
 /// Skips cancelled requests. Returns null if there is none.
 /// @param scene_index if set, also returns null if the next request is for another scene
-QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& scene_index) {
+QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene_index) {
     while (!pending_.empty()) {
         QueuedRequest* request = pending_.front();
         if (scene_index && request->scene != scene_index) return nullptr;
@@ -115,16 +116,15 @@ QueuedRequest* RenderQueue::take_next_request(const std::optional<std::size_t>& 
 /// Step 1 submits the request to the device. Step 2, only for requests with a scene,
 /// waits for the device and stores the response. If a step fails, the request is done.
 /// @param is_last_of_batch selects step 1; no value selects step 2
-void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
-                                                   std::optional<bool> is_last_of_batch,
-                                                   std::unique_lock<std::mutex>& lock) {
+void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is_last_of_batch,
+                                  std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
     if (is_last_of_batch) request.submitted_at_ = QueuedRequest::Clock::now();
     try {
-        if (is_last_of_batch) request.submit_to_device(*is_last_of_batch);
-        else request.wait_for_device_and_store_response();
+        if (is_last_of_batch) request.submit(*is_last_of_batch);
+        else request.finish();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
         loss = error.what();
@@ -142,29 +142,28 @@ void RenderQueue::submit_request_or_store_response(QueuedRequest& request,
 
 /// Submits a request, and requests for the same scene that follow in the queue.
 /// @return requests whose results must still be read from the device
-RenderQueue::RequestBatch RenderQueue::collect_and_submit_batch(QueuedRequest* first_request,
-                                                                std::unique_lock<std::mutex>& lock) {
+RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first_request,
+                                                    std::unique_lock<std::mutex>& lock) {
     RequestBatch batch;
     for (std::size_t n = 1; first_request; ++n) {
         QueuedRequest* following =
-            first_request->scene && n < batch_size_ ? take_next_request(first_request->scene) : nullptr;
-        submit_request_or_store_response(*first_request, !following, lock);
+            first_request->scene && n < batch_size_ ? take_request(first_request->scene) : nullptr;
+        process_request(*first_request, !following, lock);
         if (first_request->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(first_request);
         first_request = following;
     }
     return batch;
 }
 
-void RenderQueue::wait_for_batch_and_notify_clients(const RequestBatch& batch,
-                                                    std::unique_lock<std::mutex>& lock) {
-    for (QueuedRequest* request : batch) submit_request_or_store_response(*request, {}, lock);
+void RenderQueue::finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock) {
+    for (QueuedRequest* request : batch) process_request(*request, {}, lock);
 }
 
 void RenderQueue::run_render_loop() {
     std::unique_lock lock(mutex_);
     RequestBatch in_flight;
     while (true) {
-        QueuedRequest* request = take_next_request();
+        QueuedRequest* request = take_request();
         if (!request && in_flight.empty()) {
             more_.wait(lock, [&] { return closed_ || !pending_.empty(); });
             if (pending_.empty()) return;
@@ -172,10 +171,10 @@ void RenderQueue::run_render_loop() {
         }
         const bool overlaps =
             request && !in_flight.empty() && request->scene && request->scene == in_flight.front()->scene;
-        if (!overlaps) wait_for_batch_and_notify_clients(std::exchange(in_flight, {}), lock);
+        if (!overlaps) finish_batch(std::exchange(in_flight, {}), lock);
         if (!request) continue;
-        const RequestBatch submitted = collect_and_submit_batch(request, lock);
-        wait_for_batch_and_notify_clients(std::exchange(in_flight, submitted), lock);
+        const RequestBatch submitted = submit_batch(request, lock);
+        finish_batch(std::exchange(in_flight, submitted), lock);
     }
 }
 

@@ -23,17 +23,17 @@ class QueuedRequest {
 public:
     virtual ~QueuedRequest() = default;
     /// @param is_last_of_batch false if both requests can be submitted together
-    virtual void submit_to_device(bool is_last_of_batch) = 0;
+    virtual void submit(bool is_last_of_batch) = 0;
     /// Called only for requests that have a scene.
-    virtual void wait_for_device_and_store_response() {}
+    virtual void finish() {}
     /// True if the client has disconnected or its deadline has passed. Polled.
     virtual bool is_cancelled() const { return false; }
 
     /// Requests for the same scene may overlap. Requests without a value never overlap.
     std::optional<std::size_t> scene = {};
-    /// Times until submit_to_device(), and from there until the response is ready.
-    double get_queued_time_ms() const { return compute_milliseconds_between(queued_at_, submitted_at_); }
-    double get_render_time_ms() const { return compute_milliseconds_between(submitted_at_, finished_at_); }
+    /// Times until submit(), and from there until the response is ready.
+    double queued_ms() const { return elapsed_ms(queued_at_, submitted_at_); }
+    double render_ms() const { return elapsed_ms(submitted_at_, finished_at_); }
 
 private:
     friend class RenderQueue;
@@ -44,7 +44,7 @@ private:
     std::condition_variable changed_ = {};
     Clock::time_point queued_at_ = {}, submitted_at_ = {}, finished_at_ = {};
 
-    static double compute_milliseconds_between(Clock::time_point begin, Clock::time_point end) {
+    static double elapsed_ms(Clock::time_point begin, Clock::time_point end) {
         return std::chrono::duration<double, std::milli>(end - begin).count();
     }
 };
@@ -70,8 +70,8 @@ public:
         /// cancelled before its submission is skipped. A submitted request always runs to
         /// its end.
         /// @throws all exceptions of the request
-        RequestOutcome run_request_and_wait(QueuedRequest& request);
-        void run_on_render_thread(const std::function<void()>& function);
+        RequestOutcome run_request(QueuedRequest& request);
+        void run_function(const std::function<void()>& function);
 
     private:
         friend RenderQueue;
@@ -80,14 +80,14 @@ public:
     };
     /// Returns no value if the queue is full.
     std::optional<QueueSlot> reserve_slot();
-    std::size_t get_total_slot_count() const { return slots_; }
+    std::size_t total_slots() const { return slots_; }
     /// From now on, is_draining() returns true, so that callers reject new calls.
-    void wait_for_all_slots(std::chrono::milliseconds max_wait);
+    void drain(std::chrono::milliseconds max_wait);
     bool is_draining() const { return draining_; }
     /// No value as long as the device works.
-    std::optional<std::string> get_device_loss_message();
+    std::optional<std::string> loss_message();
     /// The default is 1: each request is submitted alone.
-    void set_max_requests_per_batch(std::size_t max_requests);
+    void set_batch_size(std::size_t max_requests);
 
 private:
     using RequestBatch = std::vector<QueuedRequest*>;
@@ -104,12 +104,12 @@ private:
     std::thread thread_;
 
     void run_render_loop();
-    QueuedRequest* take_next_request(const std::optional<std::size_t>& scene_index = {});
-    RequestBatch collect_and_submit_batch(QueuedRequest* first_request, std::unique_lock<std::mutex>& lock);
-    void wait_for_batch_and_notify_clients(const RequestBatch& batch, std::unique_lock<std::mutex>& lock);
-    void submit_request_or_store_response(QueuedRequest& request, std::optional<bool> is_last_of_batch,
-                                          std::unique_lock<std::mutex>& lock);
-    void wait_until_request_ended(QueuedRequest& request, std::unique_lock<std::mutex>& lock);
+    QueuedRequest* take_request(const std::optional<std::size_t>& scene_index = {});
+    RequestBatch submit_batch(QueuedRequest* first_request, std::unique_lock<std::mutex>& lock);
+    void finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock);
+    void process_request(QueuedRequest& request, std::optional<bool> is_last_of_batch,
+                         std::unique_lock<std::mutex>& lock);
+    void wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock);
 };
 
 }  // namespace relidar::serve

@@ -14,55 +14,53 @@ namespace {
 
 /// If the scene cannot be loaded, the error message names the folder of its run.
 template <class Function>
-SceneSet::SceneLoadNumber use_renderer_and_get_scene_load_number(SceneSet& scenes,
-                                                                 const RenderRequest& request,
-                                                                 const Function& use_renderer) {
+SceneSet::SceneLoadNumber with_renderer(SceneSet& scenes, const RenderRequest& request,
+                                        const Function& use_renderer) {
     try {
-        return scenes.load_scene_and_call_with_renderer(request.scene, request.weather,
-                                                        [&](ScanRenderer& renderer) {
-                                                            renderer.enable_actor_visibility(request.boxes);
-                                                            use_renderer(renderer);
-                                                        });
+        return scenes.use_scene(request.scene, request.weather, [&](ScanRenderer& renderer) {
+            renderer.count_actor_rays(request.boxes);
+            use_renderer(renderer);
+        });
     } catch (const DataError& error) {
         refuse(grpc::StatusCode::INTERNAL, "{}", error.what());
     }
 }
 
-bool has_deadline_passed(const grpc::ServerContext& context) {
+bool is_expired(const grpc::ServerContext& context) {
     return std::chrono::system_clock::now() >= context.deadline();
 }
 
 }  // namespace
 
-RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue) {
+RenderQueue::QueueSlot reserve_slot(RenderQueue& queue) {
     if (queue.is_draining())
         refuse(grpc::StatusCode::UNAVAILABLE, "cannot queue the request: the server is shutting down");
     std::optional<RenderQueue::QueueSlot> slot = queue.reserve_slot();
     if (!slot)
         refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
                "cannot queue the request: all {} slots of the queue are occupied; try again later",
-               queue.get_total_slot_count());
+               queue.total_slots());
     return std::move(*slot);
 }
 
-bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || has_deadline_passed(context_); }
+bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || is_expired(context_); }
 
-void ClientRequest::run_request_or_throw_if_cancelled(RenderQueue::QueueSlot& slot) {
-    const bool is_done = slot.run_request_and_wait(*this) == RenderQueue::RequestOutcome::done;
+void ClientRequest::run_checked(RenderQueue::QueueSlot& slot) {
+    const bool is_done = slot.run_request(*this) == RenderQueue::RequestOutcome::done;
     if (is_done && !is_cancelled()) return;
-    if (is_done) revert_effects_of_cancelled_request();
-    throw_deadline_or_cancelled_error(context_);
+    if (is_done) revert();
+    fail_cancelled(context_);
 }
 
-void throw_deadline_or_cancelled_error(const grpc::ServerContext& context) {
-    if (has_deadline_passed(context))
+void fail_cancelled(const grpc::ServerContext& context) {
+    if (is_expired(context))
         refuse(grpc::StatusCode::DEADLINE_EXCEEDED,
                "cannot answer the request: its deadline has passed; set a later deadline");
     refuse(grpc::StatusCode::CANCELLED, "cannot answer the request: the client has disconnected");
 }
 
-void ScanImageRequest::submit_to_device(bool) {
-    use_renderer_and_get_scene_load_number(scenes_, render_request_, [&](ScanRenderer& renderer) {
+void ScanImageRequest::submit(bool) {
+    with_renderer(scenes_, render_request_, [&](ScanRenderer& renderer) {
         scan = renderer.render(*render_request_.sensor, render_request_.request, render_request_.sample);
     });
 }
@@ -73,12 +71,12 @@ PointsRequest::PointsRequest(SceneSet& scenes, const grpc::ServerContext& contex
     scene = requests.front().scene;
 }
 
-void PointsRequest::submit_to_device(bool is_last) {
+void PointsRequest::submit(bool is_last) {
     using Send = ScanRenderer::SubmissionTiming;
     try {
         for (const RenderRequest& scan : render_requests_) {
             const Send when = is_last && &scan == &render_requests_.back() ? Send::now : Send::with_next;
-            load_ = use_renderer_and_get_scene_load_number(scenes_, scan, [&](ScanRenderer& renderer) {
+            load_ = with_renderer(scenes_, scan, [&](ScanRenderer& renderer) {
                 renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
             });
             ++n_submitted_;
@@ -89,20 +87,20 @@ void PointsRequest::submit_to_device(bool is_last) {
     }
 }
 
-void PointsRequest::wait_for_device_and_store_response() {
-    scenes_.call_if_scene_was_not_reloaded(*scene, load_, [&](ScanRenderer& renderer) {
+void PointsRequest::finish() {
+    scenes_.reuse_scene(*scene, load_, [&](ScanRenderer& renderer) {
         while (points.size() < n_submitted_) points.push_back(renderer.wait_for_points());
     });
     if (submit_failure_) std::rethrow_exception(submit_failure_);
 }
 
-void SpawnRequest::submit_to_device(bool) { occupied_slots = scenes_.spawn_actors(spawn_scene_, wishes_); }
+void SpawnRequest::submit(bool) { occupied_slots = scenes_.spawn_actors(spawn_scene_, wishes_); }
 
 /// A client that did not receive the response would never remove the actors.
-void SpawnRequest::revert_effects_of_cancelled_request() {
+void SpawnRequest::revert() {
     std::vector<std::string> names;
     for (const SpawnedActorRegistry::SpawnSlot& slot : occupied_slots) names.push_back(slot.actor.name);
-    scenes_.get_spawned_actors().remove_actors_and_free_slots(spawn_scene_, names);
+    scenes_.spawned().remove_actors(spawn_scene_, names);
 }
 
 }  // namespace relidar::serve

@@ -15,11 +15,11 @@
 namespace relidar::serve {
 
 /// @throws RejectedRequest if the queue is full
-RenderQueue::QueueSlot reserve_slot_or_throw(RenderQueue& queue);
+RenderQueue::QueueSlot reserve_slot(RenderQueue& queue);
 
 /// The client has disconnected or its deadline has passed.
 /// @throws RejectedRequest always
-[[noreturn]] void throw_deadline_or_cancelled_error(const grpc::ServerContext& context);
+[[noreturn]] void fail_cancelled(const grpc::ServerContext& context);
 
 class ClientRequest : public QueuedRequest {
 public:
@@ -28,12 +28,12 @@ public:
     bool is_cancelled() const override;
     /// @throws RejectedRequest if the client has disconnected, if the deadline has
     /// passed, or if the run cannot be read
-    void run_request_or_throw_if_cancelled(RenderQueue::QueueSlot& slot);
+    void run_checked(RenderQueue::QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;
     /// Called if the client no longer waits for the response.
-    virtual void revert_effects_of_cancelled_request() {}
+    virtual void revert() {}
 
 private:
     const grpc::ServerContext& context_;
@@ -43,7 +43,7 @@ class ScanImageRequest final : public ClientRequest {
 public:
     ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& request)
         : ClientRequest(scenes, context), render_request_(request) {}
-    void submit_to_device(bool is_last) override;
+    void submit(bool is_last) override;
 
     RenderedScan scan;  ///< the response
 
@@ -62,8 +62,8 @@ class PointsRequest final : public ClientRequest {
 public:
     PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
                   std::span<const RenderRequest> requests);
-    void submit_to_device(bool is_last) override;
-    void wait_for_device_and_store_response() override;
+    void submit(bool is_last) override;
+    void finish() override;
 
     std::vector<RenderedPoints> points;  ///< the response
 
@@ -80,12 +80,12 @@ public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,
                  const std::vector<ActorToSpawn>& actors)
         : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(actors) {}
-    void submit_to_device(bool is_last) override;
+    void submit(bool is_last) override;
 
     std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots;  ///< the response
 
 private:
-    void revert_effects_of_cancelled_request() override;
+    void revert() override;
     const std::size_t spawn_scene_;
     const std::vector<ActorToSpawn>& wishes_;
 };

@@ -26,20 +26,20 @@ constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of th
 // Seconds between a scan and the nearest end of the sensor's path.
 constexpr double kBeyondPath_s = 1.0;
 
-bool is_time_far_before_or_after_path(double time_s, const PoseTrack& sensor_path) {
+bool is_far_from_path(double time_s, const PoseTrack& sensor_path) {
     const bool moves = sensor_path.pose.size() > 1;
     return moves && (time_s < sensor_path.time_s.front() - kBeyondPath_s ||
                      time_s > sensor_path.time_s.back() + kBeyondPath_s);
 }
 
 /// Rejects a time that is more than kBeyondPath_s outside the sensor's path.
-double require_time_near_path(double time_s, const PoseTrack& sensor_path, const std::string& field_name) {
-    require_time_within_limit(time_s, field_name);
-    if (is_time_far_before_or_after_path(time_s, sensor_path))
-        throw_invalid_field(field_name,
-                            fmt::format("{} s, but the path covers {} to {} s", time_s,
-                                        sensor_path.time_s.front(), sensor_path.time_s.back()),
-                            fmt::format("a time at most {} s away from the path", kBeyondPath_s));
+double time_near_path(double time_s, const PoseTrack& sensor_path, const std::string& field_name) {
+    checked_time(time_s, field_name);
+    if (is_far_from_path(time_s, sensor_path))
+        reject_field(field_name,
+                     fmt::format("{} s, but the path covers {} to {} s", time_s, sensor_path.time_s.front(),
+                                 sensor_path.time_s.back()),
+                     fmt::format("a time at most {} s away from the path", kBeyondPath_s));
     return time_s;
 }
 
@@ -54,35 +54,34 @@ std::vector<std::string> list_names(const Items& items) {
 template <class Items>
 std::size_t find_index_of_name(const Items& items, const std::string& name, const std::string& field_name) {
     const auto match = std::ranges::find_if(items, [&](const auto& item) { return item.name == name; });
-    if (match == items.end()) throw_unknown_name(field_name, name, list_names(items));
+    if (match == items.end()) reject_name(field_name, name, list_names(items));
     return std::size_t(match - items.begin());
 }
 
 /// @throws RejectedRequest if poses end long before the scan or begin long after it
-std::vector<RequestedActor> read_requested_actor_poses(const v1::ActorTracks& message, double scan_time_s) {
+std::vector<RequestedActor> read_actors(const v1::ActorTracks& message, double scan_time_s) {
     std::vector<RequestedActor> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const std::string field = fmt::format("actors.actors[{}]", i);
         wishes.push_back({field + ".name", message.actors(i).name(),
                           read_track(message.actors(i).poses(), field + ".poses")});
         const PoseTrack& track = wishes.back().dataset_from_actor;
-        if (is_time_far_before_or_after_path(scan_time_s, track))
-            throw_invalid_field(field + ".poses",
-                                fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
-                                            track.time_s.back(), scan_time_s),
-                                fmt::format("poses at most {} s away from the scan", kBeyondPath_s));
+        if (is_far_from_path(scan_time_s, track))
+            reject_field(field + ".poses",
+                         fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
+                                     track.time_s.back(), scan_time_s),
+                         fmt::format("poses at most {} s away from the scan", kBeyondPath_s));
     }
     return wishes;
 }
 
 std::vector<std::string> list_asset_names(const AssetCatalogue& assets) {
     std::vector<std::string> names;
-    for (const AssetCatalogue::CatalogueEntry& entry : assets.get_entries())
-        names.push_back(entry.facts.name);
+    for (const AssetCatalogue::CatalogueEntry& entry : assets.entries()) names.push_back(entry.facts.name);
     return names;
 }
 
-Weather parse_requested_weather(const std::string& weather_text) {
+Weather read_weather(const std::string& weather_text) {
     try {
         return parse_weather(weather_text);
     } catch (const UsageError& error) {
@@ -92,7 +91,7 @@ Weather parse_requested_weather(const std::string& weather_text) {
 
 }  // namespace
 
-std::vector<std::string> list_actor_names_of_run(const TrainedRun& run) {
+std::vector<std::string> run_actor_names(const Run& run) {
     std::vector<std::string> names;
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) names.push_back(instance.track);
@@ -100,30 +99,29 @@ std::vector<std::string> list_actor_names_of_run(const TrainedRun& run) {
 }
 
 RequestReader::RequestReader(SceneSet& scenes)
-    : RequestReader(scenes.get_runs_without_surfels(), scenes.get_scene_sources(),
-                    scenes.get_asset_catalogue(), scenes.get_spawned_actors()) {}
+    : RequestReader(scenes.runs(), scenes.sources(), scenes.assets(), scenes.spawned()) {}
 
-RequestReader::RequestReader(const std::vector<TrainedRun>& outlines, const std::vector<SceneSource>& sources,
+RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                              const AssetCatalogue& assets, const SpawnedActorRegistry& spawned)
     : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
 
-std::size_t RequestReader::find_scene_index_or_throw(const std::string& scene_name,
-                                                     const std::string& field_name_for_errors) const {
+std::size_t RequestReader::find_scene(const std::string& scene_name,
+                                      const std::string& field_name_for_errors) const {
     if (scene_name.empty() && sources_.size() == 1) return 0;
     return find_index_of_name(sources_, scene_name, field_name_for_errors);
 }
 
-int RequestReader::find_lidar_index_or_throw(std::size_t scene_index, const std::string& lidar_name_or_empty,
-                                             const std::string& field_name_for_errors) const {
+int RequestReader::find_lidar(std::size_t scene_index, const std::string& lidar_name_or_empty,
+                              const std::string& field_name_for_errors) const {
     if (lidar_name_or_empty.empty()) return 0;
     return int(find_index_of_name(outlines_[scene_index].sequence.lidars, lidar_name_or_empty,
                                   field_name_for_errors));
 }
 
-std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::cache_uploaded_sensor(
+std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::cache_sensor(
     const v1::SensorSpec& spec) {
-    const std::string handle = uploaded_.add_sensor_and_make_handle(read_sensor(spec, "sensor"));
-    const std::shared_ptr<const SimulatedSensor> sensor = uploaded_.find_cached_sensor(handle);
+    const std::string handle = uploaded_.add_upload(read_sensor(spec, "sensor"));
+    const std::shared_ptr<const SimulatedSensor> sensor = uploaded_.find_cached(handle);
     if (!sensor)
         refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
                "cannot upload a sensor: too many other sensors were uploaded at the same time; try again");
@@ -131,35 +129,34 @@ std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::ca
 }
 
 /// The rays of the sensor are computed once and then cached.
-std::shared_ptr<const SimulatedSensor> RequestReader::find_built_in_sensor(const std::string& sensor_name,
-                                                                           std::size_t scene_index,
-                                                                           int lidar_index) {
+std::shared_ptr<const SimulatedSensor> RequestReader::find_built_in(const std::string& sensor_name,
+                                                                    std::size_t scene_index,
+                                                                    int lidar_index) {
     const std::string key = fmt::format("{} {} {}", scene_index, lidar_index, sensor_name);
-    if (auto sensor = named_.find_cached_sensor(key)) return sensor;
-    return named_.add_sensor_under_key(
-        key, find_built_in_or_log_sensor(sensor_name, outlines_[scene_index], lidar_index));
+    if (auto sensor = named_.find_cached(key)) return sensor;
+    return named_.add_sensor(key, find_known_sensor(sensor_name, outlines_[scene_index], lidar_index));
 }
 
-std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(const SensorRequest& request,
-                                                                            std::size_t scene_index,
-                                                                            int lidar_index) {
+std::shared_ptr<const SimulatedSensor> RequestReader::requested_sensor(const SensorRequest& request,
+                                                                       std::size_t scene_index,
+                                                                       int lidar_index) {
     if (request.returns > 2)
-        throw_invalid_field(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
+        reject_field(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
     std::shared_ptr<const SimulatedSensor> sensor;
     if (request.sensor.has_spec()) {
         sensor = std::make_shared<const SimulatedSensor>(
             read_sensor(request.sensor.spec(), request.field + ".spec"));
     } else if (request.sensor.has_handle()) {
-        sensor = uploaded_.find_cached_sensor(request.sensor.handle());
+        sensor = uploaded_.find_cached(request.sensor.handle());
         if (!sensor)
             refuse(grpc::StatusCode::NOT_FOUND,
                    "cannot read {}.handle: {} is unknown or expired; upload the sensor again", request.field,
-                   shorten_and_quote_client_text(request.sensor.handle()));
+                   quote_client_text(request.sensor.handle()));
     } else {
-        sensor = find_built_in_sensor(request.sensor.name(), scene_index, lidar_index);
+        sensor = find_built_in(request.sensor.name(), scene_index, lidar_index);
     }
-    if (count_rays_of_sensor(*sensor) == 0)
-        throw_invalid_field(
+    if (count_rays(*sensor) == 0)
+        reject_field(
             request.field, "a LiDAR of the log whose beams are unknown",
             "another sensor, because ray directions of this LiDAR are known only for the scans of the log");
     const int returns = int(request.returns);
@@ -171,10 +168,10 @@ std::shared_ptr<const SimulatedSensor> RequestReader::find_requested_sensor(cons
 }
 
 /// The actors of the run and the actors that clients have added.
-std::vector<VisibleActor> RequestReader::list_actors_of_scene(std::size_t scene_index) const {
-    const TrainedRun& run = outlines_[scene_index];
+std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene_index) const {
+    const Run& run = outlines_[scene_index];
     const auto find_actor_box = [&](const std::string& track) {
-        const BoxTrack* box = find_box_track_by_id(run.sequence, track);
+        const BoxTrack* box = find_box(run.sequence, track);
         return box ? *box : BoxTrack{};
     };
     std::vector<VisibleActor> actors;
@@ -185,59 +182,59 @@ std::vector<VisibleActor> RequestReader::list_actors_of_scene(std::size_t scene_
         actors.push_back({instance.track, instance.track, box.category, i, box.size_m,
                           run.scene.models[instance.model].count});
     }
-    for (const SpawnedActorRegistry::SpawnSlot& slot : spawned_.list_occupied_slots(scene_index)) {
+    for (const SpawnedActorRegistry::SpawnSlot& slot : spawned_.list_occupied(scene_index)) {
         const auto& [is_asset, source] = slot.actor.source;
         actors.push_back(
-            {slot.actor.name, make_unique_track_name_of_slot(slot.position),
+            {slot.actor.name, slot_track_name(slot.position),
              is_asset ? assets_.find_asset(source)->facts.category : find_actor_box(source).category,
              run.scene.instances.size() + slot.position, slot.actor.size_m, slot.actor.surfels});
     }
     return actors;
 }
 
-void RequestReader::set_visible_actors_of_request(const std::vector<RequestedActor>& requested_visible_actors,
-                                                  RenderRequest& render_request) const {
-    const std::vector<VisibleActor> visible_actors = list_actors_of_scene(render_request.scene);
+void RequestReader::set_visible(const std::vector<RequestedActor>& requested_visible_actors,
+                                RenderRequest& render_request) const {
+    const std::vector<VisibleActor> visible_actors = scene_actors(render_request.scene);
     // A map makes the search by name fast, because a scene may have thousands of actors.
     std::map<std::string_view, const VisibleActor*> by_name;
     for (const VisibleActor& actor : visible_actors) by_name.emplace(actor.name, &actor);
     ActorTracksByName& poses = render_request.request.dataset_from_actor.emplace();
     for (const RequestedActor& wish : requested_visible_actors) {
         const auto match = by_name.find(wish.name);
-        if (match == by_name.end()) throw_unknown_name(wish.field, wish.name, list_names(visible_actors));
+        if (match == by_name.end()) reject_name(wish.field, wish.name, list_names(visible_actors));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
-            throw_invalid_field(wish.field, shorten_and_quote_client_text(wish.name) + " a second time",
-                                "each actor at most once");
+            reject_field(wish.field, quote_client_text(wish.name) + " a second time",
+                         "each actor at most once");
         render_request.placed.push_back(*match->second);
     }
 }
 
-std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnActorsRequest& message,
-                                                              std::size_t scene_index) const {
-    if (message.actors().empty()) throw_invalid_field("actors", "none", "at least one actor");
-    const std::vector<std::string> run_actors = list_actor_names_of_run(outlines_[scene_index]);
-    const std::vector<VisibleActor> visible_actors = list_actors_of_scene(scene_index);
+std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest& message,
+                                                    std::size_t scene_index) const {
+    if (message.actors().empty()) reject_field("actors", "none", "at least one actor");
+    const std::vector<std::string> run_actors = run_actor_names(outlines_[scene_index]);
+    const std::vector<VisibleActor> visible_actors = scene_actors(scene_index);
     std::vector<ActorToSpawn> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
         if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
-            throw_invalid_field(field + ".name", shorten_and_quote_client_text(spawn.name()),
-                                fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
+            reject_field(field + ".name", quote_client_text(spawn.name()),
+                         fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
             refuse(grpc::StatusCode::ALREADY_EXISTS,
                    "cannot spawn {}: an actor of the run already has the name {}; use another name", field,
-                   shorten_and_quote_client_text(spawn.name()));
+                   quote_client_text(spawn.name()));
         if (spawn.has_asset()) {
             const AssetCatalogue::CatalogueEntry* asset = assets_.find_asset(spawn.asset());
-            if (!asset) throw_unknown_name(field + ".asset", spawn.asset(), list_asset_names(assets_));
+            if (!asset) reject_name(field + ".asset", spawn.asset(), list_asset_names(assets_));
             wishes.push_back(
                 {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
             continue;
         }
-        if (!spawn.has_actor()) throw_invalid_field(field, "neither an actor nor an asset", "one of them");
+        if (!spawn.has_actor()) reject_field(field, "neither an actor nor an asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
-        if (actor == run_actors.end()) throw_unknown_name(field + ".actor", spawn.actor(), run_actors);
+        if (actor == run_actors.end()) reject_name(field + ".actor", spawn.actor(), run_actors);
         // `visible_actors` begins with `run_actors`, in the same order.
         const VisibleActor& model = visible_actors[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
@@ -245,28 +242,26 @@ std::vector<ActorToSpawn> RequestReader::read_actors_to_spawn(const v1::SpawnAct
     return wishes;
 }
 
-RenderRequest RequestReader::read_request_of_one_sensor(const v1::RenderLidarRequest& message,
-                                                        const SensorRequest& sensor_request,
-                                                        const std::optional<Pose>& rig_from_sensor) {
+RenderRequest RequestReader::read_one(const v1::RenderLidarRequest& message,
+                                      const SensorRequest& sensor_request,
+                                      const std::optional<Pose>& rig_from_sensor) {
     RenderRequest render_request;
-    render_request.scene = find_scene_index_or_throw(message.scene());
-    render_request.sensor =
-        find_requested_sensor(sensor_request, render_request.scene,
-                              find_lidar_index_or_throw(render_request.scene, message.lidar()));
+    render_request.scene = find_scene(message.scene());
+    render_request.sensor = requested_sensor(sensor_request, render_request.scene,
+                                             find_lidar(render_request.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
-    render_request.request.time_s =
-        message.has_time_s() ? require_time_near_path(message.time_s(), path, "time_s")
-                             : path.time_s.front() - compute_firing_span(*render_request.sensor).first_s;
+    render_request.request.time_s = message.has_time_s()
+                                        ? time_near_path(message.time_s(), path, "time_s")
+                                        : path.time_s.front() - firing_span(*render_request.sensor).first_s;
     render_request.points_at_s = message.has_points_at_s()
-                                     ? require_time_near_path(message.points_at_s(), path, "points_at_s")
+                                     ? time_near_path(message.points_at_s(), path, "points_at_s")
                                      : path.time_s.back();
     render_request.request.dataset_from_sensor =
-        rig_from_sensor ? compute_mounted_track(std::move(path), *rig_from_sensor) : std::move(path);
+        rig_from_sensor ? mount_track(std::move(path), *rig_from_sensor) : std::move(path);
     if (message.has_actors())
-        set_visible_actors_of_request(
-            read_requested_actor_poses(message.actors(), render_request.request.time_s), render_request);
+        set_visible(read_actors(message.actors(), render_request.request.time_s), render_request);
     if (message.has_sample_seed()) render_request.sample = message.sample_seed();
-    if (!message.weather().empty()) render_request.weather = parse_requested_weather(message.weather());
+    if (!message.weather().empty()) render_request.weather = read_weather(message.weather());
     if (message.has_wanted()) {
         render_request.points = message.wanted().points();
         render_request.range_image = message.wanted().range_image();
@@ -276,27 +271,25 @@ RenderRequest RequestReader::read_request_of_one_sensor(const v1::RenderLidarReq
     return render_request;
 }
 
-RenderRequest RequestReader::convert_to_checked_render_request(const v1::RenderLidarRequest& message) {
-    return read_request_of_one_sensor(message, {message.sensor(), "sensor", message.returns()}, {});
+RenderRequest RequestReader::read_request(const v1::RenderLidarRequest& message) {
+    return read_one(message, {message.sensor(), "sensor", message.returns()}, {});
 }
 
-std::vector<RenderRequest> RequestReader::convert_to_request_per_rig_sensor(
-    const v1::RenderRigRequest& message) {
+std::vector<RenderRequest> RequestReader::read_rig(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
-        throw_invalid_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
-                            fmt::format("1 to {} sensors", kMostSensors));
+        reject_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
+                     fmt::format("1 to {} sensors", kMostSensors));
     std::vector<RenderRequest> scans;
     std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
         if (!names.insert(sensor.name()).second)
-            throw_invalid_field(field + ".name",
-                                shorten_and_quote_client_text(sensor.name()) + " a second time",
-                                "a different name for each sensor");
+            reject_field(field + ".name", quote_client_text(sensor.name()) + " a second time",
+                         "a different name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
-        scans.push_back(read_request_of_one_sensor(
-            message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()}, rig_from_sensor));
+        scans.push_back(
+            read_one(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()}, rig_from_sensor));
     }
     return scans;
 }

@@ -52,7 +52,7 @@ struct RenderRequest {
     bool points = true, range_image = false, drop_probability = false, boxes = false;
 };
 
-std::vector<std::string> list_actor_names_of_run(const TrainedRun& run);
+std::vector<std::string> run_actor_names(const Run& run);
 
 /// Caches only the sensors. The constructor's arguments must outlive this object.
 class RequestReader {
@@ -61,34 +61,33 @@ public:
     explicit RequestReader(SceneSet& scenes);
     /// Without a SceneSet, which would need a device.
     /// @param outlines [scenes] runs without surfels
-    RequestReader(const std::vector<TrainedRun>& outlines, const std::vector<SceneSource>& sources,
+    RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 
     /// @throws RejectedRequest if the scene is unknown
-    std::size_t find_scene_index_or_throw(const std::string& scene_name,
-                                          const std::string& field_name_for_errors = "scene") const;
+    std::size_t find_scene(const std::string& scene_name,
+                           const std::string& field_name_for_errors = "scene") const;
     /// For an empty name, returns 0.
     /// @throws RejectedRequest if the LiDAR is unknown
-    int find_lidar_index_or_throw(std::size_t scene_index, const std::string& lidar_name_or_empty,
-                                  const std::string& field_name_for_errors = "lidar") const;
+    int find_lidar(std::size_t scene_index, const std::string& lidar_name_or_empty,
+                   const std::string& field_name_for_errors = "lidar") const;
     /// @return a handle, with which later requests select this sensor, and the sensor
-    /// @throws RejectedRequest if the description is invalid
-    std::pair<std::string, std::shared_ptr<const SimulatedSensor>> cache_uploaded_sensor(
-        const v1::SensorSpec& spec);
+    /// @throws RejectedRequest if the text is invalid
+    std::pair<std::string, std::shared_ptr<const SimulatedSensor>> cache_sensor(const v1::SensorSpec& spec);
     /// @throws RejectedRequest if a name is invalid, or if an actor or asset is unknown
-    std::vector<ActorToSpawn> read_actors_to_spawn(const v1::SpawnActorsRequest& message,
-                                                   std::size_t scene_index) const;
+    std::vector<ActorToSpawn> read_spawn(const v1::SpawnActorsRequest& message,
+                                         std::size_t scene_index) const;
     /// @throws RejectedRequest that names the first invalid field
-    RenderRequest convert_to_checked_render_request(const v1::RenderLidarRequest& message);
+    RenderRequest read_request(const v1::RenderLidarRequest& message);
     /// Returns one scan request per sensor.
-    std::vector<RenderRequest> convert_to_request_per_rig_sensor(const v1::RenderRigRequest& message);
+    std::vector<RenderRequest> read_rig(const v1::RenderRigRequest& message);
     /// All other actors are hidden.
     /// @throws RejectedRequest if an actor is unknown or appears twice
-    void set_visible_actors_of_request(const std::vector<RequestedActor>& requested_visible_actors,
-                                       RenderRequest& render_request) const;
+    void set_visible(const std::vector<RequestedActor>& requested_visible_actors,
+                     RenderRequest& render_request) const;
 
 private:
-    const std::vector<TrainedRun>& outlines_;
+    const std::vector<Run>& outlines_;
     const std::vector<SceneSource>& sources_;
     const AssetCatalogue& assets_;
     const SpawnedActorRegistry& spawned_;
@@ -99,15 +98,14 @@ private:
         std::string field;
         std::uint32_t returns;
     };
-    std::shared_ptr<const SimulatedSensor> find_requested_sensor(const SensorRequest& request,
-                                                                 std::size_t scene_index, int lidar_index);
-    std::shared_ptr<const SimulatedSensor> find_built_in_sensor(const std::string& sensor_name,
-                                                                std::size_t scene_index, int lidar_index);
-    std::vector<VisibleActor> list_actors_of_scene(std::size_t scene_index) const;
+    std::shared_ptr<const SimulatedSensor> requested_sensor(const SensorRequest& request,
+                                                            std::size_t scene_index, int lidar);
+    std::shared_ptr<const SimulatedSensor> find_built_in(const std::string& sensor_name,
+                                                         std::size_t scene_index, int lidar);
+    std::vector<VisibleActor> scene_actors(std::size_t scene_index) const;
     /// @param rig_from_sensor no value if `message` contains the path of the sensor
-    RenderRequest read_request_of_one_sensor(const v1::RenderLidarRequest& message,
-                                             const SensorRequest& sensor_request,
-                                             const std::optional<Pose>& rig_from_sensor);
+    RenderRequest read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor_request,
+                           const std::optional<Pose>& rig_from_sensor);
 };
 
 }  // namespace relidar::serve

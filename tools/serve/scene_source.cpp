@@ -14,29 +14,28 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string get_last_path_component(const std::string& folder_path) {
+std::string last_component(const std::string& folder_path) {
     const fs::path path = fs::absolute(folder_path).lexically_normal();
     return path.has_filename() ? path.filename().string() : path.parent_path().filename().string();
 }
 
 }  // namespace
 
-TrainedRun SceneSource::load_run_and_select_output_channels() const {
-    TrainedRun run = load_run(folder);
-    if (channels) set_config_value(run.config, "render.channels", *channels);
+Run SceneSource::load() const {
+    Run run = load_run(folder);
+    if (channels) set_value(run.config, "render.channels", *channels);
     return run;
 }
 
-std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>& name_and_folder_arguments,
-                                                 const std::optional<std::string>& channels,
-                                                 const Weather& weather) {
+std::vector<SceneSource> parse_sources(const std::vector<std::string>& name_and_folder_arguments,
+                                       const std::optional<std::string>& channels, const Weather& weather) {
     std::vector<SceneSource> sources;
     for (const std::string& word : name_and_folder_arguments) {
         const std::size_t equals = word.find('=');
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;
         sources.push_back(
-            {named ? word.substr(0, equals) : get_last_path_component(folder), folder, channels, weather});
+            {named ? word.substr(0, equals) : last_component(folder), folder, channels, weather});
         const SceneSource& added = sources.back();
         const auto same = std::find_if(sources.begin(), sources.end() - 1,
                                        [&](const SceneSource& s) { return s.name == added.name; });

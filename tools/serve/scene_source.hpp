@@ -10,7 +10,7 @@
 #include <relidar/simulate/weather.hpp>
 
 namespace relidar {
-struct TrainedRun;
+struct Run;
 }
 
 namespace relidar::serve {
@@ -23,13 +23,13 @@ struct SceneSource {
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
 
     /// @throws UsageError if a channel is unknown, and the exceptions of load_run()
-    TrainedRun load_run_and_select_output_channels() const;
+    Run load() const;
 };
 
 /// "RUN" or "NAME=RUN". Without NAME: the name of the run's folder.
 /// @throws UsageError if two scenes have the same name
-std::vector<SceneSource> parse_named_run_folders(const std::vector<std::string>& name_and_folder_arguments,
-                                                 const std::optional<std::string>& channels = {},
-                                                 const Weather& weather = {});
+std::vector<SceneSource> parse_sources(const std::vector<std::string>& name_and_folder_arguments,
+                                       const std::optional<std::string>& channels = {},
+                                       const Weather& weather = {});
 
 }  // namespace relidar::serve

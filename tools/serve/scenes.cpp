@@ -27,10 +27,10 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
       assets_(assets),
       spawned_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
-        TrainedRun run = sources_[i].load_run_and_select_output_channels();
-        load_scene_to_device(i, run);
+        Run run = sources_[i].load();
+        load_scene(i, run);
         // Removes the surfels and the ray-drop network, which need most of the memory.
-        run.scene = copy_scene_without_surfels(run.scene);
+        run.scene = strip_surfels(run.scene);
         run.drop_network = {};
         outlines_.push_back(std::move(run));
         if (loaded_[i].bytes > memory_bytes_)
@@ -38,41 +38,40 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
                 "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
                 "(--memory-mib)",
                 sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB);
-        unload_scenes_until_memory_suffices(i, 0);
+        make_room(i, 0);
     }
 }
 
-SceneSet::SceneLoadNumber SceneSet::load_scene_and_call_with_renderer(
-    std::size_t scene_index, const std::optional<Weather>& weather_or_default,
-    const std::function<void(ScanRenderer&)>& use_renderer) {
+SceneSet::SceneLoadNumber SceneSet::use_scene(std::size_t scene_index,
+                                              const std::optional<Weather>& weather_or_default,
+                                              const std::function<void(ScanRenderer&)>& use_renderer) {
     loaded_[scene_index].used = ++clock_;
     if (!loaded_[scene_index].renderer) {
-        unload_scenes_until_memory_suffices(scene_index, loaded_[scene_index].bytes);
-        load_scene_with_spawned_actors(scene_index);
+        make_room(scene_index, loaded_[scene_index].bytes);
+        load_spawned(scene_index);
     }
-    call_with_renderer(scene_index, [&](ScanRenderer& renderer) {
+    call_renderer(scene_index, [&](ScanRenderer& renderer) {
         renderer.set_weather(weather_or_default.value_or(sources_[scene_index].weather));
         use_renderer(renderer);
     });
     // Rendering may have allocated larger arrays, for a sensor with more rays.
-    unload_scenes_until_memory_suffices(scene_index, 0);
+    make_room(scene_index, 0);
     return loaded_[scene_index].load;
 }
 
-void SceneSet::call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
-                                              const std::function<void(ScanRenderer&)>& use_renderer) {
+void SceneSet::reuse_scene(std::size_t scene_index, SceneLoadNumber expected_load_number,
+                           const std::function<void(ScanRenderer&)>& use_renderer) {
     if (!loaded_[scene_index].renderer || loaded_[scene_index].load != expected_load_number)
         fail<DeviceError>(
             "cannot render a scan of {}: the scene was unloaded for a later request; send your request again",
             sources_[scene_index].name);
-    call_with_renderer(scene_index, use_renderer);
+    call_renderer(scene_index, use_renderer);
 }
 
-void SceneSet::call_with_renderer(std::size_t scene_index,
-                                  const std::function<void(ScanRenderer&)>& use_renderer) {
+void SceneSet::call_renderer(std::size_t scene_index,
+                             const std::function<void(ScanRenderer&)>& use_renderer) {
     try {
-        call_and_count_allocated_scene_bytes(scene_index,
-                                             [&] { use_renderer(*loaded_[scene_index].renderer); });
+        count_bytes(scene_index, [&] { use_renderer(*loaded_[scene_index].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown, so the next request loads the scene
         // again.
@@ -81,17 +80,17 @@ void SceneSet::call_with_renderer(std::size_t scene_index,
     }
 }
 
-void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& run) {
+void SceneSet::load_scene(std::size_t scene_index, const Run& run) {
     SceneInMemory& loaded = loaded_[scene_index];
     loaded.bytes = 0;
     loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
-    call_and_count_allocated_scene_bytes(scene_index, [&] {
+    count_bytes(scene_index, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         // Rendering a single ray uploads the complete scene to the device.
         const SimulatedSensor sensor{.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}},
                                      .name = "one ray"};
-        const PoseTrack track = run.sequence.get_world_from_sensor(0);
+        const PoseTrack track = run.sequence.lidar_track(0);
         Pose pose = track.pose.front();
         pose.translation += run.sequence.world_offset_m;
         loaded.renderer->render(sensor, ScanRequest{track.time_s.front(), {{track.time_s.front()}, {pose}}});
@@ -99,37 +98,34 @@ void SceneSet::load_scene_to_device(std::size_t scene_index, const TrainedRun& r
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
     // Parallel rendering needs copies, but no other scene is unloaded for them.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
-    const int side_by_side = loaded.renderer->get_max_parallel_scans();
-    loaded.renderer->set_max_parallel_scans(
-        int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
+    const int side_by_side = loaded.renderer->max_parallel();
+    loaded.renderer->set_parallel(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-void SceneSet::load_scene_with_spawned_actors(std::size_t scene_index) {
+void SceneSet::load_spawned(std::size_t scene_index) {
     const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene_index);
-    TrainedRun run = sources_[scene_index].load_run_and_select_output_channels();
-    add_spawned_actors_to_run(run, slots, assets_);
-    load_scene_to_device(scene_index, run);
+    Run run = sources_[scene_index].load();
+    add_spawned(run, slots, assets_);
+    load_scene(scene_index, run);
     loaded_[scene_index].n_slots = slots.size();
 }
 
 std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene_index,
                                                                     const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene_index];
-    const std::size_t n_before = spawned_.count_spawn_slots_of_scene(scene_index);
-    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots =
-        spawned_.assign_actors_to_slots(scene_index, actors);
-    if (loaded.renderer && loaded.n_slots == spawned_.count_spawn_slots_of_scene(scene_index))
-        return occupied_slots;
+    const std::size_t n_before = spawned_.slot_count(scene_index);
+    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots = spawned_.assign_slots(scene_index, actors);
+    if (loaded.renderer && loaded.n_slots == spawned_.slot_count(scene_index)) return occupied_slots;
     const auto undo = [&] {
         // The next request loads the scene again, without the actors.
         loaded.renderer.reset();
-        spawned_.undo_actor_slot_assignment(scene_index, occupied_slots, n_before);
+        spawned_.undo_assign(scene_index, occupied_slots, n_before);
     };
     try {
         loaded.renderer.reset();
-        unload_scenes_until_memory_suffices(scene_index, loaded.bytes);
-        load_scene_with_spawned_actors(scene_index);
-        unload_scenes_until_memory_suffices(scene_index, 0);
+        make_room(scene_index, loaded.bytes);
+        load_spawned(scene_index);
+        make_room(scene_index, 0);
     } catch (const DataError& error) {
         undo();
         refuse(grpc::StatusCode::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(),
@@ -151,8 +147,7 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
 }
 
 /// Unloads the least recently used scenes first.
-void SceneSet::unload_scenes_until_memory_suffices(std::size_t kept_scene_index,
-                                                   std::uint64_t n_bytes_needed) {
+void SceneSet::make_room(std::size_t kept_scene_index, std::uint64_t n_bytes_needed) {
     while (device_.allocated_bytes() + n_bytes_needed > memory_bytes_) {
         SceneInMemory* oldest = nullptr;
         for (std::size_t i = 0; i < loaded_.size(); ++i)
@@ -164,8 +159,7 @@ void SceneSet::unload_scenes_until_memory_suffices(std::size_t kept_scene_index,
 }
 
 /// Adds the device memory that the function allocates to the size of the scene.
-void SceneSet::call_and_count_allocated_scene_bytes(std::size_t scene_index,
-                                                    const std::function<void()>& allocate) {
+void SceneSet::count_bytes(std::size_t scene_index, const std::function<void()>& allocate) {
     const std::uint64_t before = device_.allocated_bytes();
     allocate();
     loaded_[scene_index].bytes += device_.allocated_bytes() - before;

@@ -16,8 +16,8 @@
 
 namespace relidar::serve {
 
-/// Only the render thread may use it, except for get_runs_without_surfels(),
-/// get_asset_catalogue() and get_spawned_actors().
+/// Only the render thread may use it, except for runs(),
+/// assets() and spawned().
 class SceneSet {
 public:
     /// Loads each run once to check it and to measure its size on the device.
@@ -29,16 +29,16 @@ public:
              const AssetCatalogue& assets);
 
     /// Without ray-drop networks too. In the order of the constructor's argument.
-    const std::vector<TrainedRun>& get_runs_without_surfels() const { return outlines_; }
-    const std::vector<SceneSource>& get_scene_sources() const { return sources_; }
-    const AssetCatalogue& get_asset_catalogue() const { return assets_; }
-    SpawnedActorRegistry& get_spawned_actors() { return spawned_; }
+    const std::vector<Run>& runs() const { return outlines_; }
+    const std::vector<SceneSource>& sources() const { return sources_; }
+    const AssetCatalogue& assets() const { return assets_; }
+    SpawnedActorRegistry& spawned() { return spawned_; }
 
     /// If the scene has too few free slots, it is loaded again with more slots.
     /// @return the slots of the actors, in the order of the requests
     /// @throws RejectedRequest if a name is in use, if an asset does not fit, or if the
     /// device memory is too small; the scene is then unchanged
-    std::vector<SpawnedActorRegistry::SpawnSlot> spawn_actors(std::size_t scene_index,
+    std::vector<SpawnedActorRegistry::SpawnSlot> spawn_actors(std::size_t scene,
                                                               const std::vector<ActorToSpawn>& actors);
 
     /// Loading discards pending scans, so a changed number shows that a scan is lost.
@@ -46,16 +46,15 @@ public:
     /// Loads the scene first if it is not on the device.
     /// @param weather_or_default without a value, the default weather of the scene
     /// @return number of this load
-    SceneLoadNumber load_scene_and_call_with_renderer(std::size_t scene_index,
-                                                      const std::optional<Weather>& weather_or_default,
-                                                      const std::function<void(ScanRenderer&)>& use_renderer);
-    /// Reads the results of a scan after load_scene_and_call_with_renderer(), which
+    SceneLoadNumber use_scene(std::size_t scene, const std::optional<Weather>& weather_or_default,
+                              const std::function<void(ScanRenderer&)>& use_renderer);
+    /// Reads the results of a scan after use_scene(), which
     /// returned the load number. No other scene may be used in between.
     /// @throws DeviceError if the device was lost, or if the scene was loaded again
-    void call_if_scene_was_not_reloaded(std::size_t scene_index, SceneLoadNumber expected_load_number,
-                                        const std::function<void(ScanRenderer&)>& use_renderer);
+    void reuse_scene(std::size_t scene, SceneLoadNumber expected_load_number,
+                     const std::function<void(ScanRenderer&)>& use_renderer);
 
-    bool is_scene_on_gpu(std::size_t scene_index) const { return loaded_[scene_index].renderer != nullptr; }
+    bool is_scene_on_gpu(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
 
 private:
     struct SceneInMemory {
@@ -72,17 +71,17 @@ private:
     Device& device_;
     const std::vector<SceneSource> sources_;
     const std::uint64_t memory_bytes_;
-    std::vector<TrainedRun> outlines_;
+    std::vector<Run> outlines_;
     std::vector<SceneInMemory> loaded_;
     const AssetCatalogue& assets_;
     SpawnedActorRegistry spawned_;
     std::uint64_t clock_ = 0;
 
-    void load_scene_to_device(std::size_t scene_index, const TrainedRun& run);
-    void load_scene_with_spawned_actors(std::size_t scene_index);
-    void unload_scenes_until_memory_suffices(std::size_t kept_scene_index, std::uint64_t n_bytes_needed);
-    void call_and_count_allocated_scene_bytes(std::size_t scene_index, const std::function<void()>& allocate);
-    void call_with_renderer(std::size_t scene_index, const std::function<void(ScanRenderer&)>& use_renderer);
+    void load_scene(std::size_t scene, const Run& run);
+    void load_spawned(std::size_t scene);
+    void make_room(std::size_t kept_scene_index, std::uint64_t n_bytes_needed);
+    void count_bytes(std::size_t scene, const std::function<void()>& allocate);
+    void call_renderer(std::size_t scene, const std::function<void(ScanRenderer&)>& use_renderer);
 };
 
 }  // namespace relidar::serve

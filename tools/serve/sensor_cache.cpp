@@ -9,28 +9,28 @@
 
 namespace relidar::serve {
 
-std::string SensorCache::add_sensor_and_make_handle(SimulatedSensor sensor) {
+std::string SensorCache::add_upload(SimulatedSensor sensor) {
     std::string key;
     {
         const std::lock_guard lock(mutex_);
         key = fmt::format("sensor-{}", ++added_);
     }
-    add_sensor_under_key(key, std::move(sensor));
+    add_sensor(key, std::move(sensor));
     return key;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor_under_key(const std::string& name_or_handle,
-                                                                         SimulatedSensor sensor) {
+std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor(const std::string& name_or_handle,
+                                                               SimulatedSensor sensor) {
     const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
-           (entries_.size() >= kMostSensors || count_cached_rays() + shared_sensor->rays.size() > kMostRays))
-        remove_least_recently_used();
+           (entries_.size() >= kMostSensors || cached_rays() + shared_sensor->rays.size() > kMostRays))
+        remove_oldest();
     entries_[name_or_handle] = {shared_sensor, ++clock_};
     return shared_sensor;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::find_cached_sensor(const std::string& name_or_handle) {
+std::shared_ptr<const SimulatedSensor> SensorCache::find_cached(const std::string& name_or_handle) {
     const std::lock_guard lock(mutex_);
     const auto entry = entries_.find(name_or_handle);
     if (entry == entries_.end()) return nullptr;
@@ -38,13 +38,13 @@ std::shared_ptr<const SimulatedSensor> SensorCache::find_cached_sensor(const std
     return entry->second.sensor;
 }
 
-void SensorCache::remove_least_recently_used() {
+void SensorCache::remove_oldest() {
     entries_.erase(std::min_element(
         entries_.begin(), entries_.end(),
         [](const auto& first, const auto& second) { return first.second.used < second.second.used; }));
 }
 
-std::size_t SensorCache::count_cached_rays() const {
+std::size_t SensorCache::cached_rays() const {
     std::size_t rays = 0;
     for (const auto& [handle, entry] : entries_) rays += entry.sensor->rays.size();
     return rays;

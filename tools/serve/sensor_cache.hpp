@@ -24,11 +24,11 @@ public:
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
     /// @return a new handle for a sensor that a client has uploaded
-    std::string add_sensor_and_make_handle(SimulatedSensor sensor);
-    std::shared_ptr<const SimulatedSensor> add_sensor_under_key(const std::string& name_or_handle,
-                                                                SimulatedSensor sensor);
+    std::string add_upload(SimulatedSensor sensor);
+    std::shared_ptr<const SimulatedSensor> add_sensor(const std::string& name_or_handle,
+                                                      SimulatedSensor sensor);
     /// Returns null if the key is unknown or if the cache has removed the sensor.
-    std::shared_ptr<const SimulatedSensor> find_cached_sensor(const std::string& name_or_handle);
+    std::shared_ptr<const SimulatedSensor> find_cached(const std::string& name_or_handle);
 
 private:
     struct CachedSensor {
@@ -40,8 +40,8 @@ private:
     std::uint64_t clock_ = 0;
     std::uint64_t added_ = 0;
 
-    void remove_least_recently_used();
-    std::size_t count_cached_rays() const;
+    void remove_oldest();
+    std::size_t cached_rays() const;
 };
 
 }  // namespace relidar::serve

@@ -23,16 +23,16 @@ constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRan
                  kDefaultRange_m = 80.0, kWidestBeam_rad = 1.0, kFarthestBeam_m = 10.0,
                  kFastestMirror_hz = 1e6;
 
-void require_allowed_rays_per_scan(const std::string& field_name, std::uint64_t n_rays) {
+void check_ray_count(const std::string& field_name, std::uint64_t n_rays) {
     if (n_rays < 1 || n_rays > kMostRaysOfScan)
-        throw_invalid_field(field_name, fmt::format("{} rays per scan", n_rays),
-                            fmt::format("1 to {} rays", kMostRaysOfScan));
+        reject_field(field_name, fmt::format("{} rays per scan", n_rays),
+                     fmt::format("1 to {} rays", kMostRaysOfScan));
 }
 
-void require_allowed_row_count(const std::string& field_name, std::uint64_t n_rows) {
+void check_row_count(const std::string& field_name, std::uint64_t n_rows) {
     if (n_rows > kMostRows)
-        throw_invalid_field(field_name, fmt::format("{} rows per scan", n_rows),
-                            fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
+        reject_field(field_name, fmt::format("{} rows per scan", n_rows),
+                     fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
 }
 
 /// Checks the numbers of a message and returns them.
@@ -41,37 +41,37 @@ struct NumberReader {
 
     double operator()(const char* member, double value, double min_value, double max_value) const {
         if (!(value >= min_value && value <= max_value))
-            throw_invalid_field(field_name + "." + member, fmt::format("{}", value),
-                                fmt::format("a number from {} to {}", min_value, max_value));
+            reject_field(field_name + "." + member, fmt::format("{}", value),
+                         fmt::format("a number from {} to {}", min_value, max_value));
         return value;
     }
 };
 
 /// The array must have `n_expected_values` values or be empty.
 template <class T>
-std::vector<T> read_array_from_bytes(const std::string& bytes, std::size_t n_expected_values,
-                                     const std::string& field_name) {
+std::vector<T> read_array(const std::string& bytes, std::size_t n_expected_values,
+                          const std::string& field_name) {
     if (!bytes.empty() && bytes.size() != n_expected_values * sizeof(T))
-        throw_invalid_field(field_name, fmt::format("{} bytes", bytes.size()),
-                            fmt::format("{} bytes, which are {} bytes for each of {} rays",
-                                        n_expected_values * sizeof(T), sizeof(T), n_expected_values));
+        reject_field(field_name, fmt::format("{} bytes", bytes.size()),
+                     fmt::format("{} bytes, which are {} bytes for each of {} rays",
+                                 n_expected_values * sizeof(T), sizeof(T), n_expected_values));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
 }
 
-void require_valid_rays(const RayTable& rays, const std::string& field_name) {
+void check_rays(const RayTable& rays, const std::string& field_name) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const auto fail = [&](const char* name, float found, const std::string& expected) {
-            throw_invalid_field(fmt::format("{}.{} of ray {}", field_name, name, i), fmt::format("{}", found),
-                                expected);
+            reject_field(fmt::format("{}.{} of ray {}", field_name, name, i), fmt::format("{}", found),
+                         expected);
         };
         const float length = glm::length(rays.direction[i]), time_s = rays.time_offset_s[i];
         if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
         for (int axis = 0; axis < 3; ++axis)
             if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
                 fail("origin_m", x, fmt::format("a distance of at most {} metres", kFarthestOrigin_m));
-        if (const double angle = rays.get_beam_divergence_rad(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
+        if (const double angle = rays.divergence_of_rad(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail("divergence_rad", float(angle),
                  fmt::format("an angle from 0 to {} radians", kWidestBeam_rad));
         if (!(std::abs(double(time_s)) <= kLongestScan_s))
@@ -79,45 +79,41 @@ void require_valid_rays(const RayTable& rays, const std::string& field_name) {
     }
 }
 
-RayTable read_ray_table_message(const v1::RayTable& message, const std::string& field_name) {
+RayTable read_ray_table(const v1::RayTable& message, const std::string& field_name) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
-        throw_invalid_field(field_name + ".direction", fmt::format("{} bytes", message.direction().size()),
-                            "a multiple of 12 bytes (three floats for each ray)");
+        reject_field(field_name + ".direction", fmt::format("{} bytes", message.direction().size()),
+                     "a multiple of 12 bytes (three floats for each ray)");
     const std::size_t n = message.direction().size() / sizeof(glm::vec3);
-    require_allowed_rays_per_scan(field_name + ".direction", n);
+    check_ray_count(field_name + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
-        throw_invalid_field(
+        reject_field(
             field_name,
             fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
             "rows * columns directions");
-    require_allowed_row_count(field_name, message.rows());
+    check_row_count(field_name, message.rows());
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
     rays.columns = has_order ? int(message.columns()) : int(n);
-    rays.direction =
-        to_scan_array(read_array_from_bytes<glm::vec3>(message.direction(), n, field_name + ".direction"));
-    rays.origin =
-        to_scan_array(read_array_from_bytes<glm::vec3>(message.origin_m(), n, field_name + ".origin_m"));
-    rays.time_offset_s =
-        to_scan_array(read_array_from_bytes<float>(message.time_s(), n, field_name + ".time_s"));
-    rays.channel =
-        to_scan_array(read_array_from_bytes<std::uint16_t>(message.ring(), n, field_name + ".ring"));
-    rays.ray_divergence_rad = to_scan_array(
-        read_array_from_bytes<float>(message.divergence_rad(), n, field_name + ".divergence_rad"));
+    rays.direction = to_scan_array(read_array<glm::vec3>(message.direction(), n, field_name + ".direction"));
+    rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field_name + ".origin_m"));
+    rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field_name + ".time_s"));
+    rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field_name + ".ring"));
+    rays.ray_divergence_rad =
+        to_scan_array(read_array<float>(message.divergence_rad(), n, field_name + ".divergence_rad"));
     rays.origin.resize(n, glm::vec3(0.0f));
     rays.time_offset_s.resize(n, 0.0f);
     for (std::size_t i = rays.channel.size(); i < n; ++i)
         rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
-    require_valid_rays(rays, field_name);
+    check_rays(rays, field_name);
     for (glm::vec3& direction : rays.direction) direction = glm::normalize(direction);
     return rays;
 }
 
-SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std::string& field_name) {
-    require_allowed_rays_per_scan(field_name, std::uint64_t(message.beams_size()) * message.columns());
-    require_allowed_row_count(field_name, std::uint64_t(message.beams_size()));
+SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field_name) {
+    check_ray_count(field_name, std::uint64_t(message.beams_size()) * message.columns());
+    check_row_count(field_name, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
     // Beams in messages have the same limits as beams in sensor files.
     for (const v1::Beam& beam : message.beams()) {
@@ -130,10 +126,10 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
     // Neighbouring beams of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
-        throw_invalid_field(field_name + ".beams",
-                            fmt::format("a first beam at {} rad and a last beam at {} rad",
-                                        beams.front().elevation_rad, beams.back().elevation_rad),
-                            "the highest beam first");
+        reject_field(field_name + ".beams",
+                     fmt::format("a first beam at {} rad and a last beam at {} rad",
+                                 beams.front().elevation_rad, beams.back().elevation_rad),
+                     "the highest beam first");
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field_name}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
@@ -142,9 +138,9 @@ SpinningSensor read_spinning_sensor(const v1::SpinningSensor& message, const std
     return sensor;
 }
 
-WindowScanSensor read_scanning_window(const v1::ScanningWindow& message, const std::string& field_name) {
-    require_allowed_rays_per_scan(field_name, std::uint64_t(message.rows()) * message.columns());
-    require_allowed_row_count(field_name, message.rows());
+WindowScanSensor read_window(const v1::ScanningWindow& message, const std::string& field_name) {
+    check_ray_count(field_name, std::uint64_t(message.rows()) * message.columns());
+    check_row_count(field_name, message.rows());
     const NumberReader read{field_name};
     const double top_rad = read("top_rad", message.top_rad(), -kPi / 2, kPi / 2);
     return {.name = "",
@@ -158,7 +154,7 @@ WindowScanSensor read_scanning_window(const v1::ScanningWindow& message, const s
 }
 
 RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_name) {
-    require_allowed_rays_per_scan(field_name, message.rays());
+    check_ray_count(field_name, message.rays());
     const NumberReader read{field_name};
     return {.name = "",
             .deflection_rad = read("deflection_rad", message.deflection_rad(), 0.0, kPi / 2),
@@ -173,8 +169,8 @@ RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name) {
     SensorModel sensor;
     if (message.name().size() > kLongestName)
-        throw_invalid_field(field_name + ".name", shorten_and_quote_client_text(message.name()),
-                            fmt::format("at most {} bytes", kLongestName));
+        reject_field(field_name + ".name", quote_client_text(message.name()),
+                     fmt::format("at most {} bytes", kLongestName));
     sensor.name = message.name().empty() ? "a client's sensor" : message.name();
     const NumberReader read{field_name};
     sensor.limits.max_m =
@@ -183,19 +179,19 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
     sensor.limits.min_m = read("min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
     switch (message.pattern_case()) {
         case v1::SensorSpec::kRays:
-            sensor.pattern = read_ray_table_message(message.rays(), field_name + ".rays");
+            sensor.pattern = read_ray_table(message.rays(), field_name + ".rays");
             break;
         case v1::SensorSpec::kSpinning:
-            sensor.pattern = read_spinning_sensor(message.spinning(), field_name + ".spinning");
+            sensor.pattern = read_spinning(message.spinning(), field_name + ".spinning");
             break;
         case v1::SensorSpec::kWindow:
-            sensor.pattern = read_scanning_window(message.window(), field_name + ".window");
+            sensor.pattern = read_window(message.window(), field_name + ".window");
             break;
         case v1::SensorSpec::kRosette:
             sensor.pattern = read_rosette(message.rosette(), field_name + ".rosette");
             break;
         case v1::SensorSpec::PATTERN_NOT_SET:
-            throw_invalid_field(field_name, "no pattern", "the pattern rays, spinning, window or rosette");
+            reject_field(field_name, "no pattern", "the pattern rays, spinning, window or rosette");
     }
     const double divergence_rad = read("divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
     std::visit(
@@ -205,48 +201,46 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
         },
         sensor.pattern);
     // Reports invalid rays now instead of during rendering.
-    if (summarise_scan_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
-    return make_simulated_sensor(sensor);
+    if (summarise_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
+    return simulate_sensor(sensor);
 }
 
-SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_native, const TrainedRun& run,
-                                            int lidar_index) {
-    if (sensor_name_or_native.empty()) return make_sensor_from_config(run.config, run.sequence, lidar_index);
-    if (find_name_ignoring_case(sensor_name_or_native, {"native", make_kitti360_grid().name}))
-        return find_or_load_sensor(sensor_name_or_native, run.config, run.sequence, lidar_index);
+SimulatedSensor find_known_sensor(const std::string& sensor_name_or_native, const Run& run, int lidar) {
+    if (sensor_name_or_native.empty()) return make_sensor(run.config, run.sequence, lidar);
+    if (find_name(sensor_name_or_native, {"native", kitti360_grid().name}))
+        return choose_sensor(sensor_name_or_native, run.config, run.sequence, lidar);
     // The name may end with a resolution and a rate, for example "VLP-16:900x20".
     const std::size_t colon = sensor_name_or_native.rfind(':');
     const bool sized = colon != std::string::npos && sensor_name_or_native.find_first_not_of(
                                                          "0123456789x.", colon + 1) == std::string::npos;
     const std::string base_name = sized ? sensor_name_or_native.substr(0, colon) : sensor_name_or_native;
-    std::vector<std::string> sensor_names = list_sensor_names();
-    if (!find_name_ignoring_case(base_name, sensor_names)) {
+    std::vector<std::string> sensor_names = list_sensors();
+    if (!find_name(base_name, sensor_names)) {
         sensor_names.push_back("native");
-        throw_invalid_field(
-            "sensor.name", shorten_and_quote_client_text(sensor_name_or_native),
-            fmt::format("a name that ListScenes returns, such as {}",
-                        find_most_similar_name(sensor_name_or_native.substr(0, 80), sensor_names)));
+        reject_field("sensor.name", quote_client_text(sensor_name_or_native),
+                     fmt::format("a name that ListScenes returns, such as {}",
+                                 nearest_name(sensor_name_or_native.substr(0, 80), sensor_names)));
     }
     const SensorModel sensor = find_sensor(sensor_name_or_native);
-    require_allowed_rays_per_scan("sensor.name " + shorten_and_quote_client_text(sensor_name_or_native),
-                                  summarise_scan_pattern(sensor.pattern).n_rays);
-    return make_simulated_sensor(sensor, lidar_index);
+    check_ray_count("sensor.name " + quote_client_text(sensor_name_or_native),
+                    summarise_pattern(sensor.pattern).n_rays);
+    return simulate_sensor(sensor, lidar);
 }
 
-FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor) {
+FiringTimeSpan firing_span(const SimulatedSensor& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
     // For example a rosette scanner: a full period, centred at the time of the scan.
     if (times.empty()) {
-        const double period_s = sensor.pattern ? get_scan_period_s(*sensor.pattern) : 0.0;
+        const double period_s = sensor.pattern ? scan_period_s(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};
     }
     const auto [first, last] = std::minmax_element(times.begin(), times.end());
     return {double(*first), double(*last)};
 }
 
-std::size_t count_rays_of_sensor(const SimulatedSensor& sensor) {
+std::size_t count_rays(const SimulatedSensor& sensor) {
     if (sensor.rays.size() > 0 || !sensor.pattern) return sensor.rays.size();
-    return summarise_scan_pattern(*sensor.pattern).n_rays;
+    return summarise_pattern(*sensor.pattern).n_rays;
 }
 
 }  // namespace relidar::serve

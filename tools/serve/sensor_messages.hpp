@@ -14,20 +14,19 @@ namespace relidar::serve {
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
 /// @throws RejectedRequest that names the first invalid field
-SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name);
+SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& name);
 
 /// "native" and "" mean the sensor of the log. File names are rejected, because clients
 /// must not read files of the server.
 /// @throws RejectedRequest if the name is unknown or the sensor has too many rays
-SimulatedSensor find_built_in_or_log_sensor(const std::string& sensor_name_or_native, const TrainedRun& run,
-                                            int lidar_index);
+SimulatedSensor find_known_sensor(const std::string& sensor_name_or_native, const Run& run, int lidar);
 
 /// In seconds relative to the time of the scan.
 struct FiringTimeSpan {
     double first_s = 0.0, last_s = 0.0;
 };
-FiringTimeSpan compute_firing_span(const SimulatedSensor& sensor);
+FiringTimeSpan firing_span(const SimulatedSensor& sensor);
 
-std::size_t count_rays_of_sensor(const SimulatedSensor& sensor);
+std::size_t count_rays(const SimulatedSensor& sensor);
 
 }  // namespace relidar::serve

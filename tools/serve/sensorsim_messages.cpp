@@ -16,7 +16,7 @@
 namespace relidar::serve {
 namespace {
 
-constexpr double kMicrosecond = 1e-6;
+constexpr double kMicrosecond_s = 1e-6;
 constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 
 struct LidarTypeSensor {
@@ -24,14 +24,14 @@ struct LidarTypeSensor {
     const char* name;
     double period_s;  ///< Time of one turn of the sensor in seconds, as in find_sensor().
 };
-constexpr LidarTypeSensor kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1},
-                                       {sensorsim::AT128, "AT128", 0.1}};
+constexpr LidarTypeSensor kLidarTypes[] = {{sensorsim::PANDAR128, "Pandar128", 0.1},
+                                           {sensorsim::AT128, "AT128", 0.1}};
 
-const LidarTypeSensor& get_sensor_of_supported_lidar_type(sensorsim::LidarType lidar_type) {
-    const auto match = std::ranges::find(kLidars, lidar_type, &LidarTypeSensor::type);
-    if (match == std::end(kLidars))
-        throw_invalid_field("lidar.lidar_type", fmt::format("{}", int(lidar_type)),
-                            "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
+const LidarTypeSensor& sensor_of_type(sensorsim::LidarType lidar_type) {
+    const auto match = std::ranges::find(kLidarTypes, lidar_type, &LidarTypeSensor::type);
+    if (match == std::end(kLidarTypes))
+        reject_field("lidar.lidar_type", fmt::format("{}", int(lidar_type)),
+                     "0 (PANDAR128), 1 (AT128) or 2 (OTHER)");
     return *match;
 }
 
@@ -56,43 +56,42 @@ void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsi
                    track.time_s[i]);
         sensorsim::PoseAtTime& pose = *message.add_poses();
         write_pose(track.pose[i], pose_order, *pose.mutable_pose());
-        pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond)));
+        pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond_s)));
     }
 }
 
 }  // namespace
 
-std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor_of_request(
+std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
     const sensorsim::LidarRenderRequest& message, std::size_t scene_index) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
     const std::string& id = message.lidar().logical_id();
     const bool is_of_log = type == sensorsim::OTHER;
     const std::vector<Lidar>& lidars = outlines_[scene_index].sequence.lidars;
     if (is_of_log && id.empty() && lidars.size() > 1)
-        throw_invalid_field("lidar.logical_id", "no name, although lidar_type is OTHER",
-                            fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
-    const int lidar = reader_.find_lidar_index_or_throw(scene_index, id, "lidar.logical_id");
-    const std::string name = is_of_log ? "native" : get_sensor_of_supported_lidar_type(type).name;
+        reject_field("lidar.logical_id", "no name, although lidar_type is OTHER",
+                     fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
+    const int lidar = reader_.find_lidar(scene_index, id, "lidar.logical_id");
+    const std::string name = is_of_log ? "native" : sensor_of_type(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
     const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene_index : 0, lidar, name, frame_us);
-    if (auto sensor = sensors_.find_cached_sensor(key)) return sensor;
-    SimulatedSensor sensor = find_built_in_or_log_sensor(name, outlines_[scene_index], lidar);
-    if (count_rays_of_sensor(sensor) == 0)
-        throw_invalid_field("lidar.logical_id",
-                            shorten_and_quote_client_text(id) + ", a LiDAR whose beams are unknown",
-                            "another LiDAR of the log, or lidar_type set to PANDAR128 or AT128");
-    const double period_s = is_of_log ? lidars[std::size_t(lidar)].get_sweep_period_s()
-                                      : get_sensor_of_supported_lidar_type(type).period_s;
-    const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond / period_s) : 1.0f;
+    if (auto sensor = sensors_.find_cached(key)) return sensor;
+    SimulatedSensor sensor = find_known_sensor(name, outlines_[scene_index], lidar);
+    if (count_rays(sensor) == 0)
+        reject_field("lidar.logical_id", quote_client_text(id) + ", a LiDAR whose beams are unknown",
+                     "another LiDAR of the log, or lidar_type set to PANDAR128 or AT128");
+    const double period_s =
+        is_of_log ? lidars[std::size_t(lidar)].sweep_period_s() : sensor_of_type(type).period_s;
+    const float stretch = period_s > 0.0 ? float(double(frame_us) * kMicrosecond_s / period_s) : 1.0f;
     for (float& time_s : sensor.rays.time_offset_s) time_s *= stretch;
-    return sensors_.add_sensor_under_key(key, std::move(sensor));
+    return sensors_.add_sensor(key, std::move(sensor));
 }
 
 Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field_name) const {
     if (!message.has_translation() || !message.has_rotation())
-        throw_invalid_field(
-            field_name, message.has_translation() ? "a pose without rotation" : "a pose without translation",
-            "both");
+        reject_field(field_name,
+                     message.has_translation() ? "a pose without rotation" : "a pose without translation",
+                     "both");
     v1::Pose wide;
     wide.mutable_translation()->set_x(double(message.translation().x()));
     wide.mutable_translation()->set_y(double(message.translation().y()));
@@ -109,33 +108,29 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
 PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
                                       const std::string& field_name) const {
     if (!message.has_start() || !message.has_end())
-        throw_invalid_field(field_name, message.has_start() ? "no pose at the end" : "no pose at the start",
-                            "both");
+        reject_field(field_name, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
     Pose start = read_pose(message.start(), field_name + ".start"),
          end = read_pose(message.end(), field_name + ".end");
     start.translation += frame.world_offset_m;
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
     if (start.translation != end.translation || start.rotation != end.rotation)
-        throw_invalid_field(field_name, "two different poses in a frame without duration",
-                            "equal poses at start and end, or a frame_end_us greater than frame_start_us");
+        reject_field(field_name, "two different poses in a frame without duration",
+                     "equal poses at start and end, or a frame_end_us greater than frame_start_us");
     return {{frame.start_s}, {start}};
 }
 
-RenderRequest SensorsimReader::convert_to_checked_render_request(
-    const sensorsim::LidarRenderRequest& message) {
+RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
-        throw_invalid_field(
-            "frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
-            fmt::format("a time from 0 to {} microseconds after frame_start_us", kLongestFrame_us));
+        reject_field("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
+                     fmt::format("a time from 0 to {} microseconds after frame_start_us", kLongestFrame_us));
     RenderRequest render_request;
-    render_request.scene = find_scene_index_or_throw(message.scene_id());
-    const SensorsimTimeFrame frame{
-        require_time_within_limit(double(start_us) * kMicrosecond, "frame_start_us"),
-        require_time_within_limit(double(end_us) * kMicrosecond, "frame_end_us"),
-        outlines_[render_request.scene].sequence.world_offset_m};
-    render_request.sensor = find_or_make_sensor_of_request(message, render_request.scene);
+    render_request.scene = find_scene(message.scene_id());
+    const SensorsimTimeFrame frame{checked_time(double(start_us) * kMicrosecond_s, "frame_start_us"),
+                                   checked_time(double(end_us) * kMicrosecond_s, "frame_end_us"),
+                                   outlines_[render_request.scene].sequence.world_offset_m};
+    render_request.sensor = find_or_make_sensor(message, render_request.scene);
     // Firing times are relative to the middle of a sweep.
     render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     render_request.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
@@ -147,7 +142,7 @@ RenderRequest SensorsimReader::convert_to_checked_render_request(
         actors.push_back(
             {field + ".track_id", object.track_id(), read_track(object.pose(), frame, field + ".pose")});
     }
-    reader_.set_visible_actors_of_request(actors, render_request);
+    reader_.set_visible(actors, render_request);
     return render_request;
 }
 
@@ -163,9 +158,8 @@ void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& messa
     write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
-void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
-                        sensorsim::DynamicObjectTracks& message) {
-    for (const std::string& name : list_actor_names_of_run(run)) {
+void write_actors(const Run& run, PoseTransformOrder pose_order, sensorsim::DynamicObjectTracks& message) {
+    for (const std::string& name : run_actor_names(run)) {
         const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);
         if (box == run.sequence.boxes.end()) continue;
         sensorsim::DynamicObjectTrack& object = *message.add_dynamic_objects();
@@ -185,12 +179,11 @@ void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
     }
 }
 
-void write_recorded_trajectories(const TrainedRun& run, PoseTransformOrder pose_order,
-                                 sensorsim::AvailableTrajectories& message) {
+void write_paths(const Run& run, PoseTransformOrder pose_order, sensorsim::AvailableTrajectories& message) {
     write_track(run.sequence.world_from_vehicle, pose_order,
                 *message.add_trajectories()->mutable_trajectory());
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i)
-        write_track(run.sequence.get_world_from_sensor(int(i)), pose_order,
+        write_track(run.sequence.lidar_track(int(i)), pose_order,
                     *message.add_trajectories()->mutable_trajectory());
 }
 

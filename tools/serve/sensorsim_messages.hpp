@@ -25,21 +25,20 @@ class SensorsimReader {
 public:
     /// @param outlines [scenes] runs without surfels; `outlines` and `reader` must
     /// outlive this object
-    SensorsimReader(const std::vector<TrainedRun>& outlines, const RequestReader& reader,
-                    PoseTransformOrder order)
+    SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
     /// @throws RejectedRequest if the scene is unknown
-    std::size_t find_scene_index_or_throw(const std::string& scene_id) const {
-        return reader_.find_scene_index_or_throw(scene_id, "scene_id");
+    std::size_t find_scene(const std::string& scene_id) const {
+        return reader_.find_scene(scene_id, "scene_id");
     }
     /// The first ray is fired at the start of the requested interval, the last ray at its
     /// end.
     /// @throws RejectedRequest that names the first invalid field
-    RenderRequest convert_to_checked_render_request(const sensorsim::LidarRenderRequest& message);
+    RenderRequest read_request(const sensorsim::LidarRenderRequest& message);
 
 private:
-    const std::vector<TrainedRun>& outlines_;
+    const std::vector<Run>& outlines_;
     const RequestReader& reader_;
     const PoseTransformOrder order_;
     SensorCache sensors_;
@@ -48,21 +47,19 @@ private:
         double start_s = 0.0, end_s = 0.0;
         glm::dvec3 world_offset_m{0.0};
     };
-    std::shared_ptr<const SimulatedSensor> find_or_make_sensor_of_request(
-        const sensorsim::LidarRenderRequest& message, std::size_t scene_index);
-    Pose read_pose(const sensorsim::Pose& message, const std::string& field_name) const;
+    std::shared_ptr<const SimulatedSensor> find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
+                                                               std::size_t scene);
+    Pose read_pose(const sensorsim::Pose& message, const std::string& name) const;
     PoseTrack read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
-                         const std::string& field_name) const;
+                         const std::string& name) const;
 };
 
 void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message);
 
 /// @throws RejectedRequest if a track starts before time 0, which messages cannot store
-void write_actor_tracks(const TrainedRun& run, PoseTransformOrder pose_order,
-                        sensorsim::DynamicObjectTracks& message);
+void write_actors(const Run& run, PoseTransformOrder pose_order, sensorsim::DynamicObjectTracks& message);
 
 /// @throws RejectedRequest if the log starts before time 0
-void write_recorded_trajectories(const TrainedRun& run, PoseTransformOrder pose_order,
-                                 sensorsim::AvailableTrajectories& message);
+void write_paths(const Run& run, PoseTransformOrder pose_order, sensorsim::AvailableTrajectories& message);
 
 }  // namespace relidar::serve

@@ -19,14 +19,13 @@ namespace {
 // Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
-[[noreturn]] void throw_camera_image_unsupported(const std::string& rpc_name,
-                                                 const std::string& found_request) {
+[[noreturn]] void reject_camera(const std::string& rpc_name, const std::string& found_request) {
     refuse(grpc::StatusCode::UNIMPLEMENTED,
            "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)", rpc_name, found_request);
 }
 
 // NuRec uses the second name since version 26.10.
-constexpr const char* kPackages[] = {"nre.grpc.protos", "nurec.grpc.protos"};
+constexpr const char* kPackageNames[] = {"nre.grpc.protos", "nurec.grpc.protos"};
 
 }  // namespace
 
@@ -51,9 +50,8 @@ public:
                 calls.get_available_trajectories(request, answer);
             });
         register_method<sensorsim::SceneRequest, sensorsim::AvailableCameras>(
-            "get_available_cameras", [&](Context, const auto& request, auto&) {
-                calls.reader_->find_scene_index_or_throw(request.scene_id());
-            });
+            "get_available_cameras",
+            [&](Context, const auto& request, auto&) { calls.reader_->find_scene(request.scene_id()); });
         register_method<sensorsim::Empty, sensorsim::AvailableEgoMasks>("get_available_ego_masks",
                                                                         [](Context, const auto&, auto&) {});
         register_method<sensorsim::LidarRenderRequest, sensorsim::LidarRenderReturn>(
@@ -61,9 +59,8 @@ public:
                 calls.render_lidar(context, request, answer);
             });
         register_method<sensorsim::RgbRenderRequest, sensorsim::RgbRenderReturn>(
-            "render_rgb", [](Context, const auto&, auto&) {
-                throw_camera_image_unsupported("render_rgb", "a request for an image");
-            });
+            "render_rgb",
+            [](Context, const auto&, auto&) { reject_camera("render_rgb", "a request for an image"); });
         register_method<sensorsim::AggregatedRenderRequest, sensorsim::AggregatedRenderReturn>(
             "render_aggregated", [&](Context context, const auto& request, auto& answer) {
                 calls.render_aggregated(context, request, answer);
@@ -81,7 +78,7 @@ private:
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
         const auto call = [handle_call](NamedService*, grpc::ServerContext* context,
                                         const RequestMessage* request, Answer* answer) {
-            return call_and_convert_errors_to_status([&] { handle_call(*context, *request, *answer); });
+            return call_handler([&] { handle_call(*context, *request, *answer); });
         };
         AddMethod(new RpcServiceMethod(
             methods_.emplace_back(path_ + method_name).c_str(), grpc::internal::RpcMethod::NORMAL_RPC,
@@ -94,20 +91,20 @@ SensorsimService::SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseTra
       scenes_(scenes),
       order_(order),
       scene_reader_(std::make_unique<RequestReader>(scenes)),
-      reader_(std::make_unique<SensorsimReader>(scenes.get_runs_without_surfels(), *scene_reader_, order)) {
-    for (const std::string& name : list_full_service_names())
+      reader_(std::make_unique<SensorsimReader>(scenes.runs(), *scene_reader_, order)) {
+    for (const std::string& name : full_names())
         named_.push_back(std::make_unique<NamedService>(*this, name));
 }
 
 SensorsimService::~SensorsimService() = default;
 
-std::vector<std::string> SensorsimService::list_full_service_names() {
+std::vector<std::string> SensorsimService::full_names() {
     std::vector<std::string> names;
-    for (const std::string package : kPackages) names.push_back(package + ".sensorsim.SensorsimService");
+    for (const std::string package : kPackageNames) names.push_back(package + ".sensorsim.SensorsimService");
     return names;
 }
 
-void SensorsimService::register_services(grpc::ServerBuilder& builder) {
+void SensorsimService::register_in(grpc::ServerBuilder& builder) {
     for (const std::unique_ptr<NamedService>& service : named_) builder.RegisterService(service.get());
 }
 
@@ -119,68 +116,61 @@ void SensorsimService::get_version(sensorsim::VersionId& answer) const {
 }
 
 void SensorsimService::get_available_scenes(sensorsim::AvailableScenes& answer) const {
-    for (const SceneSource& source : scenes_.get_scene_sources()) answer.add_scene_ids(source.name);
+    for (const SceneSource& source : scenes_.sources()) answer.add_scene_ids(source.name);
 }
 
 void SensorsimService::get_loaded_scenes(sensorsim::LoadedScenes& answer) {
-    reserve_slot_or_throw(queue_).run_on_render_thread([&] {
-        for (std::size_t i = 0; i < scenes_.get_scene_sources().size(); ++i) {
+    reserve_slot(queue_).run_function([&] {
+        for (std::size_t i = 0; i < scenes_.sources().size(); ++i) {
             if (!scenes_.is_scene_on_gpu(i)) continue;
             sensorsim::LoadedScene& scene = *answer.add_scenes();
-            scene.set_scene_id(scenes_.get_scene_sources()[i].name);
+            scene.set_scene_id(scenes_.sources()[i].name);
             scene.set_loaded_instance_count(1);
             scene.set_reusable_instance_count(1);
         }
     });
-    answer.set_loaded_instance_capacity(scenes_.get_scene_sources().size());
+    answer.set_loaded_instance_capacity(scenes_.sources().size());
 }
 
 void SensorsimService::get_dynamic_objects(const sensorsim::SceneRequest& request,
                                            sensorsim::DynamicObjectTracks& answer) {
-    write_actor_tracks(
-        scenes_.get_runs_without_surfels()[reader_->find_scene_index_or_throw(request.scene_id())], order_,
-        answer);
+    write_actors(scenes_.runs()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
 void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest& request,
                                                   sensorsim::AvailableTrajectories& answer) {
-    write_recorded_trajectories(
-        scenes_.get_runs_without_surfels()[reader_->find_scene_index_or_throw(request.scene_id())], order_,
-        answer);
+    write_paths(scenes_.runs()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
-void SensorsimService::render_points_into_message(RenderQueue::QueueSlot& queue_slot,
-                                                  const RenderRequest& render_request,
-                                                  const grpc::ServerContext& context,
-                                                  sensorsim::LidarRenderReturn& answer) {
+void SensorsimService::render_points(RenderQueue::QueueSlot& queue_slot, const RenderRequest& render_request,
+                                     const grpc::ServerContext& context,
+                                     sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&render_request, 1});
-    request.run_request_or_throw_if_cancelled(queue_slot);
+    request.run_checked(queue_slot);
     write_points(request.points.front().points, answer);
 }
 
 void SensorsimService::render_lidar(const grpc::ServerContext& context,
                                     const sensorsim::LidarRenderRequest& request,
                                     sensorsim::LidarRenderReturn& answer) {
-    RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-    render_points_into_message(slot, reader_->convert_to_checked_render_request(request), context, answer);
+    RenderQueue::QueueSlot slot = reserve_slot(queue_);
+    render_points(slot, reader_->read_request(request), context, answer);
 }
 
 void SensorsimService::render_aggregated(const grpc::ServerContext& context,
                                          const sensorsim::AggregatedRenderRequest& request,
                                          sensorsim::AggregatedRenderReturn& answer) {
     if (request.rgb_size() > 0)
-        throw_camera_image_unsupported("render_aggregated",
-                                       fmt::format("a request for {} images", request.rgb_size()));
+        reject_camera("render_aggregated", fmt::format("a request for {} images", request.rgb_size()));
     if (request.lidar_size() > kMostScans)
-        throw_invalid_field("lidar", fmt::format("{} scans", request.lidar_size()),
-                            fmt::format("at most {} per call", kMostScans));
+        reject_field("lidar", fmt::format("{} scans", request.lidar_size()),
+                     fmt::format("at most {} per call", kMostScans));
     // One slot for all scans of the call, so that the call is not rejected in the middle.
-    RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
+    RenderQueue::QueueSlot slot = reserve_slot(queue_);
     std::vector<RenderRequest> render_requests;
     for (const sensorsim::LidarRenderRequest& lidar : request.lidar())
-        render_requests.push_back(reader_->convert_to_checked_render_request(lidar));
-    for (const RenderRequest& scan : render_requests)
-        render_points_into_message(slot, scan, context, *answer.add_lidar());
+        render_requests.push_back(reader_->read_request(lidar));
+    for (const RenderRequest& scan : render_requests) render_points(slot, scan, context, *answer.add_lidar());
 }
 
 }  // namespace relidar::serve

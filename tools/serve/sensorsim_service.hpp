@@ -29,9 +29,9 @@ public:
     ~SensorsimService();
 
     /// Under all names.
-    void register_services(grpc::ServerBuilder& builder);
+    void register_in(grpc::ServerBuilder& builder);
     /// For example "nre.grpc.protos.sensorsim.SensorsimService".
-    static std::vector<std::string> list_full_service_names();
+    static std::vector<std::string> full_names();
 
 private:
     class NamedService;
@@ -54,8 +54,8 @@ private:
     void render_aggregated(const grpc::ServerContext& context,
                            const sensorsim::AggregatedRenderRequest& request,
                            sensorsim::AggregatedRenderReturn& answer);
-    void render_points_into_message(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
-                                    const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer);
+    void render_points(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
+                       const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer);
 };
 
 }  // namespace relidar::serve

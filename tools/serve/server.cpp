@@ -32,9 +32,9 @@ constexpr int kLargestRequest = 40 << 20;
 // For calls that do not render. Each call in the queue has another thread.
 constexpr std::size_t kOtherThreads = 32;
 // A client that does not answer a ping has vanished.
-constexpr int kKeepalive_ms = 20'000;
+constexpr int kPingInterval_ms = 20'000;
 // Until a new connection starts to use gRPC.
-constexpr int kHandshake_ms = 10'000;
+constexpr int kHandshakeTimeout_ms = 10'000;
 // Time in which gRPC writes a response after its call has returned.
 constexpr std::chrono::milliseconds kLastWrites{200};
 // Without calls. After this time, the client must connect again.
@@ -50,7 +50,7 @@ std::string read_pem_file(const std::string& file_path) {
 
 /// gRPC only repeats errors that relidar reports. Protobuf prints a line for each invalid
 /// UTF-8 text, so any client could fill the disk.
-void disable_grpc_log() {
+void silence_grpc() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
 #if GOOGLE_PROTOBUF_VERSION < 4022000
@@ -74,34 +74,32 @@ struct ScanServer::Impl {
 
     explicit Impl(std::size_t waiting) : queue(waiting) {}
     ~Impl() {
-        if (acceptor) acceptor->stop_accepting_and_close_sockets();
+        if (acceptor) acceptor->stop();
         if (server) server->Shutdown(std::chrono::system_clock::now());
         server.reset();
-        run_on_render_thread([&] {
+        run_function([&] {
             scenes.reset();
             device.reset();
         });
     }
 
-    void run_on_render_thread(const std::function<void()>& function) {
-        queue.reserve_slot()->run_on_render_thread(function);
-    }
+    void run_function(const std::function<void()>& function) { queue.reserve_slot()->run_function(function); }
     void start_listening(const ServerOptions& options);
-    void set_health_status(bool is_serving);
+    void set_health(bool is_serving);
 };
 
 void ScanServer::Impl::start_listening(const ServerOptions& options) {
-    disable_grpc_log();
+    silence_grpc();
     acceptor.emplace(options.listen);
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
-    quota.SetMaxThreads(int(queue.get_total_slot_count() + kOtherThreads));
+    quota.SetMaxThreads(int(queue.total_slots() + kOtherThreads));
     grpc::ServerBuilder builder;
     builder.SetResourceQuota(quota);
     builder.SetMaxReceiveMessageSize(kLargestRequest);
-    builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepalive_ms);
-    builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshake_ms);
+    builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kPingInterval_ms);
+    builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeout_ms);
     builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kLongestIdle_ms);
     std::shared_ptr<grpc::ServerCredentials> credentials;
     if (options.tls_cert.empty()) {
@@ -114,12 +112,12 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     using FromDescriptor = grpc::ServerBuilder::experimental_type::ExternalConnectionType;
     connections = builder.experimental().AddExternalConnectionAcceptor(FromDescriptor::FROM_FD, credentials);
     builder.RegisterService(&*service);
-    if (sensorsim) sensorsim->register_services(builder);
+    if (sensorsim) sensorsim->register_in(builder);
     server = builder.BuildAndStart();
     if (!server)
         fail<UsageError>("cannot listen at {}: the gRPC server does not start{}", options.listen,
                          options.tls_cert.empty() ? "" : ", expected a certificate that matches its key");
-    set_health_status(true);
+    set_health(true);
     acceptor->start_accepting([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;
         accepted.listener_fd = listener;
@@ -128,28 +126,26 @@ void ScanServer::Impl::start_listening(const ServerOptions& options) {
     });
 }
 
-void ScanServer::Impl::set_health_status(bool is_serving) {
+void ScanServer::Impl::set_health(bool is_serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), is_serving);
     if (sensorsim)
-        for (const std::string& name : SensorsimService::list_full_service_names())
+        for (const std::string& name : SensorsimService::full_names())
             health.SetServingStatus(name, is_serving);
     // The empty name means the complete server in the gRPC health protocol.
     if (!is_serving) health.SetServingStatus("", false);
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
-    std::vector<SceneSource> sources =
-        parse_named_run_folders(options.runs, options.channels, options.weather);
+    std::vector<SceneSource> sources = parse_sources(options.runs, options.channels, options.weather);
     impl_->assets.emplace(options.assets);
-    impl_->run_on_render_thread([&] {
+    impl_->run_function([&] {
         impl_->device.emplace(options.device);
         const std::uint64_t scene_memory_bytes =
             options.memory_mib > 0 ? options.memory_mib << 20 : impl_->device->info().memory_bytes / 2;
         impl_->scenes.emplace(*impl_->device, std::move(sources), scene_memory_bytes, *impl_->assets);
     });
-    if (ScanRenderer::choose_max_parallel_scans(*impl_->device) > 1)
-        impl_->queue.set_max_requests_per_batch(kBatchSize);
+    if (ScanRenderer::default_parallel(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->start_listening(options);
@@ -158,27 +154,27 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
 ScanServer::~ScanServer() = default;
 
 int ScanServer::port() const { return impl_->acceptor->port(); }
-const std::string& ScanServer::get_device_name() const { return impl_->device->info().name; }
+const std::string& ScanServer::device_name() const { return impl_->device->info().name; }
 
-std::vector<std::string> ScanServer::list_scene_names() const {
+std::vector<std::string> ScanServer::list_scenes() const {
     std::vector<std::string> names;
-    for (const SceneSource& source : impl_->scenes->get_scene_sources()) names.push_back(source.name);
+    for (const SceneSource& source : impl_->scenes->sources()) names.push_back(source.name);
     return names;
 }
 
-std::optional<std::string> ScanServer::get_device_loss_message() {
-    const std::optional<std::string> loss = impl_->queue.get_device_loss_message();
-    if (loss) impl_->set_health_status(false);
+std::optional<std::string> ScanServer::loss_message() {
+    const std::optional<std::string> loss = impl_->queue.loss_message();
+    if (loss) impl_->set_health(false);
     return loss;
 }
 
 void ScanServer::stop_and_wait(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::system_clock::now() + max_wait;
-    impl_->acceptor->stop_accepting_and_close_sockets();
+    impl_->acceptor->stop();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
     // Shutdown() closes a connection immediately after later responses. If the client
     // then sends a byte, responses can be lost.
-    impl_->queue.wait_for_all_slots(max_wait);
+    impl_->queue.drain(max_wait);
     std::this_thread::sleep_for(kLastWrites);
     impl_->server->Shutdown(end);
 }

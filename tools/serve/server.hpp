@@ -53,11 +53,11 @@ public:
     ScanServer& operator=(const ScanServer&) = delete;
 
     int port() const;
-    const std::string& get_device_name() const;
-    std::vector<std::string> list_scene_names() const;
+    const std::string& device_name() const;
+    std::vector<std::string> list_scenes() const;
     /// No value as long as the device works. After the loss, the health service reports
     /// NOT_SERVING, and render calls fail with UNAVAILABLE.
-    std::optional<std::string> get_device_loss_message();
+    std::optional<std::string> loss_message();
     /// @param max_wait after it, the remaining calls are cancelled
     void stop_and_wait(std::chrono::milliseconds max_wait);
 

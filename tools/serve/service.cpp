@@ -11,98 +11,92 @@
 namespace relidar::serve {
 namespace {
 
-bool is_range_image_requested(const RenderRequest& request) {
+bool has_range_image(const RenderRequest& request) {
     return request.range_image || request.drop_probability || request.boxes || !request.points;
 }
 
-void write_queue_and_render_time(const QueuedRequest& request, v1::LidarScan& answer) {
-    answer.set_queued_ms(request.get_queued_time_ms());
-    answer.set_rendered_ms(request.get_render_time_ms());
+void write_times(const QueuedRequest& request, v1::LidarScan& answer) {
+    answer.set_queued_ms(request.queued_ms());
+    answer.set_rendered_ms(request.render_ms());
 }
 
 }  // namespace
 
-void RenderService::render_scan_into_answer(RenderQueue::QueueSlot& queue_slot,
-                                            const RenderRequest& render_request,
-                                            const grpc::ServerContext& context, v1::LidarScan& answer) {
+void RenderService::render_scan(RenderQueue::QueueSlot& queue_slot, const RenderRequest& render_request,
+                                const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
-    request.run_request_or_throw_if_cancelled(queue_slot);
-    const TrainedRun& run = scenes_.get_runs_without_surfels()[render_request.scene];
-    write_scan_into_message(request.scan, render_request, run.config, answer);
-    if (render_request.boxes) write_actor_boxes_into_message(request.scan, render_request, run, answer);
-    write_actors_with_too_few_surfels(render_request, answer);
-    write_queue_and_render_time(request, answer);
+    request.run_checked(queue_slot);
+    const Run& run = scenes_.runs()[render_request.scene];
+    write_scan(request.scan, render_request, run.config, answer);
+    if (render_request.boxes) write_boxes(request.scan, render_request, run, answer);
+    write_sparse(render_request, answer);
+    write_times(request, answer);
 }
 
-void RenderService::render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
-                                               std::span<const RenderRequest> requests,
-                                               const grpc::ServerContext& context,
-                                               std::span<v1::LidarScan* const> answers) {
+void RenderService::render_points(RenderQueue::QueueSlot& queue_slot, std::span<const RenderRequest> requests,
+                                  const grpc::ServerContext& context,
+                                  std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, requests);
-    request.run_request_or_throw_if_cancelled(queue_slot);
+    request.run_checked(queue_slot);
     for (std::size_t i = 0; i < requests.size(); ++i) {
-        write_scan_into_message(request.points[i], requests[i], *answers[i]);
-        write_actors_with_too_few_surfels(requests[i], *answers[i]);
-        write_queue_and_render_time(request, *answers[i]);
+        write_scan(request.points[i], requests[i], *answers[i]);
+        write_sparse(requests[i], *answers[i]);
+        write_times(request, *answers[i]);
     }
 }
 
 grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
                                        v1::ListScenesResponse* answer) {
-    return call_and_convert_errors_to_status([&] {
-        for (std::size_t i = 0; i < scenes_.get_runs_without_surfels().size(); ++i)
-            write_scene_description(scenes_.get_scene_sources()[i].name,
-                                    scenes_.get_runs_without_surfels()[i], *answer->add_scenes());
-        for (std::size_t i = 0; i < scenes_.get_runs_without_surfels().size(); ++i)
-            for (const SpawnedActorRegistry::SpawnSlot& spawn_slot :
-                 scenes_.get_spawned_actors().list_occupied_slots(i))
-                write_spawned_actor(spawn_slot, scenes_.get_runs_without_surfels()[i],
-                                    *answer->mutable_scenes(int(i))->add_spawned());
-        for (const AssetCatalogue::CatalogueEntry& entry : scenes_.get_asset_catalogue().get_entries())
-            write_asset_into_message(entry.facts, *answer->add_assets());
-        for (const std::string& name : list_sensor_names()) answer->add_sensors(name);
+    return call_handler([&] {
+        for (std::size_t i = 0; i < scenes_.runs().size(); ++i)
+            write_scene(scenes_.sources()[i].name, scenes_.runs()[i], *answer->add_scenes());
+        for (std::size_t i = 0; i < scenes_.runs().size(); ++i)
+            for (const SpawnedActorRegistry::SpawnSlot& spawn_slot : scenes_.spawned().list_occupied(i))
+                write_spawned(spawn_slot, scenes_.runs()[i], *answer->mutable_scenes(int(i))->add_spawned());
+        for (const AssetCatalogue::CatalogueEntry& entry : scenes_.assets().entries())
+            write_asset(entry.facts, *answer->add_assets());
+        for (const std::string& name : list_sensors()) answer->add_sensors(name);
     });
 }
 
 grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request,
                                       v1::GetTracksResponse* answer) {
-    return call_and_convert_errors_to_status([&] {
-        const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
-        const int lidar = reader_.find_lidar_index_or_throw(scene, request->lidar());
-        write_recorded_tracks(scenes_.get_runs_without_surfels()[scene], lidar, request->actors(), *answer);
+    return call_handler([&] {
+        const std::size_t scene = reader_.find_scene(request->scene());
+        const int lidar = reader_.find_lidar(scene, request->lidar());
+        write_tracks(scenes_.runs()[scene], lidar, request->actors(), *answer);
     });
 }
 
 grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
                                         v1::SpawnActorsResponse* answer) {
-    return call_and_convert_errors_to_status([&] {
-        RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-        const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
-        const std::vector<ActorToSpawn> wishes = reader_.read_actors_to_spawn(*request, scene);
+    return call_handler([&] {
+        RenderQueue::QueueSlot slot = reserve_slot(queue_);
+        const std::size_t scene = reader_.find_scene(request->scene());
+        const std::vector<ActorToSpawn> wishes = reader_.read_spawn(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, wishes);
-        spawn.run_request_or_throw_if_cancelled(slot);
+        spawn.run_checked(slot);
         for (const SpawnedActorRegistry::SpawnSlot& spawn_slot : spawn.occupied_slots)
-            write_spawned_actor(spawn_slot, scenes_.get_runs_without_surfels()[scene], *answer->add_actors());
+            write_spawned(spawn_slot, scenes_.runs()[scene], *answer->add_actors());
     });
 }
 
 grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::DespawnActorsRequest* request,
                                           v1::DespawnActorsResponse* answer) {
-    return call_and_convert_errors_to_status([&] {
-        const std::size_t scene = reader_.find_scene_index_or_throw(request->scene());
-        scenes_.get_spawned_actors().remove_actors_and_free_slots(
-            scene, {request->names().begin(), request->names().end()});
-        answer->set_left(std::uint32_t(scenes_.get_spawned_actors().list_occupied_slots(scene).size()));
+    return call_handler([&] {
+        const std::size_t scene = reader_.find_scene(request->scene());
+        scenes_.spawned().remove_actors(scene, {request->names().begin(), request->names().end()});
+        answer->set_left(std::uint32_t(scenes_.spawned().list_occupied(scene).size()));
     });
 }
 
 grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request,
                                          v1::UploadSensorResponse* answer) {
-    return call_and_convert_errors_to_status([&] {
-        const auto [handle, sensor] = reader_.cache_uploaded_sensor(request->sensor());
-        const FiringTimeSpan span = compute_firing_span(*sensor);
+    return call_handler([&] {
+        const auto [handle, sensor] = reader_.cache_sensor(request->sensor());
+        const FiringTimeSpan span = firing_span(*sensor);
         answer->set_handle(handle);
-        answer->set_rays(count_rays_of_sensor(*sensor));
+        answer->set_rays(count_rays(*sensor));
         answer->set_first_ray_s(span.first_s);
         answer->set_last_ray_s(span.last_s);
         answer->set_kept(std::uint32_t(SensorCache::kMostSensors));
@@ -111,26 +105,25 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
 
 grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
                                         v1::LidarScan* answer) {
-    return call_and_convert_errors_to_status([&] {
-        RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-        const RenderRequest render_request = reader_.convert_to_checked_render_request(*request);
-        if (!is_range_image_requested(render_request))
-            return render_points_into_answers(slot, {&render_request, 1}, *context, {&answer, 1});
-        render_scan_into_answer(slot, render_request, *context, *answer);
+    return call_handler([&] {
+        RenderQueue::QueueSlot slot = reserve_slot(queue_);
+        const RenderRequest render_request = reader_.read_request(*request);
+        if (!has_range_image(render_request))
+            return render_points(slot, {&render_request, 1}, *context, {&answer, 1});
+        render_scan(slot, render_request, *context, *answer);
     });
 }
 
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
-    return call_and_convert_errors_to_status([&] {
+    return call_handler([&] {
         // Reserves one slot for all scans of the rig, so that the call is not rejected
         // after some scans.
-        RenderQueue::QueueSlot slot = reserve_slot_or_throw(queue_);
-        const std::vector<RenderRequest> render_requests =
-            reader_.convert_to_request_per_rig_sensor(*request);
+        RenderQueue::QueueSlot slot = reserve_slot(queue_);
+        const std::vector<RenderRequest> render_requests = reader_.read_rig(*request);
         for (std::size_t first = 0, n = 1; first < render_requests.size(); first += n) {
             for (n = 0; n < kMostAtOnce && first + n < render_requests.size() &&
-                        !is_range_image_requested(render_requests[first + n]);)
+                        !has_range_image(render_requests[first + n]);)
                 ++n;
             const bool of_points = n > 0;
             n = std::max<std::size_t>(n, 1);
@@ -138,12 +131,11 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
             std::vector<v1::LidarScan*> answers;
             for (v1::RigScan& scan : scans) answers.push_back(scan.mutable_scan());
             if (of_points)
-                render_points_into_answers(slot, std::span(render_requests).subspan(first, n), *context,
-                                           answers);
-            else render_scan_into_answer(slot, render_requests[first], *context, *answers.front());
+                render_points(slot, std::span(render_requests).subspan(first, n), *context, answers);
+            else render_scan(slot, render_requests[first], *context, *answers.front());
             for (std::size_t i = 0; i < n; ++i) {
                 scans[i].set_name(request->sensors(int(first + i)).name());
-                if (!writer->Write(scans[i])) throw_deadline_or_cancelled_error(*context);
+                if (!writer->Write(scans[i])) fail_cancelled(*context);
             }
         }
     });

@@ -41,12 +41,10 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
-    void render_scan_into_answer(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
-                                 const grpc::ServerContext& context, v1::LidarScan& answer);
-    void render_points_into_answers(RenderQueue::QueueSlot& queue_slot,
-                                    std::span<const RenderRequest> requests,
-                                    const grpc::ServerContext& context,
-                                    std::span<v1::LidarScan* const> answers);
+    void render_scan(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
+                     const grpc::ServerContext& context, v1::LidarScan& answer);
+    void render_points(RenderQueue::QueueSlot& queue_slot, std::span<const RenderRequest> requests,
+                       const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };
 
 }  // namespace relidar::serve

@@ -20,12 +20,12 @@ constexpr std::size_t kMaxAddedSlots = 8;
 
 using SpawnedActorSlots = std::vector<ActorToSpawn>;
 
-auto find_slot_of_actor(SpawnedActorSlots& slots, const std::string& actor_name) {
+auto find_slot(SpawnedActorSlots& slots, const std::string& actor_name) {
     return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
 /// If there is no free slot of the model, adds slots and returns the first new one.
-std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
+std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto free = std::ranges::find_if(slots, is_free);
     if (free != slots.end()) return std::size_t(free - slots.begin());
@@ -33,7 +33,7 @@ std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& 
     if (slots.size() >= SpawnedActorRegistry::kMaxSlots)
         refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
                "cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
-               shorten_and_quote_client_text(actor.name), slots.size());
+               quote_client_text(actor.name), slots.size());
     const std::size_t first = slots.size();
     ActorToSpawn empty = actor;
     empty.name.clear();
@@ -43,7 +43,7 @@ std::size_t find_or_add_free_slot(SpawnedActorSlots& slots, const ActorToSpawn& 
     return first;
 }
 
-std::uint32_t get_model_index_of_actor(const Scene& scene, const std::string& track_name) {
+std::uint32_t model_of(const Scene& scene, const std::string& track_name) {
     const auto instance = std::ranges::find(scene.instances, track_name, &ModelInstance::track);
     if (instance == scene.instances.end())
         fail("cannot spawn {}: the run no longer has this actor", track_name);
@@ -60,30 +60,30 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_all_slot
     return all;
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied_slots(
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied(
     std::size_t scene_index) const {
     std::vector<SpawnSlot> all = list_all_slots(scene_index);
     std::erase_if(all, [](const SpawnSlot& place) { return place.actor.name.empty(); });
     return all;
 }
 
-std::size_t SpawnedActorRegistry::count_spawn_slots_of_scene(std::size_t scene_index) const {
+std::size_t SpawnedActorRegistry::slot_count(std::size_t scene_index) const {
     const std::lock_guard lock(mutex_);
     return scenes_[scene_index].size();
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_actors_to_slots(
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_slots(
     std::size_t scene_index, const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
     // Changes a copy of the slots, so that a rejected request has no effect.
     SpawnedActorSlots slots = scenes_[scene_index];
     std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
-        if (find_slot_of_actor(slots, wish.name) != slots.end())
+        if (find_slot(slots, wish.name) != slots.end())
             refuse(grpc::StatusCode::ALREADY_EXISTS,
                    "cannot spawn {}: an actor with this name exists; use another name",
-                   shorten_and_quote_client_text(wish.name));
-        const std::size_t position = find_or_add_free_slot(slots, wish);
+                   quote_client_text(wish.name));
+        const std::size_t position = free_slot(slots, wish);
         slots[position] = wish;
         occupied_slots.push_back({position, wish});
     }
@@ -91,55 +91,51 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_actors
     return occupied_slots;
 }
 
-void SpawnedActorRegistry::remove_actors_and_free_slots(std::size_t scene_index,
-                                                        const std::vector<std::string>& actor_names) {
+void SpawnedActorRegistry::remove_actors(std::size_t scene_index,
+                                         const std::vector<std::string>& actor_names) {
     const std::lock_guard lock(mutex_);
     SpawnedActorSlots slots = scenes_[scene_index];
     for (const std::string& name : actor_names) {
-        const auto slot = find_slot_of_actor(slots, name);
+        const auto slot = find_slot(slots, name);
         if (name.empty() || slot == slots.end())
             refuse(grpc::StatusCode::NOT_FOUND,
                    "cannot despawn {}: no spawned actor has this name, or the request names it twice",
-                   shorten_and_quote_client_text(name));
+                   quote_client_text(name));
         slot->name.clear();
     }
     scenes_[scene_index] = std::move(slots);
 }
 
-void SpawnedActorRegistry::undo_actor_slot_assignment(std::size_t scene_index,
-                                                      const std::vector<SpawnSlot>& slots_to_free,
-                                                      std::size_t n_slots_before) {
+void SpawnedActorRegistry::undo_assign(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
+                                       std::size_t n_slots_before) {
     const std::lock_guard lock(mutex_);
     for (const SpawnSlot& slot : slots_to_free) scenes_[scene_index][slot.position].name.clear();
     scenes_[scene_index].resize(n_slots_before);
 }
 
-std::string make_unique_track_name_of_slot(std::size_t slot_index) {
-    return fmt::format("\x01spawned {}", slot_index);
-}
+std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }
 
-void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
-                               const AssetCatalogue& assets) {
+void add_spawned(Run& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
+                 const AssetCatalogue& assets) {
     std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
     for (const SpawnedActorRegistry::SpawnSlot& slot : slots) {
         const SpawnedModelSource& source = slot.actor.source;
         std::uint32_t model = 0;
-        if (!source.is_asset) model = get_model_index_of_actor(run.scene, source.name);
+        if (!source.is_asset) model = model_of(run.scene, source.name);
         else if (const auto model_entry = models.find(source.name); model_entry != models.end())
             model = model_entry->second;
         else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
-            const TrainedRun asset_run = load_run(asset.folder);
-            model = models[source.name] = append_model(
-                run.scene, asset_run.scene,
-                get_model_index_of_actor(asset_run.scene, get_track_name_of_only_actor(asset_run)));
+            const Run asset_run = load_run(asset.folder);
+            model = models[source.name] =
+                append_model(run.scene, asset_run.scene, model_of(asset_run.scene, only_track(asset_run)));
             // The output channel "class" reads the kind of the actor from its box.
             run.sequence.boxes.push_back({.id = run.scene.models[model].name,
-                                          .category = get_name(asset.facts.kind),
+                                          .category = name_of(asset.facts.kind),
                                           .size_m = asset.facts.size_m,
                                           .world_from_box = {}});
         }
-        run.scene.instances.push_back({model, make_unique_track_name_of_slot(slot.position)});
+        run.scene.instances.push_back({model, slot_track_name(slot.position)});
     }
 }
 

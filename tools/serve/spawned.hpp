@@ -10,7 +10,7 @@
 #include <glm/glm.hpp>
 
 namespace relidar {
-struct TrainedRun;
+struct Run;
 }
 
 namespace relidar::serve {
@@ -45,22 +45,21 @@ public:
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
-    std::vector<SpawnSlot> list_all_slots(std::size_t scene_index) const;
-    std::vector<SpawnSlot> list_occupied_slots(std::size_t scene_index) const;
+    std::vector<SpawnSlot> list_all_slots(std::size_t scene) const;
+    std::vector<SpawnSlot> list_occupied(std::size_t scene) const;
 
     /// If all slots of a model are occupied, adds 1 to 8 slots: as many as it already
     /// has.
     /// @return the slots in the order of `actors`
     /// @throws RejectedRequest if a name is in use or there are too many slots; nothing
     /// changes
-    std::vector<SpawnSlot> assign_actors_to_slots(std::size_t scene_index,
-                                                  const std::vector<ActorToSpawn>& actors);
+    std::vector<SpawnSlot> assign_slots(std::size_t scene, const std::vector<ActorToSpawn>& actors);
     /// @throws RejectedRequest if a name is unknown; nothing changes
-    void remove_actors_and_free_slots(std::size_t scene_index, const std::vector<std::string>& actor_names);
+    void remove_actors(std::size_t scene, const std::vector<std::string>& actor_names);
     /// Frees the slots, and removes all slots from index `n_slots_before`.
-    void undo_actor_slot_assignment(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
-                                    std::size_t n_slots_before);
-    std::size_t count_spawn_slots_of_scene(std::size_t scene_index) const;
+    void undo_assign(std::size_t scene, const std::vector<SpawnSlot>& slots_to_free,
+                     std::size_t n_slots_before);
+    std::size_t slot_count(std::size_t scene) const;
 
 private:
     mutable std::mutex mutex_;
@@ -69,12 +68,12 @@ private:
 };
 
 /// Differs from all track names of the run.
-std::string make_unique_track_name_of_slot(std::size_t slot_index);
+std::string slot_track_name(std::size_t slot_index);
 
 /// Adds the model of each asset only once. Must be called before the run is rendered.
 /// @throws DataError if an asset cannot be read, or if its type of Gaussians differs from
 /// the run
-void add_spawned_actors_to_run(TrainedRun& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
-                               const AssetCatalogue& assets);
+void add_spawned(Run& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
+                 const AssetCatalogue& assets);
 
 }  // namespace relidar::serve

@@ -9,65 +9,62 @@
 namespace relidar::view {
 namespace {
 
-bool are_equal_ignoring_case(std::string_view first, std::string_view second) {
+bool is_same_text(std::string_view first, std::string_view second) {
     return std::equal(first.begin(), first.end(), second.begin(), second.end(), [](char x, char y) {
         return std::tolower(static_cast<unsigned char>(x)) == std::tolower(static_cast<unsigned char>(y));
     });
 }
 
-bool is_valid_port_number_text(std::string_view text) {
+bool is_port(std::string_view text) {
     return !text.empty() && text.size() <= 5 && std::all_of(text.begin(), text.end(), [](char character) {
         return character >= '0' && character <= '9';
     });
 }
 
 /// From "host", "host:port" or "[address]:port". Otherwise empty.
-std::string_view extract_host_name(std::string_view host_and_port) {
+std::string_view host_name(std::string_view host_and_port) {
     std::size_t end = host_and_port.find(':');
     if (host_and_port.starts_with('[')) {
         const std::size_t bracket = host_and_port.find(']');
         if (bracket == std::string_view::npos) return {};
         end = bracket + 1;
         if (end == host_and_port.size()) return host_and_port.substr(1, bracket - 1);
-        if (host_and_port[end] != ':' || !is_valid_port_number_text(host_and_port.substr(end + 1))) return {};
+        if (host_and_port[end] != ':' || !is_port(host_and_port.substr(end + 1))) return {};
         return host_and_port.substr(1, bracket - 1);
     }
     if (end == std::string_view::npos) return host_and_port;
-    return is_valid_port_number_text(host_and_port.substr(end + 1)) ? host_and_port.substr(0, end)
-                                                                    : std::string_view{};
+    return is_port(host_and_port.substr(end + 1)) ? host_and_port.substr(0, end) : std::string_view{};
 }
 
 }  // namespace
 
-bool is_host_header_of_this_machine(std::string_view host_header, std::string_view machine_name) {
-    const std::string_view name = extract_host_name(host_header);
+bool is_this_machine(std::string_view host_header, std::string_view machine_name) {
+    const std::string_view name = host_name(host_header);
     if (name.empty()) return false;
-    if (are_equal_ignoring_case(name, "localhost") ||
-        (!machine_name.empty() && are_equal_ignoring_case(name, machine_name)))
+    if (is_same_text(name, "localhost") || (!machine_name.empty() && is_same_text(name, machine_name)))
         return true;
     boost::system::error_code failed;
     boost::asio::ip::make_address(std::string(name), failed);
     return !failed;
 }
 
-bool is_origin_missing_or_same_host(std::string_view origin_header, std::string_view host_header) {
-    constexpr std::string_view kScheme = "http://";
-    return origin_header.empty() ||
-           (origin_header.starts_with(kScheme) &&
-            are_equal_ignoring_case(origin_header.substr(kScheme.size()), host_header));
+bool is_same_origin(std::string_view origin_header, std::string_view host_header) {
+    constexpr std::string_view kUrlScheme = "http://";
+    return origin_header.empty() || (origin_header.starts_with(kUrlScheme) &&
+                                     is_same_text(origin_header.substr(kUrlScheme.size()), host_header));
 }
 
-bool is_origin_allowed_for_foxglove(std::string_view origin_header) {
+bool is_foxglove_origin(std::string_view origin_header) {
     if (origin_header == "https://app.foxglove.dev" ||
         origin_header == "https://lichtblick-suite.github.io" || origin_header == "file://")
         return true;
     const std::size_t scheme = origin_header.find("://");
     if (scheme == std::string_view::npos) return false;
-    const std::string_view name = extract_host_name(origin_header.substr(scheme + 3));
-    return are_equal_ignoring_case(name, "localhost") || name == "127.0.0.1" || name == "::1";
+    const std::string_view name = host_name(origin_header.substr(scheme + 3));
+    return is_same_text(name, "localhost") || name == "127.0.0.1" || name == "::1";
 }
 
-bool are_secrets_equal(std::string_view given_secret, std::string_view true_secret) {
+bool is_same_secret(std::string_view given_secret, std::string_view true_secret) {
     unsigned differs = given_secret.size() == true_secret.size() ? 0u : 1u;
     for (std::size_t i = 0; i < true_secret.size(); ++i) {
         const char shown = i < given_secret.size() ? given_secret[i] : '\0';
@@ -76,8 +73,7 @@ bool are_secrets_equal(std::string_view given_secret, std::string_view true_secr
     return differs == 0u;
 }
 
-std::string_view find_value_in_name_value_list(std::string_view name_value_list, std::string_view name,
-                                               char separator) {
+std::string_view find_list_value(std::string_view name_value_list, std::string_view name, char separator) {
     while (!name_value_list.empty()) {
         const std::size_t end = std::min(name_value_list.find(separator), name_value_list.size());
         std::string_view entry = name_value_list.substr(0, end);
@@ -89,14 +85,13 @@ std::string_view find_value_in_name_value_list(std::string_view name_value_list,
     return {};
 }
 
-bool is_token_in_url_query(const Credentials& credentials, std::string_view access_token) {
-    return are_secrets_equal(find_value_in_name_value_list(credentials.query, "token", '&'), access_token);
+bool has_query_token(const Credentials& credentials, std::string_view access_token) {
+    return is_same_secret(find_list_value(credentials.query, "token", '&'), access_token);
 }
 
-bool is_token_in_cookie_header(const Credentials& credentials, std::string_view access_token,
-                               std::string_view cookie_name) {
-    return are_secrets_equal(find_value_in_name_value_list(credentials.cookie, cookie_name, ';'),
-                             access_token);
+bool has_cookie_token(const Credentials& credentials, std::string_view access_token,
+                      std::string_view cookie_name) {
+    return is_same_secret(find_list_value(credentials.cookie, cookie_name, ';'), access_token);
 }
 
 }  // namespace relidar::view

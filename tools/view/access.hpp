@@ -18,21 +18,20 @@ struct Credentials {
 /// An IP address, "localhost", or `machine_name`. Other names are rejected, because an
 /// attacker's DNS server could resolve them to this machine. The port is not checked,
 /// because a forwarded port has another number.
-bool is_host_header_of_this_machine(std::string_view host_header, std::string_view machine_name);
+bool is_this_machine(std::string_view host_header, std::string_view machine_name);
 /// A browser always sends the Origin header when it opens a WebSocket. Other programs do
 /// not.
 /// @param host_header value of the Host header in the same request
-bool is_origin_missing_or_same_host(std::string_view origin_header, std::string_view host_header);
+bool is_same_origin(std::string_view origin_header, std::string_view host_header);
 /// The web pages of Foxglove and Lichtblick, a page of this machine, or a desktop
 /// program, whose page is a file.
-bool is_origin_allowed_for_foxglove(std::string_view origin_header);
+bool is_foxglove_origin(std::string_view origin_header);
 /// In constant time, so that the duration does not show how many characters match.
-bool are_secrets_equal(std::string_view given_secret, std::string_view true_secret);
+bool is_same_secret(std::string_view given_secret, std::string_view true_secret);
 /// In a list such as "a=1&b=2" (separator '&') or "a=1; b=2" (separator ';').
-std::string_view find_value_in_name_value_list(std::string_view name_value_list, std::string_view name,
-                                               char separator);
-bool is_token_in_url_query(const Credentials& credentials, std::string_view access_token);
-bool is_token_in_cookie_header(const Credentials& credentials, std::string_view access_token,
-                               std::string_view cookie_name);
+std::string_view find_list_value(std::string_view name_value_list, std::string_view name, char separator);
+bool has_query_token(const Credentials& credentials, std::string_view access_token);
+bool has_cookie_token(const Credentials& credentials, std::string_view access_token,
+                      std::string_view cookie_name);
 
 }  // namespace relidar::view

@@ -21,29 +21,29 @@ constexpr int kErrorLevel = 2;
 constexpr std::size_t kMaxTexts = 16;
 
 template <class T>
-void append_number_bytes(std::string& bytes, T value) {
+void append_number(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::string encode_server_time_message(std::uint64_t time_ns) {
+std::string encode_time(std::uint64_t time_ns) {
     std::string bytes(1, kTime);
-    append_number_bytes(bytes, time_ns);
+    append_number(bytes, time_ns);
     return bytes;
 }
 
-std::string encode_message_for_subscription(std::uint32_t subscription_id, const ScanMessage& message) {
+std::string encode_message(std::uint32_t subscription_id, const ScanMessage& message) {
     std::string bytes(1, kMessageData);
-    append_number_bytes(bytes, subscription_id);
-    append_number_bytes(bytes, message.time_ns);
+    append_number(bytes, subscription_id);
+    append_number(bytes, message.time_ns);
     return bytes + message.bytes;
 }
 
-std::string make_error_status_json(const std::string& error_text) {
+std::string error_status(const std::string& error_text) {
     const Json status{{"op", "status"}, {"level", kErrorLevel}, {"message", error_text}};
     return status.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-std::string make_topic_advertisement_json(const std::vector<ScanTopic>& topics) {
+std::string advertise_json(const std::vector<ScanTopic>& topics) {
     Json channels = Json::array();
     for (const ScanTopic& topic : topics)
         channels.push_back({{"id", channels.size()},
@@ -55,7 +55,7 @@ std::string make_topic_advertisement_json(const std::vector<ScanTopic>& topics) 
     return Json{{"op", "advertise"}, {"channels", channels}}.dump();
 }
 
-const Json& get_required_list(const Json& message, const char* member_name) {
+const Json& required_list(const Json& message, const char* member_name) {
     const auto list = message.find(member_name);
     if (list == message.end() || !list->is_array())
         fail<UsageError>("cannot read the message: expected a list in the field \"{}\"", member_name);
@@ -70,7 +70,7 @@ std::uint32_t require_uint32(const Json& value, const char* name_for_errors) {
     return value.get<std::uint32_t>();
 }
 
-std::uint32_t get_required_uint32_member(const Json& object, const char* member_name) {
+std::uint32_t required_uint32(const Json& object, const char* member_name) {
     const auto member = object.find(member_name);
     if (member == object.end())
         fail<UsageError>("cannot read the message: the field \"{}\" is missing", member_name);
@@ -79,21 +79,21 @@ std::uint32_t get_required_uint32_member(const Json& object, const char* member_
 
 }  // namespace
 
-FoxglovePlayer::FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers)
+FoxglovePlayer::FoxglovePlayer(const Run& run, Device& device, FoxgloveSendCallbacks answers)
     : run_(run),
       device_(device),
       answers_(std::move(answers)),
-      sensor_(make_sensor_from_config(run.config, run.sequence)),
-      format_(make_default_output_options(run, sensor_)),
+      sensor_(make_sensor(run.config, run.sequence)),
+      format_(default_options(run, sensor_)),
       topics_(ScanMessageEncoder({format_}).list_topics()) {
-    for (const LidarFrame& frame : run.sequence.frames)
+    for (const Frame& frame : run.sequence.frames)
         if (frame.lidar == sensor_.lidar) times_s_.push_back(frame.time_s);
 }
 
-void FoxglovePlayer::add_client_and_send_topics(ClientId id) {
+void FoxglovePlayer::add_client(ClientId id) {
     const Json info{{"op", "serverInfo"}, {"name", "relidar"}, {"capabilities", Json::array({"time"})}};
     const std::lock_guard lock(mutex_);
-    clients_[id].texts = {info.dump(), make_topic_advertisement_json(topics_)};
+    clients_[id].texts = {info.dump(), advertise_json(topics_)};
 }
 
 void FoxglovePlayer::remove_client(ClientId id) {
@@ -101,28 +101,27 @@ void FoxglovePlayer::remove_client(ClientId id) {
     clients_.erase(id);
 }
 
-bool FoxglovePlayer::handle_message_if_client_is_known(ClientId id, const std::string& message) {
+bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     const std::lock_guard lock(mutex_);
     const auto client = clients_.find(id);
     if (client == clients_.end()) return false;
     try {
-        subscribe_or_unsubscribe_by_message(client->second, message);
+        subscribe(client->second, message);
     } catch (const UsageError& error) {
         if (client->second.texts.size() < kMaxTexts)
-            client->second.texts.push_back(make_error_status_json(error.what()));
+            client->second.texts.push_back(error_status(error.what()));
     }
     return true;
 }
 
-void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
-                                                         const std::string& message_text) const {
+void FoxglovePlayer::subscribe(Client& client, const std::string& message_text) const {
     const Json message = Json::parse(message_text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
     const auto operation = message.find("op");
     if (operation != message.end() && *operation == "subscribe") {
-        for (const Json& request : get_required_list(message, "subscriptions")) {
-            const std::uint32_t id = get_required_uint32_member(request, "id"),
-                                topic = get_required_uint32_member(request, "channelId");
+        for (const Json& request : required_list(message, "subscriptions")) {
+            const std::uint32_t id = required_uint32(request, "id"),
+                                topic = required_uint32(request, "channelId");
             const auto is_of_topic = [&](const auto& known) { return known.second == topic; };
             if (topic >= topics_.size())
                 fail<UsageError>("cannot subscribe: found channelId {}, expected a number from 0 to {}",
@@ -135,7 +134,7 @@ void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
             client.subscriptions.emplace(id, topic);
         }
     } else if (operation != message.end() && *operation == "unsubscribe") {
-        for (const Json& id : get_required_list(message, "subscriptionIds"))
+        for (const Json& id : required_list(message, "subscriptionIds"))
             client.subscriptions.erase(require_uint32(id, "subscriptionIds"));
     } else {
         throw UsageError(
@@ -144,7 +143,7 @@ void FoxglovePlayer::subscribe_or_unsubscribe_by_message(Client& client,
 }
 
 /// @return true if a client subscribes to a topic
-bool FoxglovePlayer::send_queued_texts_and_check_subscribed() {
+bool FoxglovePlayer::flush_texts() {
     const std::lock_guard lock(mutex_);
     bool has_subscriptions = false;
     for (auto& [id, client] : clients_) {
@@ -154,61 +153,59 @@ bool FoxglovePlayer::send_queued_texts_and_check_subscribed() {
     return has_subscriptions;
 }
 
-std::chrono::milliseconds FoxglovePlayer::send_scan_if_due_and_get_wait_time(
-    std::chrono::milliseconds max_wait) {
-    if (!send_queued_texts_and_check_subscribed() || times_s_.empty()) {
+std::chrono::milliseconds FoxglovePlayer::send_due(std::chrono::milliseconds max_wait) {
+    if (!flush_texts() || times_s_.empty()) {
         playback_.reset();
         return max_wait;
     }
     try {
         if (!playback_) playback_.emplace(device_, run_, format_);
-        if (Clock::now() >= playback_->due) render_and_send_next_scan();
+        if (Clock::now() >= playback_->due) send_next();
         // After other errors, for example exhausted device memory, the page still works.
     } catch (const DeviceLost&) {
         throw;
     } catch (const Error& error) {
         playback_.reset();
-        clear_subscriptions_and_send_reason(error.what());
+        cancel_all(error.what());
         return max_wait;
     }
     const auto pause = std::chrono::ceil<std::chrono::milliseconds>(playback_->due - Clock::now());
     return std::clamp(pause, std::chrono::milliseconds(0), max_wait);
 }
 
-void FoxglovePlayer::render_and_send_next_scan() {
+void FoxglovePlayer::send_next() {
     std::size_t& frame = playback_->frame;
     const double time_s = times_s_[frame];
     const RenderedScan scan = playback_->renderer.render(sensor_, time_s);
-    send_to_subscribers(playback_->messages.convert_to_messages({&scan, 1}));
+    publish(playback_->messages.encode({&scan, 1}));
     frame = (frame + 1) % times_s_.size();
     // The times of an encoder's messages must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
     const std::chrono::duration<double> interval(
         frame > 0 ? times_s_[frame] - time_s
-                  : run_.sequence.lidars[std::size_t(sensor_.lidar)].get_sweep_period_s());
+                  : run_.sequence.lidars[std::size_t(sensor_.lidar)].sweep_period_s());
     playback_->due =
         std::max(Clock::now(), playback_->due + std::chrono::duration_cast<Clock::duration>(interval));
 }
 
-void FoxglovePlayer::send_to_subscribers(const std::vector<ScanMessage>& messages_per_topic) {
+void FoxglovePlayer::publish(const std::vector<ScanMessage>& messages_per_topic) {
     const std::lock_guard lock(mutex_);
     for (const auto& [id, client] : clients_) {
         if (client.subscriptions.empty()) continue;
         // Clients remove the messages of the previous loop when the time decreases.
-        std::vector<std::string> packets{encode_server_time_message(messages_per_topic.back().time_ns)};
+        std::vector<std::string> packets{encode_time(messages_per_topic.back().time_ns)};
         for (const ScanMessage& message : messages_per_topic)
             for (const auto& [subscription, topic] : client.subscriptions)
-                if (topic == message.topic)
-                    packets.push_back(encode_message_for_subscription(subscription, message));
+                if (topic == message.topic) packets.push_back(encode_message(subscription, message));
         answers_.scan(id, std::move(packets));
     }
 }
 
-void FoxglovePlayer::clear_subscriptions_and_send_reason(const std::string& reason) {
+void FoxglovePlayer::cancel_all(const std::string& reason) {
     const std::lock_guard lock(mutex_);
     for (auto& [id, client] : clients_) {
         client.subscriptions.clear();
-        client.texts.push_back(make_error_status_json(reason));
+        client.texts.push_back(error_status(reason));
     }
 }
 

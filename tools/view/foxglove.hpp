@@ -25,29 +25,29 @@
 
 namespace relidar::view {
 
-/// Called only by send_scan_if_due_and_get_wait_time().
+/// Called only by send_due().
 struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::string)> text;
     std::function<void(ClientId, std::vector<std::string>)> scan;
 };
 
 /// Renders the sweeps of the log's first LiDAR in a loop. Only the thread that calls
-/// send_scan_if_due_and_get_wait_time() uses the device.
+/// send_due() uses the device.
 class FoxglovePlayer {
 public:
     /// @param run must outlive the player
-    FoxglovePlayer(const TrainedRun& run, Device& device, FoxgloveSendCallbacks answers);
+    FoxglovePlayer(const Run& run, Device& device, FoxgloveSendCallbacks answers);
 
-    void add_client_and_send_topics(ClientId client_id);
-    /// @return false if the client was not added by add_client_and_send_topics()
-    bool handle_message_if_client_is_known(ClientId client_id, const std::string& message);
+    void add_client(ClientId client_id);
+    /// @return false if the client was not added by add_client()
+    bool handle_message(ClientId client_id, const std::string& message);
     void remove_client(ClientId client_id);
 
     /// Scans follow each other in the intervals of the log, or more slowly if the device
     /// is slow.
     /// @return the time until the next scan, but at most `max_wait`
     /// @throws DeviceError if the device has failed
-    std::chrono::milliseconds send_scan_if_due_and_get_wait_time(std::chrono::milliseconds max_wait);
+    std::chrono::milliseconds send_due(std::chrono::milliseconds max_wait);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -62,17 +62,17 @@ private:
         std::size_t frame = 0;  ///< index of the next scan in `times_s_`
         Clock::time_point due = Clock::now();
 
-        Playback(Device& device, const TrainedRun& run, const ScanOutputOptions& format)
+        Playback(Device& device, const Run& run, const ScanOutputOptions& format)
             : renderer(device, run), messages({format}) {}
     };
 
-    void subscribe_or_unsubscribe_by_message(Client& client, const std::string& message_text) const;
-    bool send_queued_texts_and_check_subscribed();
-    void render_and_send_next_scan();
-    void send_to_subscribers(const std::vector<ScanMessage>& messages_per_topic);
-    void clear_subscriptions_and_send_reason(const std::string& reason);
+    void subscribe(Client& client, const std::string& message_text) const;
+    bool flush_texts();
+    void send_next();
+    void publish(const std::vector<ScanMessage>& messages_per_topic);
+    void cancel_all(const std::string& reason);
 
-    const TrainedRun& run_;
+    const Run& run_;
     Device& device_;
     const FoxgloveSendCallbacks answers_;
     const SimulatedSensor sensor_;

@@ -20,7 +20,7 @@ static_assert(std::endian::native == std::endian::little,
 
 using Json = nlohmann::json;
 
-std::uint8_t convert_fraction_to_byte(float fraction) {
+std::uint8_t to_byte(float fraction) {
     return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(fraction, 0.0f, 1.0f)));
 }
 
@@ -40,7 +40,7 @@ public:
         bytes_.append(reinterpret_cast<const char*>(values.data()), n_bytes);
         bytes_.append((4 - bytes_.size() % 4) % 4, '\0');
     }
-    void add_all_arrays_of_scan(const std::string& array_name_prefix, const ScanColumns& scan) {
+    void add_scan(const std::string& array_name_prefix, const ScanColumns& scan) {
         add_array(array_name_prefix + "position", "f32", 3, scan.position_m);
         add_array(array_name_prefix + "range", "f32", 1, scan.range_m);
         add_array(array_name_prefix + "intensity", "u8", 1, scan.intensity);
@@ -57,8 +57,8 @@ public:
             std::visit(add_one, values);
         }
     }
-    const Json& get_array_table_json() const { return table_; }
-    const std::string& get_concatenated_array_bytes() const { return bytes_; }
+    const Json& table_json() const { return table_; }
+    const std::string& packed_bytes() const { return bytes_; }
 
 private:
     Json table_ = Json::array();
@@ -67,28 +67,28 @@ private:
 
 }  // namespace
 
-ScanColumns convert_simulated_scan_to_columns(const RenderedScan& scan, const Config& config,
-                                              const glm::dvec3& dataset_from_world_offset_m) {
-    LidarPoints points = convert_scan_to_points(
-        scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, dataset_from_world_offset_m}, PointSelection::rays);
+ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
+                              const glm::dvec3& dataset_from_world_offset_m) {
+    LidarPoints points = place_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, dataset_from_world_offset_m},
+                                      PointSelection::rays);
     ScanColumns result{.rows = scan.image.rows,
                        .columns = scan.image.columns,
                        .position_m = std::move(points.position_m),
-                       .range_m = select_point_ranges(scan, config),
+                       .range_m = point_ranges(scan, config),
                        .ring = std::move(points.ring),
                        .channels = std::move(points.channels)};
     for (std::size_t i = 0; i < result.range_m.size(); ++i) {
-        result.intensity.push_back(convert_fraction_to_byte(scan.image.intensity[i]));
-        result.drop.push_back(convert_fraction_to_byte(scan.image.drop_prob[i]));
+        result.intensity.push_back(to_byte(scan.image.intensity[i]));
+        result.drop.push_back(to_byte(scan.image.drop_prob[i]));
         const int instance = scan.instance[i];
         result.instance.push_back(static_cast<std::uint16_t>(instance < 0 ? 65535 : instance));
     }
     return result;
 }
 
-ScanColumns convert_measured_scan_to_columns(const LidarSequence& sequence, const LidarFrame& frame) {
+ScanColumns measured_columns(const Log& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
-    const PoseTrack world_from_sensor = sequence.get_world_from_sensor(frame.lidar);
+    const PoseTrack world_from_sensor = sequence.lidar_track(frame.lidar);
     ScanColumns result{.rows = scan.rays.rows,
                        .columns = scan.rays.columns,
                        .range_m = to_vector(scan.range_m),
@@ -97,13 +97,13 @@ ScanColumns convert_measured_scan_to_columns(const LidarSequence& sequence, cons
         const WorldRay ray =
             make_world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);
         result.position_m.push_back(glm::vec3(ray.origin_m + double(scan.range_m[i]) * ray.direction));
-        result.intensity.push_back(convert_fraction_to_byte(scan.intensity[i]));
+        result.intensity.push_back(to_byte(scan.intensity[i]));
         result.drop.push_back(scan.range_m[i] > 0.0f ? 0 : 255);
     }
     return result;
 }
 
-Json convert_pose_to_column_major_json(const Pose& pose) {
+Json pose_json(const Pose& pose) {
     const glm::dmat4 m = to_matrix(pose);
     Json result = Json::array();
     for (int column = 0; column < 4; ++column)
@@ -111,24 +111,24 @@ Json convert_pose_to_column_major_json(const Pose& pose) {
     return result;
 }
 
-std::string encode_scans_as_binary_message(Json json_header, const ScanColumns* simulated_scan_or_null,
-                                           const ScanColumns* measured_scan_or_null) {
+std::string encode_scans(Json json_header, const ScanColumns* simulated_scan_or_null,
+                         const ScanColumns* measured_scan_or_null) {
     BinaryArrayPacker arrays;
     if (simulated_scan_or_null) {
         json_header["image"] = {simulated_scan_or_null->rows, simulated_scan_or_null->columns};
-        arrays.add_all_arrays_of_scan("", *simulated_scan_or_null);
+        arrays.add_scan("", *simulated_scan_or_null);
     }
     if (measured_scan_or_null) {
         json_header["real_image"] = {measured_scan_or_null->rows, measured_scan_or_null->columns};
-        arrays.add_all_arrays_of_scan("real_", *measured_scan_or_null);
+        arrays.add_scan("real_", *measured_scan_or_null);
     }
-    json_header["arrays"] = arrays.get_array_table_json();
+    json_header["arrays"] = arrays.table_json();
     std::string text = json_header.dump(-1, ' ', false, Json::error_handler_t::replace);
     text.append((4 - text.size() % 4) % 4, ' ');
     const auto length = static_cast<std::uint32_t>(text.size());
     std::string frame = "RLV1";
     frame.append(reinterpret_cast<const char*>(&length), sizeof length);
-    return frame + text + arrays.get_concatenated_array_bytes();
+    return frame + text + arrays.packed_bytes();
 }
 
 }  // namespace relidar::view

@@ -3,7 +3,7 @@
 // page/frame.js decodes it.
 //   bytes 0..3   "RLV1"
 //   bytes 4..7   length h of the header, little-endian, a multiple of 4
-//   h bytes      JSON, padded with spaces: description of the scan, and
+//   h bytes      JSON, padded with spaces: text of the scan, and
 //                "arrays": [{name, type, components, count, offset}]
 //   the rest     the arrays, each at `offset` from the end of the header, a multiple of 4;
 //                type f32, i32, u8 or u16, little-endian
@@ -23,8 +23,8 @@ namespace relidar {
 struct RayTable;
 struct RenderedScan;
 struct Config;
-struct LidarSequence;
-struct LidarFrame;
+struct Log;
+struct Frame;
 }  // namespace relidar
 
 namespace relidar::view {
@@ -48,19 +48,18 @@ struct ScanColumns {
 };
 
 /// @param dataset_from_world_offset_m from relidar's world frame to the dataset's
-ScanColumns convert_simulated_scan_to_columns(const RenderedScan& scan, const Config& config,
-                                              const glm::dvec3& dataset_from_world_offset_m);
+ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
+                              const glm::dvec3& dataset_from_world_offset_m);
 /// @param frame frame of the sequence that contains the scan
-ScanColumns convert_measured_scan_to_columns(const LidarSequence& sequence, const LidarFrame& frame);
+ScanColumns measured_columns(const Log& sequence, const Frame& frame);
 
 /// 4x4 matrix in column-major order, as WebGL expects.
-nlohmann::json convert_pose_to_column_major_json(const Pose& pose);
+nlohmann::json pose_json(const Pose& pose);
 
 /// @param json_header without the key "arrays"
 /// @param simulated_scan_or_null, measured_scan_or_null names of measured arrays begin
 /// with "real_"
-std::string encode_scans_as_binary_message(nlohmann::json json_header,
-                                           const ScanColumns* simulated_scan_or_null,
-                                           const ScanColumns* measured_scan_or_null);
+std::string encode_scans(nlohmann::json json_header, const ScanColumns* simulated_scan_or_null,
+                         const ScanColumns* measured_scan_or_null);
 
 }  // namespace relidar::view

@@ -23,18 +23,18 @@ constexpr std::size_t kDrainedAtOnce = 65536;
 constexpr int kMaxDrains = 16;
 constexpr std::chrono::milliseconds kDrainTime{500};
 
-std::string_view to_std_string_view(boost::beast::string_view text) { return {text.data(), text.size()}; }
+std::string_view to_view(boost::beast::string_view text) { return {text.data(), text.size()}; }
 
-std::string_view get_url_path(std::string_view request_target) {
+std::string_view url_path(std::string_view request_target) {
     return request_target.substr(0, request_target.find('?'));
 }
-std::string_view get_url_query(std::string_view request_target) {
+std::string_view url_query(std::string_view request_target) {
     const std::size_t mark = request_target.find('?');
     return mark == std::string_view::npos ? std::string_view{} : request_target.substr(mark + 1);
 }
 
 /// No value if the client has disconnected.
-std::optional<http::status> find_status_of_parse_error(const boost::system::error_code& parse_error) {
+std::optional<http::status> parse_status(const boost::system::error_code& parse_error) {
     if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
     if (parse_error == http::error::header_limit || parse_error == http::error::buffer_overflow)
@@ -62,52 +62,49 @@ void HttpSession::start_timeout(std::chrono::milliseconds max_duration) {
     });
 }
 
-void HttpSession::start_reading_request() {
+void HttpSession::read_request() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
     parser_->body_limit(0);  // Rejects requests with a body, because no request to this server needs one.
     start_timeout(hub_.options.request_time);
-    http::async_read(stream_, buffer_, *parser_, [self = shared_from_this()](Error failed, std::size_t) {
-        self->handle_read_result(failed);
-    });
+    http::async_read(stream_, buffer_, *parser_,
+                     [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
-void HttpSession::handle_read_result(Error error) {
+void HttpSession::on_read(Error error) {
     timer_.cancel();
-    if (late_) return parser_->got_some() ? send_error_response(Status::request_timeout) : void();
+    if (late_) return parser_->got_some() ? send_error(Status::request_timeout) : void();
     if (!error) return answer_request(parser_->get());
-    if (const std::optional<Status> status = find_status_of_parse_error(error)) send_error_response(*status);
+    if (const std::optional<Status> status = parse_status(error)) send_error(*status);
 }
 
 /// Empty if the request is no such handshake, or if this server does not offer Foxglove.
-std::string_view HttpSession::find_offered_foxglove_protocol(const Request& request) const {
+std::string_view HttpSession::offered_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
         for (const std::string_view supported_protocol : kFoxgloveProtocols)
-            if (to_std_string_view(requested) == supported_protocol) return supported_protocol;
+            if (to_view(requested) == supported_protocol) return supported_protocol;
     return {};
 }
 
 /// No value if the request is allowed. The order of the checks reveals as little as
 /// possible to a client without access.
-std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed(
-    const Request& request, bool is_foxglove_client) const {
+std::optional<HttpSession::Status> HttpSession::access_error(const Request& request,
+                                                             bool is_foxglove_client) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const Credentials credentials{to_std_string_view(request[http::field::host]),
-                                  to_std_string_view(request[http::field::origin]),
-                                  to_std_string_view(request[http::field::cookie]),
-                                  get_url_query(to_std_string_view(request.target()))};
-    if (!is_host_header_of_this_machine(credentials.host, hub_.host_name)) return Status::forbidden;
+    const Credentials credentials{to_view(request[http::field::host]), to_view(request[http::field::origin]),
+                                  to_view(request[http::field::cookie]),
+                                  url_query(to_view(request.target()))};
+    if (!is_this_machine(credentials.host, hub_.host_name)) return Status::forbidden;
     const std::string& token = hub_.options.token;
-    const bool knows_token = !token.empty() && is_token_in_url_query(credentials, token);
-    const bool is_foreign = !is_origin_missing_or_same_host(credentials.origin, credentials.host);
-    const bool may_be_foreign =
-        is_foxglove_client && (is_origin_allowed_for_foxglove(credentials.origin) || knows_token);
+    const bool knows_token = !token.empty() && has_query_token(credentials, token);
+    const bool is_foreign = !is_same_origin(credentials.origin, credentials.host);
+    const bool may_be_foreign = is_foxglove_client && (is_foxglove_origin(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
     // A page of another origin (`is_foreign`) must send the token in the address, because
     // browsers also send cookies with requests of pages from other local servers.
     if (!token.empty() && !knows_token &&
-        (is_foreign || !is_token_in_cookie_header(credentials, token, hub_.cookie_name)))
+        (is_foreign || !has_cookie_token(credentials, token, hub_.cookie_name)))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;
@@ -115,28 +112,25 @@ std::optional<HttpSession::Status> HttpSession::find_error_status_if_not_allowed
 }
 
 void HttpSession::answer_request(const Request& request) {
-    const std::string_view foxglove = find_offered_foxglove_protocol(request);
-    if (const std::optional<Status> status = find_error_status_if_not_allowed(request, !foxglove.empty()))
-        return send_error_response(*status);
-    const std::string_view target = to_std_string_view(request.target()), path = get_url_path(target);
+    const std::string_view foxglove = offered_protocol(request);
+    if (const std::optional<Status> status = access_error(request, !foxglove.empty()))
+        return send_error(*status);
+    const std::string_view target = to_view(request.target()), path = url_path(target);
     if (path == kSocketPath || (path == "/" && !foxglove.empty())) {
-        if (!boost::beast::websocket::is_upgrade(request))
-            return send_error_response(Status::upgrade_required);
+        if (!boost::beast::websocket::is_upgrade(request)) return send_error(Status::upgrade_required);
         // A client must not send data before the WebSocket handshake is complete.
-        if (buffer_.size() > 0) return send_error_response(Status::bad_request);
+        if (buffer_.size() > 0) return send_error(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)
             ->accept_handshake(request, foxglove);
         return;
     }
     const auto asset = std::find_if(hub_.options.assets.begin(), hub_.options.assets.end(),
                                     [&](const WebPageFile& a) { return a.path == path; });
-    if (asset == hub_.options.assets.end()) return send_error_response(Status::not_found);
-    response_ = make_response_with_common_headers(
-        Status::ok, std::string(to_std_string_view(request[http::field::host])));
+    if (asset == hub_.options.assets.end()) return send_error(Status::not_found);
+    response_ = make_response(Status::ok, std::string(to_view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
-    if (!find_value_in_name_value_list(get_url_query(target), "token", '&').empty() &&
-        !hub_.options.token.empty())
+    if (!find_list_value(url_query(target), "token", '&').empty() && !hub_.options.token.empty())
         response_->set(http::field::set_cookie,
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
@@ -144,14 +138,13 @@ void HttpSession::answer_request(const Request& request) {
     // The header of a response to HEAD contains the length of the body.
     if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
-    start_writing_response();
+    write_response();
 }
 
 /// With the security headers.
 /// @param host for the WebSocket address in the security policy, or empty. Needed because
 /// some browsers do not include WebSockets in 'self'.
-HttpSession::Response HttpSession::make_response_with_common_headers(Status status,
-                                                                     const std::string& host) const {
+HttpSession::Response HttpSession::make_response(Status status, const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
     response.set(http::field::content_type, "text/plain; charset=utf-8");
@@ -169,9 +162,9 @@ HttpSession::Response HttpSession::make_response_with_common_headers(Status stat
     return response;
 }
 
-void HttpSession::send_error_response(Status status) {
-    response_ = make_response_with_common_headers(status, "");
-    response_->body() = std::string(to_std_string_view(http::obsolete_reason(status))) + "\n";
+void HttpSession::send_error(Status status) {
+    response_ = make_response(status, "");
+    response_->body() = std::string(to_view(http::obsolete_reason(status))) + "\n";
     if (status == Status::unauthorized)
         response_->body() =
             "The access token is wrong or missing. Open the full address that `relidar view` has printed.\n";
@@ -179,31 +172,30 @@ void HttpSession::send_error_response(Status status) {
     if (status == Status::upgrade_required) response_->set(http::field::upgrade, "websocket");
     response_->prepare_payload();
     response_->keep_alive(false);
-    start_writing_response();
+    write_response();
 }
 
-void HttpSession::send_overload_error_and_close() { send_error_response(Status::service_unavailable); }
+void HttpSession::send_overload() { send_error(Status::service_unavailable); }
 
-void HttpSession::start_writing_response() {
+void HttpSession::write_response() {
     start_timeout(hub_.options.idle_time);
     http::async_write(stream_, *response_, [self = shared_from_this()](Error failed, std::size_t) {
         self->timer_.cancel();
         if (failed) return;
-        if (self->response_->keep_alive()) return self->start_reading_request();
+        if (self->response_->keep_alive()) return self->read_request();
         Error ignored;
         self->stream_.socket().shutdown(boost::asio::ip::tcp::socket::shutdown_send, ignored);
         self->start_timeout(kDrainTime);
-        self->discard_remaining_input_and_close();
+        self->discard_rest();
     });
 }
 
 /// If a connection is closed with unread data, the client does not receive the response.
-void HttpSession::discard_remaining_input_and_close() {
+void HttpSession::discard_rest() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),
                             [self = shared_from_this()](Error failed, std::size_t) {
-                                if (!failed && ++self->n_drains_ < kMaxDrains)
-                                    self->discard_remaining_input_and_close();
+                                if (!failed && ++self->n_drains_ < kMaxDrains) self->discard_rest();
                             });
 }
 

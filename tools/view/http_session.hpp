@@ -24,9 +24,9 @@ namespace relidar::view {
 class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub);
-    void start_reading_request();
+    void read_request();
     /// The server has too many connections.
-    void send_overload_error_and_close();
+    void send_overload();
 
 private:
     using Request = boost::beast::http::request<boost::beast::http::empty_body>;
@@ -35,15 +35,14 @@ private:
     using Error = boost::system::error_code;
 
     void start_timeout(std::chrono::milliseconds max_duration);
-    void handle_read_result(Error error);
+    void on_read(Error error);
     void answer_request(const Request& request);
-    std::string_view find_offered_foxglove_protocol(const Request& request) const;
-    std::optional<Status> find_error_status_if_not_allowed(const Request& request,
-                                                           bool is_foxglove_client) const;
-    Response make_response_with_common_headers(Status status, const std::string& host) const;
-    void send_error_response(Status status);
-    void start_writing_response();
-    void discard_remaining_input_and_close();
+    std::string_view offered_protocol(const Request& request) const;
+    std::optional<Status> access_error(const Request& request, bool is_foxglove_client) const;
+    Response make_response(Status status, const std::string& host) const;
+    void send_error(Status status);
+    void write_response();
+    void discard_rest();
 
     WebServerState& hub_;
     CountedConnection counted_;

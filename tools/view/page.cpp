@@ -13,7 +13,7 @@ std::span<const std::pair<std::string_view, std::string_view>> view_page_texts()
 namespace view {
 namespace {
 
-std::string_view get_content_type(std::string_view file_name) {
+std::string_view content_type(std::string_view file_name) {
     if (file_name.ends_with(".js")) return "text/javascript; charset=utf-8";
     if (file_name.ends_with(".css")) return "text/css; charset=utf-8";
     return "text/html; charset=utf-8";
@@ -21,13 +21,13 @@ std::string_view get_content_type(std::string_view file_name) {
 
 }  // namespace
 
-const std::vector<WebPageFile>& get_web_page_files() {
+const std::vector<WebPageFile>& web_page_files() {
     static std::deque<std::string> paths;
     static const std::vector<WebPageFile> assets = [] {
         std::vector<WebPageFile> all;
         for (const auto& [name, text] : view_page_texts()) {
             paths.push_back(name == "index.html" ? "/" : "/" + std::string(name));
-            all.push_back({paths.back(), get_content_type(name), text});
+            all.push_back({paths.back(), content_type(name), text});
         }
         return all;
     }();

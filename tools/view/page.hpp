@@ -9,6 +9,6 @@
 namespace relidar::view {
 
 /// The texts stay valid until the program ends.
-const std::vector<WebPageFile>& get_web_page_files();
+const std::vector<WebPageFile>& web_page_files();
 
 }  // namespace relidar::view

@@ -8,8 +8,8 @@
 #include <thread>
 
 namespace relidar {
-struct TrainedRun;
-struct LidarSequence;
+struct Run;
+struct Log;
 }  // namespace relidar
 
 namespace relidar::view {
@@ -18,21 +18,21 @@ class RecordedScans {
 public:
     enum class RecordedScansState { loading, ready, missing };
 
-    explicit RecordedScans(const TrainedRun& run);
+    explicit RecordedScans(const Run& run);
     ~RecordedScans();
     RecordedScans(const RecordedScans&) = delete;
     RecordedScans& operator=(const RecordedScans&) = delete;
 
-    RecordedScansState get_loading_state() const { return state_; }
+    RecordedScansState state() const { return state_; }
     /// One line.
-    std::string get_reason_for_missing_scans() const;
+    std::string reason() const;
     /// Null until all scans are loaded.
-    const LidarSequence* get_log_with_scans_or_null() const;
+    const Log* sequence() const;
 
 private:
-    void load_measured_scans();
+    void load_scans();
 
-    const std::unique_ptr<TrainedRun> frames_;  ///< Settings and frames of the run, without its surfels.
+    const std::unique_ptr<Run> frames_;  ///< Settings and frames of the run, without its surfels.
     std::string why_;
     std::atomic<RecordedScansState> state_ = RecordedScansState::loading;
     std::atomic<bool> stop_ = false;

@@ -16,130 +16,126 @@ namespace {
 using Json = nlohmann::json;
 
 // Absolute values of positions and moves.
-constexpr double kFar_m = 10'000.0;
+constexpr double kMaxPosition_m = 10'000.0;
 constexpr double kFarAway_m = 1e6;  // Maximum absolute value of a position in relidar's world frame.
-constexpr double kFast_mps = 200.0;
-constexpr double kLate_s = 1e10;
+constexpr double kMaxSpeed_mps = 200.0;
+constexpr double kMaxTime_s = 1e10;
 // Maximum number of actors that a request may copy, move, remove or hide.
 constexpr std::size_t kMaxActors = 256;
 constexpr std::size_t kMaxName = 64;
 // The name is the path that the user typed after `relidar view`.
 constexpr std::size_t kMaxRunName = 1024;
 
-[[noreturn]] void throw_request_error(const std::string& description, const std::string& expected) {
-    fail<UsageError>("cannot read the field \"{}\" of the request: expected {}", description, expected);
+[[noreturn]] void reject_request(const std::string& text, const std::string& expected) {
+    fail<UsageError>("cannot read the field \"{}\" of the request: expected {}", text, expected);
 }
 
-const Json& get_required_member(const Json& object, const char* member_name) {
+const Json& required_member(const Json& object, const char* member_name) {
     const auto member = object.find(member_name);
-    if (member == object.end()) throw_request_error(member_name, "a value, but the field is missing");
+    if (member == object.end()) reject_request(member_name, "a value, but the field is missing");
     return *member;
 }
 
-double require_number_within_limit(const Json& value, const std::string& name_for_errors,
-                                   double max_absolute_value) {
-    if (!value.is_number()) throw_request_error(name_for_errors, "a number");
+double number_within(const Json& value, const std::string& name_for_errors, double max_absolute_value) {
+    if (!value.is_number()) reject_request(name_for_errors, "a number");
     const double x = value.get<double>();
     if (!(std::abs(x) <= max_absolute_value))
-        throw_request_error(name_for_errors, fmt::format("a number from -{0} to {0}", max_absolute_value));
+        reject_request(name_for_errors, fmt::format("a number from -{0} to {0}", max_absolute_value));
     return x;
 }
 
 bool read_boolean(const Json& value, const char* name_for_errors) {
-    if (!value.is_boolean()) throw_request_error(name_for_errors, "true or false");
+    if (!value.is_boolean()) reject_request(name_for_errors, "true or false");
     return value.get<bool>();
 }
 
-std::string read_nonempty_text(const Json& value, const char* name_for_errors,
-                               std::size_t max_bytes = kMaxName) {
-    if (!value.is_string()) throw_request_error(name_for_errors, "a text");
+std::string read_text(const Json& value, const char* name_for_errors, std::size_t max_bytes = kMaxName) {
+    if (!value.is_string()) reject_request(name_for_errors, "a text");
     std::string result = value.get<std::string>();
     if (result.empty() || result.size() > max_bytes)
-        throw_request_error(name_for_errors, fmt::format("a text of 1 to {} bytes", max_bytes));
+        reject_request(name_for_errors, fmt::format("a text of 1 to {} bytes", max_bytes));
     return result;
 }
 
 /// An empty name means the run that the viewer shows.
-std::string read_run_name_or_empty(const Json& run_name_json) {
-    return run_name_json == "" ? "" : read_nonempty_text(run_name_json, "from", kMaxRunName);
+std::string read_run_name(const Json& run_name_json) {
+    return run_name_json == "" ? "" : read_text(run_name_json, "from", kMaxRunName);
 }
 
 /// Number i must not exceed limits[i] in absolute value.
 template <std::size_t N>
-std::array<double, N> read_number_array(const Json& value, const char* name_for_errors,
-                                        const std::array<double, N>& max_absolute_values) {
-    if (!value.is_array() || value.size() != N)
-        throw_request_error(name_for_errors, fmt::format("{} numbers", N));
+std::array<double, N> read_numbers(const Json& value, const char* name_for_errors,
+                                   const std::array<double, N>& max_absolute_values) {
+    if (!value.is_array() || value.size() != N) reject_request(name_for_errors, fmt::format("{} numbers", N));
     std::array<double, N> result;
     for (std::size_t i = 0; i < N; ++i)
-        result[i] = require_number_within_limit(value[i], fmt::format("{} {}", name_for_errors, i + 1),
-                                                max_absolute_values[i]);
+        result[i] =
+            number_within(value[i], fmt::format("{} {}", name_for_errors, i + 1), max_absolute_values[i]);
     return result;
 }
 
 std::set<std::string> read_track_names(const Json& value, const char* name_for_errors) {
     if (!value.is_array() || value.size() > kMaxActors)
-        throw_request_error(name_for_errors, fmt::format("a list of at most {} tracks", kMaxActors));
+        reject_request(name_for_errors, fmt::format("a list of at most {} tracks", kMaxActors));
     std::set<std::string> result;
-    for (const Json& track : value) result.insert(read_nonempty_text(track, name_for_errors));
+    for (const Json& track : value) result.insert(read_text(track, name_for_errors));
     return result;
 }
 
-ActorEdits parse_actor_edits(const Json& edits_json) {
-    if (!edits_json.is_object()) throw_request_error("edits", "a JSON object");
+ActorEdits parse_edits(const Json& edits_json) {
+    if (!edits_json.is_object()) reject_request("edits", "a JSON object");
     ActorEdits edits;
-    const Json& copies = get_required_member(edits_json, "copies");
+    const Json& copies = required_member(edits_json, "copies");
     if (!copies.is_array() || copies.size() > kMaxActors)
-        throw_request_error("copies", fmt::format("a list of at most {} copies", kMaxActors));
+        reject_request("copies", fmt::format("a list of at most {} copies", kMaxActors));
     for (const Json& copy : copies) {
-        if (!copy.is_object()) throw_request_error("copies", "a list of JSON objects");
+        if (!copy.is_object()) reject_request("copies", "a list of JSON objects");
         edits.copies.push_back(
-            {read_nonempty_text(get_required_member(copy, "of"), "of"),
-             read_run_name_or_empty(get_required_member(copy, "from")),
-             read_number_array<7>(get_required_member(copy, "at"), "at",
-                                  {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kFast_mps})});
+            {read_text(required_member(copy, "of"), "of"), read_run_name(required_member(copy, "from")),
+             read_numbers<7>(required_member(copy, "at"), "at",
+                             {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kMaxSpeed_mps})});
     }
-    const Json& moves = get_required_member(edits_json, "moves");
+    const Json& moves = required_member(edits_json, "moves");
     if (!moves.is_object() || moves.size() > kMaxActors)
-        throw_request_error("moves", fmt::format("a JSON object with at most {} tracks", kMaxActors));
+        reject_request("moves", fmt::format("a JSON object with at most {} tracks", kMaxActors));
     for (const auto& [track, by] : moves.items())
-        edits.moves[track] = read_number_array<4>(by, "moves", {kFar_m, kFar_m, kFar_m, 360.0});
-    edits.removed = read_track_names(get_required_member(edits_json, "removed"), "removed");
-    edits.hidden = read_track_names(get_required_member(edits_json, "hidden"), "hidden");
+        edits.moves[track] =
+            read_numbers<4>(by, "moves", {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0});
+    edits.removed = read_track_names(required_member(edits_json, "removed"), "removed");
+    edits.hidden = read_track_names(required_member(edits_json, "hidden"), "hidden");
     return edits;
 }
 
-LiveScanRequest parse_live_scan_request(const Json& request_json) {
-    const auto xyz_yaw_pitch_roll = read_number_array<6>(get_required_member(request_json, "place"), "place",
-                                                         {kFar_m, kFar_m, kFar_m, 360.0, 360.0, 360.0});
+LiveScanRequest parse_scan(const Json& request_json) {
+    const auto xyz_yaw_pitch_roll =
+        read_numbers<6>(required_member(request_json, "place"), "place",
+                        {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0, 360.0, 360.0});
     const double radians = kPi / 180.0;
     LiveScanRequest wish;
-    wish.id = static_cast<std::int64_t>(
-        require_number_within_limit(get_required_member(request_json, "id"), "id", 1e15));
-    wish.time_s = require_number_within_limit(get_required_member(request_json, "time_s"), "time_s", kLate_s);
+    wish.id = static_cast<std::int64_t>(number_within(required_member(request_json, "id"), "id", 1e15));
+    wish.time_s = number_within(required_member(request_json, "time_s"), "time_s", kMaxTime_s);
     wish.sensor_offset = {make_rotation(xyz_yaw_pitch_roll[3] * radians, xyz_yaw_pitch_roll[4] * radians,
                                         xyz_yaw_pitch_roll[5] * radians),
                           {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
-    wish.sensor = read_nonempty_text(get_required_member(request_json, "sensor"), "sensor");
-    wish.lidar = static_cast<int>(
-        require_number_within_limit(get_required_member(request_json, "lidar"), "lidar", 1000.0));
-    wish.weather = parse_weather(read_nonempty_text(get_required_member(request_json, "weather"), "weather"));
-    wish.simulate = read_boolean(get_required_member(request_json, "simulate"), "simulate");
-    wish.real = read_boolean(get_required_member(request_json, "real"), "real");
-    wish.edits = parse_actor_edits(get_required_member(request_json, "edits"));
+    wish.sensor = read_text(required_member(request_json, "sensor"), "sensor");
+    wish.lidar = static_cast<int>(number_within(required_member(request_json, "lidar"), "lidar", 1000.0));
+    wish.weather = parse_weather(read_text(required_member(request_json, "weather"), "weather"));
+    wish.simulate = read_boolean(required_member(request_json, "simulate"), "simulate");
+    wish.real = read_boolean(required_member(request_json, "real"), "real");
+    wish.edits = parse_edits(required_member(request_json, "edits"));
     return wish;
 }
 
 /// Rejects a path, so that the folder cannot be created elsewhere.
-std::string read_new_folder_name(const Json& value) {
-    std::string name = read_nonempty_text(value, "name");
+std::string read_folder(const Json& value) {
+    std::string name = read_text(value, "name");
     const auto plain = [](char character) {
         return (character >= 'a' && character <= 'z') || (character >= 'A' && character <= 'Z') ||
                (character >= '0' && character <= '9') || character == '-' || character == '_' ||
                character == '.';
     };
     if (!std::all_of(name.begin(), name.end(), plain) || name.front() == '.' || name.front() == '-')
-        throw_request_error(
+        reject_request(
             "name",
             "a name that starts with a letter or digit and contains only letters, digits, -, _ and .");
     return name;
@@ -147,23 +143,21 @@ std::string read_new_folder_name(const Json& value) {
 
 }  // namespace
 
-BrowserRequest parse_browser_request(const std::string& request_json_text) {
+BrowserRequest parse_request(const std::string& request_json_text) {
     const Json json = Json::parse(request_json_text, nullptr, false);
     if (!json.is_object()) throw UsageError("cannot read the request: expected a JSON object");
-    const std::string kind = read_nonempty_text(get_required_member(json, "do"), "do");
-    if (kind == "scan") return parse_live_scan_request(json);
+    const std::string kind = read_text(required_member(json, "do"), "do");
+    if (kind == "scan") return parse_scan(json);
     if (kind == "sensor")
-        return SensorFile{
-            read_nonempty_text(get_required_member(json, "file"), "file", 200),
-            read_nonempty_text(get_required_member(json, "text"), "text", request_json_text.size())};
+        return SensorFile{read_text(required_member(json, "file"), "file", 200),
+                          read_text(required_member(json, "text"), "text", request_json_text.size())};
     if (kind == "save")
-        return SaveRequest{read_new_folder_name(get_required_member(json, "name")),
-                           parse_actor_edits(get_required_member(json, "edits"))};
+        return SaveRequest{read_folder(required_member(json, "name")),
+                           parse_edits(required_member(json, "edits"))};
     if (kind == "ground")
         return GroundPoseRequest{
-            read_nonempty_text(get_required_member(json, "of"), "of"),
-            read_run_name_or_empty(get_required_member(json, "from")),
-            read_number_array<2>(get_required_member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
+            read_text(required_member(json, "of"), "of"), read_run_name(required_member(json, "from")),
+            read_numbers<2>(required_member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
     fail<UsageError>(
         "cannot read the field \"do\" of the request: found \"{}\", expected scan, sensor, ground or save",
         kind);

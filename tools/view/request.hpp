@@ -80,6 +80,6 @@ using BrowserRequest = std::variant<LiveScanRequest, SensorFile, SaveRequest, Gr
 
 /// @throws UsageError that names the first value that is missing, has a wrong type, or is
 /// out of range
-BrowserRequest parse_browser_request(const std::string& request_json_text);
+BrowserRequest parse_request(const std::string& request_json_text);
 
 }  // namespace relidar::view

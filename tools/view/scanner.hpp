@@ -33,29 +33,29 @@ struct TabCache {
 class BrowserScanRenderer {
 public:
     /// @param others other runs, whose actors the user can insert into the scene
-    BrowserScanRenderer(TrainedRun run, OtherRunsByName others, Device& device);
+    BrowserScanRenderer(Run run, OtherRunsByName others, Device& device);
 
-    const TrainedRun& get_run() const { return run_; }
-    const OtherRunsByName& get_other_runs() const { return others_; }
-    const RecordedScans& get_measured_scans() const { return real_; }
+    const Run& trained_run() const { return run_; }
+    const OtherRunsByName& other_runs() const { return others_; }
+    const RecordedScans& measured_scans() const { return real_; }
     /// Data that the web page needs only once.
-    nlohmann::json make_initial_page_data_json() const;
+    nlohmann::json page_data() const;
     /// In the binary format of frame.hpp.
     /// @throws UsageError or DataError
-    std::string render_scan_as_binary_message(TabCache& tab_cache, const LiveScanRequest& request);
-    /// @return a description of the sensor
+    std::string render_message(TabCache& tab_cache, const LiveScanRequest& request);
+    /// @return a text of the sensor
     /// @throws UsageError or DataError if the file is invalid
-    nlohmann::json store_uploaded_sensor_and_describe_it(TabCache& tab_cache, const SensorFile& file) const;
+    nlohmann::json store_sensor(TabCache& tab_cache, const SensorFile& file) const;
 
 private:
-    SimulatedSensor make_sensor_for_tab(TabCache& tab_cache, const LiveScanRequest& request) const;
-    RenderedScan render_simulated_scan(const EditedTraffic& edited_traffic, const LiveScanRequest& request,
-                                       const SimulatedSensor& sensor);
-    ScanRenderer& get_renderer_for_edited_scene(const EditedTraffic& traffic);
-    const LidarFrame* find_measured_frame_to_compare_with(const LiveScanRequest& request) const;
-    nlohmann::json make_kernel_times_json();
+    SimulatedSensor tab_sensor(TabCache& tab_cache, const LiveScanRequest& request) const;
+    RenderedScan render_scan(const EditedTraffic& edited_traffic, const LiveScanRequest& request,
+                             const SimulatedSensor& sensor);
+    ScanRenderer& edited_renderer(const EditedTraffic& traffic);
+    const Frame* measured_frame(const LiveScanRequest& request) const;
+    nlohmann::json kernel_times();
 
-    const TrainedRun run_;
+    const Run run_;
     const OtherRunsByName others_;
     Device& device_;
     RecordedScans real_;
@@ -65,7 +65,7 @@ private:
     std::vector<std::pair<std::string, std::string>> rendered_;
     /// Notes on sides of the copied and moved actors that the log has not observed.
     std::vector<std::string> actor_notes_;
-    /// Number of launch times at the previous call of make_kernel_times_json().
+    /// Number of launch times at the previous call of kernel_times().
     std::map<std::string, std::size_t> launches_;
 };
 

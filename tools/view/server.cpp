@@ -29,7 +29,7 @@ constexpr std::chrono::milliseconds kAcceptPause{50};
 // Interval at which drain checks whether all connections are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
-boost::asio::ip::address parse_ip_address(const std::string& address_text) {
+boost::asio::ip::address parse_address(const std::string& address_text) {
     ErrorCode failed;
     const auto address = boost::asio::ip::make_address(address_text, failed);
     if (failed)
@@ -39,8 +39,8 @@ boost::asio::ip::address parse_ip_address(const std::string& address_text) {
     return address;
 }
 
-tcp::acceptor open_listening_acceptor(boost::asio::io_context& io_context, const WebServerOptions& options) {
-    const tcp::endpoint endpoint(parse_ip_address(options.address), static_cast<std::uint16_t>(options.port));
+tcp::acceptor open_acceptor(boost::asio::io_context& io_context, const WebServerOptions& options) {
+    const tcp::endpoint endpoint(parse_address(options.address), static_cast<std::uint16_t>(options.port));
     ErrorCode failed;
     tcp::acceptor acceptor(io_context);
     acceptor.open(endpoint.protocol(), failed);
@@ -66,9 +66,7 @@ struct WebServer::Impl {
     std::thread thread = {};
 
     Impl(const WebServerOptions& options, WebSocketEvents events)
-        : hub{options, std::move(events), "", ""},
-          acceptor(open_listening_acceptor(hub.io, options)),
-          pause(hub.io) {
+        : hub{options, std::move(events), "", ""}, acceptor(open_acceptor(hub.io, options)), pause(hub.io) {
         hub.cookie_name = fmt::format("relidar_{}", acceptor.local_endpoint().port());
         ErrorCode failed;
         hub.host_name = boost::asio::ip::host_name(failed);
@@ -76,8 +74,7 @@ struct WebServer::Impl {
 
     void start_accepting() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
-            if (!acceptor.is_open())
-                return;  // The acceptor is closed because reject_new_clients_and_close_after_sending() was called.
+            if (!acceptor.is_open()) return;  // The acceptor is closed because drain() was called.
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {
@@ -87,16 +84,15 @@ struct WebServer::Impl {
             }
             const bool is_below_connection_limit = hub.n_connections < hub.options.max_connections;
             const auto session = std::make_shared<HttpSession>(std::move(socket), hub);
-            if (is_below_connection_limit) session->start_reading_request();
-            else if (hub.n_connections < 2 * hub.options.max_connections)
-                session->send_overload_error_and_close();
+            if (is_below_connection_limit) session->read_request();
+            else if (hub.n_connections < 2 * hub.options.max_connections) session->send_overload();
             start_accepting();
         });
     }
 
     /// Does nothing if the client has disconnected.
     template <class Work>
-    void call_session_on_server_thread(ClientId client_id, Work call_session) {
+    void post_session(ClientId client_id, Work call_session) {
         boost::asio::post(hub.io, [this, client_id, work = std::move(call_session)]() mutable {
             const auto match = hub.clients.find(client_id);
             if (match == hub.clients.end()) return;
@@ -104,11 +100,10 @@ struct WebServer::Impl {
         });
     }
 
-    void send_message_on_server_thread(ClientId client_id, std::string bytes, bool is_text) {
-        call_session_on_server_thread(client_id,
-                                      [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
-                                          session.send_or_queue_message(std::move(bytes), is_text, !is_text);
-                                      });
+    void post_message(ClientId client_id, std::string bytes, bool is_text) {
+        post_session(client_id, [is_text, bytes = std::move(bytes)](SocketSession& session) mutable {
+            session.send_message(std::move(bytes), is_text, !is_text);
+        });
     }
 };
 
@@ -118,7 +113,7 @@ WebServer::WebServer(const WebServerOptions& options, WebSocketEvents events)
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
 }
 
-void WebServer::reject_new_clients_and_close_after_sending(std::chrono::milliseconds max_wait) {
+void WebServer::drain(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
@@ -126,7 +121,7 @@ void WebServer::reject_new_clients_and_close_after_sending(std::chrono::millisec
         // A session that ends immediately removes itself from the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
-            if (const auto session = client.lock()) session->close_after_sending_queued_messages();
+            if (const auto session = client.lock()) session->drain();
     });
     for (bool all_gone = false; !all_gone && std::chrono::steady_clock::now() < end;
          std::this_thread::sleep_for(kCloseLook)) {
@@ -143,7 +138,7 @@ WebServer::~WebServer() {
 
 int WebServer::port() const { return impl_->acceptor.local_endpoint().port(); }
 
-std::string WebServer::get_page_url() const {
+std::string WebServer::page_url() const {
     const auto address = impl_->acceptor.local_endpoint().address();
     std::string host = address.is_unspecified() ? "127.0.0.1" : address.to_string();
     if (address.is_v6() && !address.is_unspecified()) host = "[" + host + "]";
@@ -152,21 +147,20 @@ std::string WebServer::get_page_url() const {
 }
 
 void WebServer::send_text(ClientId client_id, std::string text) {
-    impl_->send_message_on_server_thread(client_id, std::move(text), true);
+    impl_->post_message(client_id, std::move(text), true);
 }
-void WebServer::send_scan_and_drop_queued_older_scan(ClientId client_id, std::string scan_message) {
-    impl_->send_message_on_server_thread(client_id, std::move(scan_message), false);
+void WebServer::send_newest(ClientId client_id, std::string scan_message) {
+    impl_->post_message(client_id, std::move(scan_message), false);
 }
-void WebServer::send_messages_unless_client_is_slow(ClientId client_id, std::vector<std::string> messages) {
-    impl_->call_session_on_server_thread(client_id,
-                                         [messages = std::move(messages)](SocketSession& session) mutable {
-                                             session.send_messages_if_queue_is_empty(std::move(messages));
-                                         });
+void WebServer::send_batch(ClientId client_id, std::vector<std::string> messages) {
+    impl_->post_session(client_id, [messages = std::move(messages)](SocketSession& session) mutable {
+        session.send_batch(std::move(messages));
+    });
 }
 
-void require_valid_ip_address(const std::string& address) { (void)parse_ip_address(address); }
+void check_address(const std::string& address) { (void)parse_address(address); }
 
-std::string make_random_access_token() {
+std::string make_token() {
     std::random_device source;  // Random source of the operating system.
     std::string token;
     for (int i = 0; i < 4; ++i) token += fmt::format("{:08x}", static_cast<std::uint32_t>(source()));

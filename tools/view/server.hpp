@@ -7,7 +7,7 @@
 // - The Host header must be an IP address, "localhost" or the name of this machine,
 //   because other names allow DNS rebinding.
 // - Requests whose Origin header names another server are rejected. Foxglove may connect
-//   from the origins of is_origin_allowed_for_foxglove(), and from any origin with the token in the URL.
+//   from the origins of is_foxglove_origin(), and from any origin with the token in the URL.
 //
 // All resources are limited: connections, bytes of headers and messages, time for a
 // request, and messages queued for a slow client.
@@ -69,7 +69,7 @@ class WebServer {
 public:
     /// @throws UsageError if the address or the port is not available
     WebServer(const WebServerOptions& options, WebSocketEvents events);
-    /// Closes all connections immediately. reject_new_clients_and_close_after_sending()
+    /// Closes all connections immediately. drain()
     /// sends queued messages first.
     ~WebServer();
     WebServer(const WebServer&) = delete;
@@ -77,18 +77,18 @@ public:
 
     int port() const;
     /// For a browser on this machine. Contains the access token.
-    std::string get_page_url() const;
+    std::string page_url() const;
 
     /// Does nothing if the client has disconnected. Thread-safe, like the next functions.
     void send_text(ClientId client_id, std::string text);
     /// Replaces an older binary message that is still queued, because only the newest
     /// scan matters.
-    void send_scan_and_drop_queued_older_scan(ClientId client_id, std::string scan_message);
+    void send_newest(ClientId client_id, std::string scan_message);
     /// Skips all messages if earlier messages are still queued, because the client is
     /// slow.
-    void send_messages_unless_client_is_slow(ClientId client_id, std::vector<std::string> messages);
+    void send_batch(ClientId client_id, std::vector<std::string> messages);
     /// Rejects new connections. Closes each WebSocket after its queued messages are sent.
-    void reject_new_clients_and_close_after_sending(std::chrono::milliseconds max_wait);
+    void drain(std::chrono::milliseconds max_wait);
 
 private:
     struct Impl;
@@ -96,9 +96,9 @@ private:
 };
 
 /// @throws UsageError if the text is not an IP address
-void require_valid_ip_address(const std::string& address);
+void check_address(const std::string& address);
 
 /// 32 hexadecimal digits.
-std::string make_random_access_token();
+std::string make_token();
 
 }  // namespace relidar::view

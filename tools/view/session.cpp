@@ -15,16 +15,14 @@ using Json = nlohmann::json;
 // Queued requests of a tab, not counting scans.
 constexpr std::size_t kMaxWaiting = 4;
 
-const char* get_request_name(const BrowserRequest& request) {
-    static constexpr const char* kNames[] = {"scan", "sensor", "save", "ground"};
-    return kNames[request.index()];
+const char* request_name(const BrowserRequest& request) {
+    static constexpr const char* kRequestNames[] = {"scan", "sensor", "save", "ground"};
+    return kRequestNames[request.index()];
 }
 
-std::string dump_json_as_valid_utf8(const Json& json) {
-    return json.dump(-1, ' ', false, Json::error_handler_t::replace);
-}
+std::string dump_utf8(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
-const char* get_loading_state_name(RecordedScans::RecordedScansState state) {
+const char* state_name(RecordedScans::RecordedScansState state) {
     switch (state) {
         case RecordedScans::RecordedScansState::ready:
             return "ready";
@@ -37,7 +35,7 @@ const char* get_loading_state_name(RecordedScans::RecordedScansState state) {
 
 }  // namespace
 
-ViewerSession::ViewerSession(TrainedRun run, OtherRunsByName other_runs, Device& device,
+ViewerSession::ViewerSession(Run run, OtherRunsByName other_runs, Device& device,
                              std::filesystem::path save_folder, TabSendCallbacks answers)
     : scanner_(std::move(run), std::move(other_runs), device),
       save_folder_(std::move(save_folder)),
@@ -55,19 +53,17 @@ void ViewerSession::close_tab(TabId tab_id) {
     tabs_.erase(tab_id);
 }
 
-void ViewerSession::send_error_message(TabId tab_id, const char* request_name,
-                                       const std::string& reason) const {
-    answers_.text(tab_id,
-                  dump_json_as_valid_utf8({{"kind", "error"}, {"about", request_name}, {"text", reason}}));
+void ViewerSession::send_error(TabId tab_id, const char* request_name, const std::string& reason) const {
+    answers_.text(tab_id, dump_utf8({{"kind", "error"}, {"about", request_name}, {"text", reason}}));
 }
 
-void ViewerSession::handle_tab_message(TabId id, const std::string& message) {
+void ViewerSession::handle_message(TabId id, const std::string& message) {
     std::optional<BrowserRequest> request;
     std::string why =
         "cannot accept the request: too many requests are pending; wait for the answer before you send the "
         "next one";
     try {
-        request = parse_browser_request(message);
+        request = parse_request(message);
     } catch (const UsageError& error) {
         why = error.what();
     }
@@ -83,62 +79,57 @@ void ViewerSession::handle_tab_message(TabId id, const std::string& message) {
 }
 
 /// The most urgent job. The caller must hold the mutex.
-std::optional<ViewerSession::ViewerJob> ViewerSession::take_next_job_of_tab(
-    TabId tab_id, const std::shared_ptr<BrowserTabState>& tab) {
+std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
+                                                                const std::shared_ptr<BrowserTabState>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
         return ViewerJob{tab_id, "hello", [this, tab_id] {
-                             Json hello = scanner_.make_initial_page_data_json();
+                             Json hello = scanner_.page_data();
                              hello["save_folder"] = save_folder_.string();
-                             answers_.text(tab_id, dump_json_as_valid_utf8(hello));
+                             answers_.text(tab_id, dump_utf8(hello));
                          }};
     }
-    if (const RecordedScans::RecordedScansState state = scanner_.get_measured_scans().get_loading_state();
+    if (const RecordedScans::RecordedScansState state = scanner_.measured_scans().state();
         state != tab->last_sent_state) {
         tab->last_sent_state = state;
-        return ViewerJob{
-            tab_id, "log", [this, tab_id, state] {
-                answers_.text(tab_id,
-                              dump_json_as_valid_utf8(
-                                  {{"kind", "log"},
-                                   {"state", get_loading_state_name(state)},
-                                   {"why", scanner_.get_measured_scans().get_reason_for_missing_scans()}}));
-            }};
+        return ViewerJob{tab_id, "log", [this, tab_id, state] {
+                             answers_.text(tab_id, dump_utf8({{"kind", "log"},
+                                                              {"state", state_name(state)},
+                                                              {"why", scanner_.measured_scans().reason()}}));
+                         }};
     }
     if (tab->refused) {
         const std::string why = *std::exchange(tab->refused, std::nullopt);
-        return ViewerJob{tab_id, "message",
-                         [this, tab_id, why] { send_error_message(tab_id, "message", why); }};
+        return ViewerJob{tab_id, "message", [this, tab_id, why] { send_error(tab_id, "message", why); }};
     }
     if (!tab->others.empty()) {
         const BrowserRequest request = std::move(tab->others.front());
         tab->others.pop_front();
-        return ViewerJob{tab_id, get_request_name(request), [this, tab_id, tab, request] {
-                             Json response = execute_request_and_make_answer(tab->cache, request);
+        return ViewerJob{tab_id, request_name(request), [this, tab_id, tab, request] {
+                             Json response = execute(tab->cache, request);
                              response["kind"] = std::holds_alternative<SaveRequest>(request)
                                                     ? "saved"
-                                                    : get_request_name(request);
-                             answers_.text(tab_id, dump_json_as_valid_utf8(response));
+                                                    : request_name(request);
+                             answers_.text(tab_id, dump_utf8(response));
                          }};
     }
     if (tab->scan) {
         const LiveScanRequest wish = *std::exchange(tab->scan, std::nullopt);
-        return ViewerJob{tab_id, get_request_name(wish), [this, tab_id, tab, wish] {
-                             answers_.frame(tab_id, scanner_.render_scan_as_binary_message(tab->cache, wish));
+        return ViewerJob{tab_id, request_name(wish), [this, tab_id, tab, wish] {
+                             answers_.frame(tab_id, scanner_.render_message(tab->cache, wish));
                          }};
     }
     return {};
 }
 
 /// Starts with the tab after the previous one, so that all tabs are served in turn.
-std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_next_viewer_job(
-    std::chrono::milliseconds max_wait) {
+std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_job(std::chrono::milliseconds max_wait) {
     std::optional<ViewerJob> job;
     const auto look = [&] {
         auto tab = tabs_.upper_bound(last_served_);
         for (std::size_t i = 0; i < tabs_.size() && !job; ++i) {
             if (tab == tabs_.end()) tab = tabs_.begin();
-            job = take_next_job_of_tab(tab->first, tab->second);
+            job = take_job(tab->first, tab->second);
             ++tab;
         }
         return job.has_value();
@@ -149,16 +140,16 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_next_viewer_job(
     return job;
 }
 
-void ViewerSession::run_pending_requests_and_stop() {
+void ViewerSession::finish_requests() {
     {
         const std::lock_guard lock(mutex_);
         deaf_ = true;
     }
-    while (wait_for_and_run_next_request(std::chrono::milliseconds(0))) {}
+    while (run_next(std::chrono::milliseconds(0))) {}
 }
 
-bool ViewerSession::wait_for_and_run_next_request(std::chrono::milliseconds max_wait) {
-    const std::optional<ViewerJob> job = wait_for_next_viewer_job(max_wait);
+bool ViewerSession::run_next(std::chrono::milliseconds max_wait) {
+    const std::optional<ViewerJob> job = wait_for_job(max_wait);
     if (!job) return false;
     try {
         job->run();
@@ -166,23 +157,22 @@ bool ViewerSession::wait_for_and_run_next_request(std::chrono::milliseconds max_
         // Without a device, no browser tab can receive a scan.
         throw;
     } catch (const Error& error) {
-        send_error_message(job->id, job->about, error.what());
+        send_error(job->id, job->about, error.what());
     }
     return true;
 }
 
-Json ViewerSession::execute_request_and_make_answer(TabCache& cache, const BrowserRequest& request) const {
-    if (const auto* wish = std::get_if<SaveRequest>(&request)) return save_edited_run_and_describe_it(*wish);
-    if (const auto* file = std::get_if<SensorFile>(&request))
-        return scanner_.store_uploaded_sensor_and_describe_it(cache, *file);
-    const ActorEdits::ActorCopy copy = make_actor_copy_on_ground(
-        scanner_.get_run(), scanner_.get_other_runs(), std::get<GroundPoseRequest>(request));
+Json ViewerSession::execute(TabCache& cache, const BrowserRequest& request) const {
+    if (const auto* wish = std::get_if<SaveRequest>(&request)) return save_edited(*wish);
+    if (const auto* file = std::get_if<SensorFile>(&request)) return scanner_.store_sensor(cache, *file);
+    const ActorEdits::ActorCopy copy =
+        copy_on_ground(scanner_.trained_run(), scanner_.other_runs(), std::get<GroundPoseRequest>(request));
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
-Json ViewerSession::save_edited_run_and_describe_it(const SaveRequest& request) const {
+Json ViewerSession::save_edited(const SaveRequest& request) const {
     // Invalid edits leave no folder behind.
-    TrainedRun run = apply_edits_to_copy_of_run(scanner_.get_run(), scanner_.get_other_runs(), request.edits);
+    Run run = apply_edits(scanner_.trained_run(), scanner_.other_runs(), request.edits);
     const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))

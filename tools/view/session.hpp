@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Connects many browser tabs to one renderer. Messages arrive on the server's thread.
-// Only the thread that calls wait_for_and_run_next_request() uses the device. Each tab
+// Only the thread that calls run_next() uses the device. Each tab
 // receives only the newest scan that it has requested. Tabs are served in turn.
 #pragma once
 
@@ -23,7 +23,7 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Called only by the thread of wait_for_and_run_next_request(). A text is a JSON object
+/// Called only by the thread of run_next(). A text is a JSON object
 /// whose member "kind" is hello, log, sensor, ground, saved or error.
 struct TabSendCallbacks {
     std::function<void(TabId, std::string)> text;
@@ -34,21 +34,21 @@ class ViewerSession {
 public:
     /// @param others other runs, whose actors the user can insert
     /// @param save_folder for edited runs
-    ViewerSession(TrainedRun run, OtherRunsByName others, Device& device, std::filesystem::path save_folder,
+    ViewerSession(Run run, OtherRunsByName others, Device& device, std::filesystem::path save_folder,
                   TabSendCallbacks answers);
 
-    const TrainedRun& get_run() const { return scanner_.get_run(); }
+    const Run& trained_run() const { return scanner_.trained_run(); }
 
     void open_tab(TabId tab_id);
     void close_tab(TabId tab_id);
-    void handle_tab_message(TabId tab_id, const std::string& message);
+    void handle_message(TabId tab_id, const std::string& message);
 
     /// @return true if a request was executed
     /// @throws DeviceError if the device has failed
-    bool wait_for_and_run_next_request(std::chrono::milliseconds max_wait);
+    bool run_next(std::chrono::milliseconds max_wait);
     /// Ignores new messages.
     /// @throws DeviceError if the device has failed
-    void run_pending_requests_and_stop();
+    void finish_requests();
 
 private:
     struct BrowserTabState {
@@ -68,11 +68,11 @@ private:
         std::function<void()> run;
     };
 
-    std::optional<ViewerJob> wait_for_next_viewer_job(std::chrono::milliseconds max_wait);
-    std::optional<ViewerJob> take_next_job_of_tab(TabId tab_id, const std::shared_ptr<BrowserTabState>& tab);
-    nlohmann::json execute_request_and_make_answer(TabCache& cache, const BrowserRequest& request) const;
-    void send_error_message(TabId tab_id, const char* request_name, const std::string& reason) const;
-    nlohmann::json save_edited_run_and_describe_it(const SaveRequest& request) const;
+    std::optional<ViewerJob> wait_for_job(std::chrono::milliseconds max_wait);
+    std::optional<ViewerJob> take_job(TabId tab_id, const std::shared_ptr<BrowserTabState>& tab);
+    nlohmann::json execute(TabCache& cache, const BrowserRequest& request) const;
+    void send_error(TabId tab_id, const char* request_name, const std::string& reason) const;
+    nlohmann::json save_edited(const SaveRequest& request) const;
 
     BrowserScanRenderer scanner_;
     const std::filesystem::path save_folder_;
@@ -81,8 +81,7 @@ private:
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<BrowserTabState>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ =
-        false;  ///< True after run_pending_requests_and_stop() was called, so that new messages are ignored.
+    bool deaf_ = false;  ///< True after finish_requests() was called, so that new messages are ignored.
 };
 
 }  // namespace relidar::view

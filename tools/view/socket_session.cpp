@@ -41,27 +41,26 @@ void SocketSession::accept_handshake(
         self->hub_.clients[self->id_] = self;
         const WebSocketEvents& events = self->hub_.events;
         (is_foxglove ? events.foxglove_opened : events.opened)(self->id_);
-        self->start_reading_message();
+        self->read_message();
     });
 }
 
-void SocketSession::start_reading_message() {
-    stream_.async_read(incoming_, [self = shared_from_this()](Error failed, std::size_t) {
-        self->handle_read_result(failed);
-    });
+void SocketSession::read_message() {
+    stream_.async_read(incoming_,
+                       [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
-void SocketSession::handle_read_result(Error error) {
+void SocketSession::on_read(Error error) {
     // For an invalid message, the stream has already sent the error code.
-    if (error) return remove_client_from_hub();
-    if (!stream_.got_text()) return close_because_of_invalid_message();
+    if (error) return leave_hub();
+    if (!stream_.got_text()) return close_invalid();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
     incoming_.consume(incoming_.size());
     hub_.events.message(id_, std::move(text));
-    start_reading_message();
+    read_message();
 }
 
-void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
+void SocketSession::send_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
     if (id_ == 0 || refused_) return;
     // The first message stays, because it is already being written.
     if (drop_queued_older_message) {
@@ -70,36 +69,35 @@ void SocketSession::send_or_queue_message(std::string bytes, bool is_text, bool 
             outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
     }
     if (outgoing_.size() >= kMaxWaiting) {
-        remove_client_from_hub();
+        leave_hub();
         boost::beast::get_lowest_layer(stream_).close();
         return;
     }
     outgoing_.push_back({std::move(bytes), is_text, drop_queued_older_message});
-    if (outgoing_.size() == 1) start_writing_message();
+    if (outgoing_.size() == 1) write_message();
 }
 
-void SocketSession::send_messages_if_queue_is_empty(std::vector<std::string> messages) {
+void SocketSession::send_batch(std::vector<std::string> messages) {
     if (id_ == 0 || refused_ || messages.empty() || !outgoing_.empty()) return;
     for (std::string& bytes : messages) outgoing_.push_back({std::move(bytes), false, false});
-    start_writing_message();
+    write_message();
 }
 
-void SocketSession::start_writing_message() {
+void SocketSession::write_message() {
     stream_.text(outgoing_.front().is_text);
-    stream_.async_write(
-        boost::asio::buffer(outgoing_.front().bytes),
-        [self = shared_from_this()](Error failed, std::size_t) { self->handle_write_result(failed); });
+    stream_.async_write(boost::asio::buffer(outgoing_.front().bytes),
+                        [self = shared_from_this()](Error failed, std::size_t) { self->on_write(failed); });
 }
 
-void SocketSession::handle_write_result(Error error) {
-    if (error) return remove_client_from_hub();
+void SocketSession::on_write(Error error) {
+    if (error) return leave_hub();
     outgoing_.pop_front();
-    if (refused_) return close_because_of_invalid_message();
-    if (!outgoing_.empty()) start_writing_message();
+    if (refused_) return close_invalid();
+    if (!outgoing_.empty()) write_message();
     else if (leaving_) close_with_reason(websocket::close_code::going_away, "the program is shutting down");
 }
 
-void SocketSession::close_after_sending_queued_messages() {
+void SocketSession::drain() {
     leaving_ = true;
     if (id_ != 0 && outgoing_.empty())
         close_with_reason(websocket::close_code::going_away, "the program is shutting down");
@@ -108,11 +106,11 @@ void SocketSession::close_after_sending_queued_messages() {
 void SocketSession::close_with_reason(std::uint16_t code, const char* reason) {
     if (std::exchange(said_goodbye_, true)) return;
     stream_.async_close({websocket::close_code(code), reason},
-                        [self = shared_from_this()](Error) { self->remove_client_from_hub(); });
+                        [self = shared_from_this()](Error) { self->leave_hub(); });
 }
 
 /// Waits until the current write is finished.
-void SocketSession::close_because_of_invalid_message() {
+void SocketSession::close_invalid() {
     refused_ = true;
     if (!outgoing_.empty()) {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
@@ -121,7 +119,7 @@ void SocketSession::close_because_of_invalid_message() {
     close_with_reason(websocket::close_code::unknown_data, "found a binary message, expected a text message");
 }
 
-void SocketSession::remove_client_from_hub() {
+void SocketSession::leave_hub() {
     if (id_ == 0) return;
     const ClientId id = std::exchange(id_, 0);
     hub_.clients.erase(id);

@@ -25,10 +25,10 @@ public:
     /// @param foxglove_protocol selected subprotocol of Foxglove; empty for the web page
     void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
                           std::string_view foxglove_protocol);
-    void send_or_queue_message(std::string bytes, bool is_text, bool drop_queued_older_message);
+    void send_message(std::string bytes, bool is_text, bool drop_queued_older_message);
     /// Skips all of them if earlier messages are still queued.
-    void send_messages_if_queue_is_empty(std::vector<std::string> messages);
-    void close_after_sending_queued_messages();
+    void send_batch(std::vector<std::string> messages);
+    void drain();
 
 private:
     struct OutgoingMessage {
@@ -38,13 +38,13 @@ private:
     };
     using Error = boost::system::error_code;
 
-    void start_reading_message();
-    void handle_read_result(Error error);
-    void start_writing_message();
-    void handle_write_result(Error error);
-    void close_because_of_invalid_message();
+    void read_message();
+    void on_read(Error error);
+    void write_message();
+    void on_write(Error error);
+    void close_invalid();
     void close_with_reason(std::uint16_t code, const char* reason);
-    void remove_client_from_hub();
+    void leave_hub();
 
     WebServerState& hub_;
     CountedConnection counted_;

@@ -13,38 +13,38 @@
 #include "request.hpp"
 
 namespace relidar {
-struct TrainedRun;
+struct Run;
 }
 
 namespace relidar::view {
 
 /// By the name of the run on the web page.
-using OtherRunsByName = std::map<std::string, TrainedRun>;
+using OtherRunsByName = std::map<std::string, Run>;
 
 /// @throws UsageError if a run or track is unknown
-SceneWithLog add_copied_actors_with_surfels(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
-                                            const std::vector<ActorEdits::ActorCopy>& copies);
+SceneWithLog add_copies(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+                        const std::vector<ActorEdits::ActorCopy>& copies);
 
 /// At the position where the user has clicked.
 /// @throws UsageError if there is no ground
-ActorEdits::ActorCopy make_actor_copy_on_ground(const TrainedRun& run, const OtherRunsByName& other_runs,
-                                                const GroundPoseRequest& request);
+ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& other_runs,
+                                     const GroundPoseRequest& request);
 
 /// After all edits, without surfels.
 class EditedTraffic {
 public:
     /// @throws UsageError if a track is unknown
-    EditedTraffic(const TrainedRun& run, const OtherRunsByName& others, const ActorEdits& edits);
+    EditedTraffic(const Run& run, const OtherRunsByName& others, const ActorEdits& edits);
 
-    const ActorEdits& get_edits() const { return edits_; }
-    const std::vector<ModelInstance>& get_instances() const { return driving_.scene.instances; }
+    const ActorEdits& edits() const { return edits_; }
+    const std::vector<ModelInstance>& instances() const { return driving_.scene.instances; }
     /// In the world frame of the dataset, for ScanRequest::dataset_from_actor.
-    ActorTracksByName get_poses_of_visible_actors(double time_s) const;
+    ActorTracksByName visible_poses(double time_s) const;
     /// Including hidden actors: [{track, category, size, present, pose}].
-    nlohmann::json list_actors_as_json(double time_s) const;
+    nlohmann::json actors_json(double time_s) const;
 
 private:
-    bool is_actor_neither_removed_nor_hidden(const BoxTrack& box) const {
+    bool is_shown(const BoxTrack& box) const {
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
@@ -53,7 +53,6 @@ private:
 };
 
 /// Hidden actors stay in the run. The history of the new run contains the edits.
-TrainedRun apply_edits_to_copy_of_run(const TrainedRun& run, const OtherRunsByName& other_runs,
-                                      const ActorEdits& edits);
+Run apply_edits(const Run& run, const OtherRunsByName& other_runs, const ActorEdits& edits);
 
 }  // namespace relidar::view

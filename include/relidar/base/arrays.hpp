@@ -23,14 +23,14 @@ struct NamedArray {
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
-    std::size_t count_array_elements() const;
+    std::size_t element_count() const;
     /// Returns the values converted to float. Booleans (b1) become 0 or 1.
     /// @throws DataError if the array holds text, or if the number of bytes does not
     /// match the shape
-    std::vector<float> convert_to_floats() const;
+    std::vector<float> to_floats() const;
     /// Returns the values converted to double. Use this function for times and large
     /// coordinates, because single precision (float) is too coarse for them.
-    std::vector<double> convert_to_doubles() const;
+    std::vector<double> to_doubles() const;
 };
 
 /// Returns a pointer to the array with this name, or nullptr if the name does not exist.
@@ -52,7 +52,7 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const st
 /// @return array of shape [texts]
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
 /// Creates a zero-dimensional array (shape []) that holds one text.
-NamedArray make_single_text_array(std::string name, const std::string& text);
+NamedArray single_text(std::string name, const std::string& text);
 
 /// Writes an npz file in the format of numpy.savez_compressed. Writing equal arrays twice
 /// gives identical files.

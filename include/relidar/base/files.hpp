@@ -19,23 +19,23 @@ namespace relidar {
 /// file is then removed. A DataError or standard exception from `write_content` is
 /// rethrown as a DataError that names the path. Other relidar errors are passed on
 /// unchanged.
-void write_file_atomically(const std::filesystem::path& path,
-                           const std::function<void(const std::filesystem::path&)>& write_content);
+void write_atomically(const std::filesystem::path& path,
+                      const std::function<void(const std::filesystem::path&)>& write_content);
 /// Returns a unique temporary path in the same folder as `final_path`. The caller writes
-/// the file there and then renames it to `final_path`. remove_temporary_files() removes
+/// the file there and then renames it to `final_path`. remove_temp() removes
 /// temporary files that were never renamed.
-std::filesystem::path make_unique_temporary_path(const std::filesystem::path& final_path);
+std::filesystem::path make_temp_path(const std::filesystem::path& final_path);
 /// Removes temporary files and folders that a killed process has left in a folder. These
 /// files have names of the form .NAME.tmp-PID-COUNT. Call this function only for a folder
 /// to which no other process writes.
-void remove_temporary_files(const std::filesystem::path& folder);
+void remove_temp(const std::filesystem::path& folder);
 /// Writes a text file atomically. The final name exists only when the content is
 /// complete.
 void write_text_file(const std::filesystem::path& path, const std::string& text);
 
 /// Temporary folder that gets its final name when it is complete.
-/// move_folder_and_replace_existing() renames the temporary folder and replaces an
-/// existing folder with the final name. If move_folder_and_replace_existing() is not
+/// replace_folder() renames the temporary folder and replaces an
+/// existing folder with the final name. If replace_folder() is not
 /// called, the destructor removes the temporary folder. The constructor also removes
 /// temporary folders that killed processes have left next to the final folder.
 class StagedFolder {
@@ -48,16 +48,16 @@ public:
     StagedFolder& operator=(const StagedFolder&) = delete;
 
     /// Path of the temporary folder. Write files to this path before
-    /// move_folder_and_replace_existing().
+    /// replace_folder().
     const std::filesystem::path& path() const { return path_; }
     /// Renames the temporary folder to its final name and replaces an existing folder.
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
     /// kept.
-    void move_folder_and_replace_existing() const;
+    void replace_folder() const;
     /// Renames the temporary folder to its final name. If a folder with this name exists,
     /// it is replaced only if it is empty.
     /// @throws DataError if the name is in use, or the folder cannot be renamed
-    void move_folder_without_replacing_existing() const;
+    void publish_folder() const;
 
 private:
     std::filesystem::path final_path_, path_;

@@ -52,7 +52,7 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
 /// a larger angle than a column
 /// @throws UsageError if `vertical_scale` is below 1
 /// @throws DataError if the widths differ
-Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale = 1);
+Image stack_images(const std::vector<Image>& images, int vertical_scale = 1);
 /// Writes an image as a PNG file. encode_png() does not write a file, but returns the
 /// bytes.
 /// @param metadata stored as international text (iTXt). A name has 1 to 79 Latin letters.

@@ -45,7 +45,7 @@ public:
     /// Returns the same address, but with `Other` as the tag type that names the content
     /// of the array. Only this function changes the tag type.
     template <class Other>
-    Of<Other> cast_content_tag() const {
+    Of<Other> cast_tag() const {
         return Of<Other>(value_);
     }
 

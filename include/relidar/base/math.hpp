@@ -93,7 +93,7 @@ struct PoseMotion {
     /// Returns the pose of the object at the time `time_offset_s`, in seconds after the
     /// reference time of the sweep.
     /// @param middle_pose pose of the object in the middle of the time span
-    Pose compute_pose_at_sweep_time(const Pose& middle_pose, double time_offset_s) const {
+    Pose pose_at(const Pose& middle_pose, double time_offset_s) const {
         const double since_s = glm::clamp(time_offset_s - middle_s, -half_span_s, half_span_s);
         const glm::dvec3 v = since_s * velocity_mps, w = since_s * angular_velocity_radps;
         return apply_twist(middle_pose, {v.x, v.y, v.z, w.x, w.y, w.z});

@@ -21,7 +21,7 @@ struct ProcessGroup {
     /// called it. If `size` is 1, this function is not called.
     std::function<std::string(const std::string& bytes)> all_gather = {};
 
-    bool is_first_process() const { return rank == 0; }
+    bool is_first() const { return rank == 0; }
 
     struct PartRange {
         std::size_t begin, end;
@@ -29,7 +29,7 @@ struct ProcessGroup {
     /// Returns the contiguous range of parts, out of `n_parts_of_all_processes`, that
     /// this process computes. The numbers of parts of any two processes differ by at most
     /// one. The first process has at least one part if n_parts_of_all_processes > 0.
-    PartRange get_range_of_process(std::size_t n_parts_of_all_processes) const {
+    PartRange part_range(std::size_t n_parts_of_all_processes) const {
         const auto first_of = [&](int of) {
             return (n_parts_of_all_processes * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
         };
@@ -39,7 +39,7 @@ struct ProcessGroup {
     /// Collects the values of all processes. Returns all values in the order of the
     /// ranks, in every process.
     template <class T>
-    std::vector<T> gather_from_all_processes(std::vector<T> local_values) const {
+    std::vector<T> gather(std::vector<T> local_values) const {
         static_assert(std::is_trivially_copyable_v<T>);
         if (size == 1) return local_values;
         const std::string all =
@@ -52,9 +52,9 @@ struct ProcessGroup {
     /// Returns the values of the first process in every process. The values of all other
     /// processes are ignored.
     template <class T>
-    std::vector<T> broadcast_from_first_process(std::vector<T> values) const {
-        if (!is_first_process()) values.clear();
-        return gather_from_all_processes(std::move(values));
+    std::vector<T> broadcast(std::vector<T> values) const {
+        if (!is_first()) values.clear();
+        return gather(std::move(values));
     }
 };
 

@@ -13,9 +13,9 @@ namespace relidar {
 
 /// Callback that slow work calls from time to time, on the thread that started the work.
 /// If the callback is empty, no progress is reported.
-/// @param what short description of the current work
+/// @param what short text of the current work
 /// @param done completed fraction of the work, 0..1
-using ProgressReporter = std::function<void(std::string_view what, double done)>;
+using Progress = std::function<void(std::string_view what, double done)>;
 
 /// Measures the time spent in each stage of slow work. Only one stage runs at a time.
 /// Stages are listed in the order in which they were first started.
@@ -28,31 +28,31 @@ public:
     /// Ends the running stage and starts the named stage. If a stage runs several times,
     /// its times are added.
     void start_stage(std::string_view name) {
-        end_running_stage();
+        end_stage();
         const auto existing_stage = std::ranges::find(stages_, name, &Stage::name);
         running_ = std::size_t(existing_stage - stages_.begin());
         if (existing_stage == stages_.end()) stages_.push_back({std::string(name)});
         since_ = std::chrono::steady_clock::now();
     }
-    void end_running_stage() {
+    void end_stage() {
         if (running_ < stages_.size())
             stages_[running_].seconds +=
                 std::chrono::duration<double>(std::chrono::steady_clock::now() - since_).count();
-        running_ = kNone;
+        running_ = kNoStage;
     }
     /// Returns all stages with their times. The time of a stage that is still running is
     /// not yet added.
     const std::vector<Stage>& stages() const { return stages_; }
 
 private:
-    static constexpr std::size_t kNone = std::size_t(-1);
+    static constexpr std::size_t kNoStage = std::size_t(-1);
     std::vector<Stage> stages_;
-    std::size_t running_ = kNone;
+    std::size_t running_ = kNoStage;
     std::chrono::steady_clock::time_point since_{};
 };
 
 /// Starts the named stage if `times_or_null` is not null.
-inline void begin_timed_stage_if_enabled(StageTimes* times_or_null, std::string_view name) {
+inline void begin_stage(StageTimes* times_or_null, std::string_view name) {
     if (times_or_null) times_or_null->start_stage(name);
 }
 

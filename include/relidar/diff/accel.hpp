@@ -61,7 +61,7 @@ struct AccelAddresses {
 
 /// Returns the shape that encloses surfels on a device. Replaces `automatic` by the shape
 /// that is faster on this device.
-ProxyShape resolve_automatic_proxy_shape(ProxyShape requested_shape, const Device& device);
+ProxyShape resolve_proxy(ProxyShape requested_shape, const Device& device);
 
 class AccelerationStructure {
 public:
@@ -72,26 +72,26 @@ public:
     /// at the first call, if `force_rebuild` is true, or if the options require a
     /// rebuild. Otherwise only their boxes are refitted. The top-level tree over the
     /// instances is always updated.
-    void record_bvh_refit_or_build(Stream& stream, const DeviceScene& scene, bool force_rebuild = false);
+    void record_refit(Stream& stream, const DeviceScene& scene, bool force_rebuild = false);
     /// Records GPU commands that refit the trees of actors with changing shape, for
     /// example walking persons, and update the top-level tree. Use this function if the
     /// surfels of all other models are unchanged.
-    void record_refit_of_animated_actor_bvhs(Stream& stream, const DeviceScene& scene);
+    void refit_animated(Stream& stream, const DeviceScene& scene);
     /// Records GPU commands that update only the top-level tree. Use this function if
     /// instances have moved but no surfel has changed.
-    void record_top_level_bvh_update(Stream& stream, const DeviceScene& scene);
+    void record_top_level(Stream& stream, const DeviceScene& scene);
 
     /// Starts a measurement of the traversal cost of the software tree and evaluates the
     /// previous measurement. If the cost has grown too much since the last build, the
-    /// next record_bvh_refit_or_build() rebuilds the tree. The function waits until the
+    /// next record_refit() rebuilds the tree. The function waits until the
     /// GPU has finished the previous measurement. Therefore call it only every few
     /// iterations. The commands of the previous measurement must have been submitted.
-    void record_bvh_cost_measurement(Stream& stream);
+    void record_cost(Stream& stream);
 
-    AccelAddresses get_device_addresses() const;
-    ProxyShape get_proxy_shape_of_surfels() const;
-    std::uint64_t get_build_and_refit_count() const;  ///< Number of builds and refits recorded so far.
-    int count_refits_since_build() const;             ///< Number of refits recorded since the last build.
+    AccelAddresses addresses() const;
+    ProxyShape proxy_shape() const;
+    std::uint64_t n_updates() const;  ///< Number of builds and refits recorded so far.
+    int n_refits() const;             ///< Number of refits recorded since the last build.
 
     struct Impl;
     const Impl& impl() const { return *impl_; }

@@ -31,7 +31,7 @@ struct GradientSelection {
 struct DeviceGradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
     /// Gradients with respect to the surfel records,
-    /// [DeviceScene::count_gradient_rows(),16]. A surfel record is the 16 floats that
+    /// [DeviceScene::count_rows(),16]. A surfel record is the 16 floats that
     /// tracing kernels read for one surfel.
     Array<float, shared::RecordGradients> records;
     /// Flags, [n]: 1 for each surfel that gets a gradient from this batch, otherwise 0.
@@ -97,26 +97,26 @@ struct BackwardOptions {
 class BackwardPass {
 public:
     /// @throws UsageError if hits_per_ray is out of range
-    BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
-                 const TraceOptions& options, const BackwardOptions& backward = {});
+    BackwardPass(Device& device, const ImageModel& model, ProxyShape proxy, const TraceOptions& options,
+                 const BackwardOptions& backward = {});
     ~BackwardPass();
     /// Records GPU commands that compute the gradients of all parameters for the rays of
     /// a batch. The commands overwrite all arrays in `gradients`.
     /// @param view_origin_m position of the sensor that was passed to the last
-    /// DeviceScene::record_activation_of_surfel_parameters(), [3] world frame
-    void record_backward_pass(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
-                              const RenderedBatch& batch, const glm::vec3& view_origin_m,
-                              DeviceGradients& gradients);
+    /// DeviceScene::activate(), [3] world frame
+    void record_backward(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
+                         const RenderedBatch& batch, const glm::vec3& view_origin_m,
+                         DeviceGradients& gradients);
     void set_sh_degree(int degree);
     /// Returns a device array with one element: the largest number of hits of any batch
     /// so far. The caller may reset it to 0. Null with GradientReduction::atomics. If a
-    /// batch has more hits than get_hit_capacity(), the gradients of the additional hits
+    /// batch has more hits than hit_capacity(), the gradients of the additional hits
     /// are summed with atomics. Then two runs are not bit-equal.
-    const Array<std::uint32_t>* get_max_hit_count_on_device() const;
-    std::uint64_t get_hit_capacity() const;
+    const Array<std::uint32_t>* max_hit_count() const;
+    std::uint64_t hit_capacity() const;
     /// Allocates memory for at least n_hits hits of a batch. Waits until the stream is
     /// idle.
-    void reserve_hit_memory(Stream& stream, std::uint64_t n_hits);
+    void reserve_hits(Stream& stream, std::uint64_t n_hits);
 
 private:
     struct Impl;

@@ -35,9 +35,8 @@
     RELIDAR_CHANNEL_VALUES(VALUE)
 
 // Values that only some losses need. They are never copied to the host.
-#define RELIDAR_LOSS_VALUES(VALUE)                                             \
-    VALUE(likelihood, LIKELIHOOD != 0u, evaluate_range_likelihood(hit.t), d_t, \
-          differentiate_range_likelihood(hit.t),                               \
+#define RELIDAR_LOSS_VALUES(VALUE)                                                                 \
+    VALUE(likelihood, LIKELIHOOD != 0u, range_likelihood(hit.t), d_t, range_likelihood_vjp(hit.t), \
           "sum of w times the likelihood of the measured range (docs/method.md M12), 0 without it")
 
 #define RELIDAR_BLENDED_VALUES(VALUE) \

@@ -64,12 +64,11 @@ public:
 
     /// Returns false if the strategy is DensifyStrategy::none. The densifier then does
     /// nothing and has no statistics.
-    bool is_densification_enabled() const;
+    bool is_enabled() const;
     /// Records GPU commands that add the gradients of a batch to the statistics of the
     /// surfels.
-    void record_gradient_statistics_update(Stream& stream, const DeviceScene& scene,
-                                           const BackpropagatedBatch& batch);
-    bool should_densify_after_step(int step) const;
+    void record_statistics(Stream& stream, const DeviceScene& scene, const BackpropagatedBatch& batch);
+    bool is_densify_step(int step) const;
     /// Adds and removes surfels. Surfels keep their order, and a copy is stored next to
     /// its original. Surviving surfels keep their Adam moments; new and changed surfels
     /// start with zero. All statistics are reset. Waits for the GPU once. Afterwards, the
@@ -81,10 +80,10 @@ public:
                                   double reserved_bytes_per_surfel = 0.0);
     /// Records GPU commands that reset the opacities of all surfels, if a reset is
     /// scheduled after this step.
-    void record_opacity_reset_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step);
+    void reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
-    std::vector<double>& get_model_extents_m();              ///< Extent of each model, metres.
-    const std::vector<double>& get_model_extents_m() const;  ///< Extent of each model, metres.
+    std::vector<double>& model_extents_m();              ///< Extent of each model, metres.
+    const std::vector<double>& model_extents_m() const;  ///< Extent of each model, metres.
 
 private:
     struct Impl;

@@ -34,7 +34,7 @@ struct DensifyOptions {
     /// cloned if it is smaller than the limit, and split if it is larger.
     double clone_extent_share = 2e-4;
     /// Minimum opacity. Surfels with a lower opacity are removed. Rays ignore surfels
-    /// below the opacity ImageFormationModel::alpha_min, so the larger of the two limits
+    /// below the opacity ImageModel::alpha_min, so the larger of the two limits
     /// is used.
     double min_opacity = 0.003;
     /// Maximum scale of a surfel, relative to the extent of the model. After step
@@ -43,7 +43,7 @@ struct DensifyOptions {
     int large_from = 3000;  ///< Step after which surfels that are too large are removed.
     /// Number of steps between opacity resets, up to step `until`. 0 = never.
     int opacity_reset_every = 3000;
-    /// Opacity after a reset. Values below 2.5 times ImageFormationModel::alpha_min are
+    /// Opacity after a reset. Values below 2.5 times ImageModel::alpha_min are
     /// raised to that limit.
     double reset_opacity = 0.01;
     /// Maximum number of surfels that densification may reach. Densification does not
@@ -66,7 +66,7 @@ struct DensifyReport {
     /// about this problem contains the message. Empty otherwise.
     std::string note;
 
-    std::uint32_t count_removed_surfels() const { return invalid + faint + large + outside; }
+    std::uint32_t n_removed() const { return invalid + faint + large + outside; }
     /// Adds the counts of a later report to this report. `after` and a non-empty `note`
     /// are copied from the later report.
     void add_counts(const DensifyReport& later_report);

@@ -2,10 +2,10 @@
 // Differentiable renderer. It renders rays from the parameters of a scene, and it
 // computes gradients of the parameters from gradients of the rendered rays. There are two
 // ways to write a training step. On the device, no call waits for the GPU:
-//   record_scene_update_for_view() and record_forward_pass() of renderer(), losses that write
-//   get_last_rendered_batch().upstream, record_backward_pass(), Adam::record_adam_step().
+//   update() and record_forward() of renderer(), losses that write
+//   last_batch().upstream, record_backward(), Adam::record_step().
 // On the host, with arrays, for custom losses in any language:
-//   record_scene_update_for_view() and render_rays() of renderer(), then compute_gradients().
+//   update() and render_rays() of renderer(), then backpropagate().
 #pragma once
 
 #include <functional>
@@ -52,7 +52,7 @@ class DifferentiableRenderer {
 public:
     /// @throws UsageError if an option in gradients.sums is out of range
     /// @throws errors of the Renderer constructor
-    DifferentiableRenderer(Device& device, const Scene& scene, const ImageFormationModel& model,
+    DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
@@ -65,25 +65,24 @@ public:
     /// @param rendered_gradients dL/d(rendered), one entry per ray, or empty arrays
     /// @throws UsageError if nothing was rendered before
     /// @throws DataError if an array has the wrong number of entries
-    HostGradients compute_gradients(const RenderedGradients& rendered_gradients);
+    HostGradients backpropagate(const RenderedGradients& rendered_gradients);
 
     /// Returns the last rendered batch together with the arrays for its gradients.
-    /// Between record_forward_pass() and record_backward_pass(), losses write
+    /// Between record_forward() and record_backward(), losses write
     /// dL/d(rendered) to the array `upstream`.
-    RenderedBatch get_last_rendered_batch();
+    RenderedBatch last_batch();
     /// Records the GPU commands of the backward pass for the last batch. gradients()
     /// contains the results when the stream has finished.
-    void record_backward_pass();
+    void record_backward();
     DeviceGradients& gradients();
     BackwardPass& backward_pass();
 
     /// Calls `change_surfels`, which adds or removes surfels. Waits until the stream is
     /// idle, frees all memory that depends on the number of surfels, and allocates it
-    /// again afterwards. The caller must call Renderer::record_scene_update_for_view()
+    /// again afterwards. The caller must call Renderer::update()
     /// next.
     /// @param change_surfels receives the bytes per surfel that will be allocated again
-    void change_surfels_and_reallocate_memory(
-        const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
+    void resize(const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 
 private:
     struct Impl;

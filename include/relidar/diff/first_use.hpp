@@ -8,11 +8,11 @@
 namespace relidar {
 
 /// Checks float atomics, compare-and-swap sums and subgroups. Also checks ray queries if
-/// the options select them. Pass this function to set_device_open_callbacks(). The check
+/// the options select them. Pass this function to set_open_callbacks(). The check
 /// takes about a second.
 /// @return results of the check
 /// @throws DeviceError if no subgroup size gives right results
-DeviceTestResults test_device_capabilities(const DeviceOptions& options);
+DeviceTestResults test_device(const DeviceOptions& options);
 
 /// State of the trees of an acceleration structure.
 enum class AccelTreeState { built, refitted };
@@ -21,6 +21,6 @@ enum class AccelTreeState { built, refitted };
 /// all surfels.
 /// @return the number of rays, out of 256, for which the two renderings have different
 /// hits
-int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state = AccelTreeState::built);
+int count_wrong_rays(Device& device, AccelTreeState tree_state = AccelTreeState::built);
 
 }  // namespace relidar

@@ -45,32 +45,31 @@ struct RenderedRayValues {
 /// Runs the forward kernel with fixed settings. The rendered rays stay on the device.
 class ForwardPass {
 public:
-    ForwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
-                const TraceOptions& options);
+    ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy, const TraceOptions& options);
     ~ForwardPass();
     /// Records GPU commands that trace and render a batch. Before this call, the same
     /// stream must contain two steps:
-    /// DeviceScene::record_activation_of_surfel_parameters(), and an update of the
+    /// DeviceScene::activate(), and an update of the
     /// acceleration structure.
     /// @param rendered_rays  output, [>= n_rays]
     /// @param stored_hits  output: hits for the backward pass of the same batch. Null =
     /// the backward pass traces the rays again
     /// @param surfaces  output, [>= n_rays], required if
-    /// TraceOptions::writes_normals_or_surface_ranges()
-    void record_forward_pass(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
-                             const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
-                             StoredRayHits* stored_hits = nullptr,
-                             const Array<shared::RenderedSurface>* surfaces = nullptr);
+    /// TraceOptions::writes_surfaces()
+    void record_forward(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
+                        const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
+                        StoredRayHits* stored_hits = nullptr,
+                        const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Returns the number of rays since the last call that had too many hits to be traced
     /// completely. Such rays end too early, so the image is wrong. Waits for the GPU.
-    std::uint32_t read_and_reset_truncated_ray_count();
+    std::uint32_t consume_truncated();
     /// Number of rays that had too many hits to be traced completely, [1] on the device.
     /// The count grows until the caller sets it to 0. The host can copy it without
     /// waiting.
-    const Array<std::uint32_t>& get_truncated_ray_count_on_device() const;
+    const Array<std::uint32_t>& n_truncated_rays() const;
     /// Number of rays with more hits than are stored for the backward pass, [1] on the
     /// device. The count grows until the caller sets it to 0.
-    const Array<std::uint32_t>& get_hit_overflow_ray_count_on_device() const;
+    const Array<std::uint32_t>& n_overflowed_rays() const;
     void set_sh_degree(int degree);
 
 private:
@@ -80,8 +79,8 @@ private:
 
 /// Converts rendered rays to host arrays, one per value.
 /// @param surfaces one entry per ray, or empty
-RenderedRayValues convert_rays_to_rendered_values(const std::vector<shared::RenderedRay>& rays,
-                                                  const std::vector<shared::RenderedSurface>& surfaces = {});
+RenderedRayValues to_ray_values(const std::vector<shared::RenderedRay>& rays,
+                                const std::vector<shared::RenderedSurface>& surfaces = {});
 
 struct RendererOptions {
     AccelOptions accel{};
@@ -99,8 +98,8 @@ struct RendererOptions {
 };
 
 /// Renders one scene on one device. Contains the parameters, the acceleration structure
-/// and the rendered rays. Call record_scene_update_for_view() first, then render_rays()
-/// or record_forward_pass() any number of times. The device must outlive the renderer.
+/// and the rendered rays. Call update() first, then render_rays()
+/// or record_forward() any number of times. The device must outlive the renderer.
 /// Only one thread at a time may use a renderer. Several renderers on one device are
 /// independent.
 class Renderer {
@@ -109,7 +108,7 @@ public:
     /// @param scene is copied to the device. Later changes of parameters affect only the
     /// copy.
     /// @throws DataError if models or instances of the scene are out of range
-    Renderer(Device& device, const Scene& scene, const ImageFormationModel& model,
+    Renderer(Device& device, const Scene& scene, const ImageModel& model,
              const RendererOptions& options = {});
     ~Renderer();
 
@@ -122,55 +121,51 @@ public:
     /// directions with ShDirection::surfel
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
-    void record_scene_update_for_view(const std::vector<InstancePose>& instance_poses,
-                                      const glm::vec3& view_origin_m);
+    void update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
     /// Records GPU commands that prepare rendering with the current parameters from a new
     /// sensor position. All instances keep their poses. If no poses were set before, all
     /// instances are at the origin.
-    void record_scene_update_for_view(const glm::vec3& view_origin_m) {
-        record_scene_update_for_view(scene().get_instance_poses(), view_origin_m);
-    }
+    void update(const glm::vec3& view_origin_m) { update(scene().poses(), view_origin_m); }
     /// Records GPU commands that set the sensor position and the poses of all instances.
-    /// Faster than record_scene_update_for_view(), because it does not update the
+    /// Faster than update(), because it does not update the
     /// ray-tracing trees of rigid models. Must not be used if a surfel parameter has
     /// changed since the last call of one of the two functions. If neither was called
-    /// before, does the same as record_scene_update_for_view().
-    void record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
-                                        const glm::vec3& view_origin_m);
+    /// before, does the same as update().
+    void record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
 
     /// Renders rays and waits for the result.
     /// @param rays [n] world frame, directions of length 1
-    /// @throws UsageError if record_scene_update_for_view() was not called before
+    /// @throws UsageError if update() was not called before
     /// @throws DeviceError if a ray has too many hits to be traced completely
     RenderedRayValues render_rays(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
-    /// until the stream has finished. After that, get_last_rendered_batch() contains the
+    /// until the stream has finished. After that, last_batch() contains the
     /// results.
-    void record_forward_pass(const RayBatch& rays);
+    void record_forward(const RayBatch& rays);
     /// Returns the last rendered batch. Its pointer to the rays is null before the first
     /// batch is rendered. Its pointer to gradients (`upstream`) is always null.
-    const RenderedBatch& get_last_rendered_batch() const;
+    const RenderedBatch& last_batch() const;
     /// Waits for the GPU and returns the rendered values of the last batch as host
     /// arrays.
     /// @throws DeviceError if a ray had too many hits to be traced completely
-    RenderedRayValues download_rendering();
+    RenderedRayValues download_rays();
     /// Waits for the GPU and checks that all rays since the last call were traced
     /// completely.
     /// @throws DeviceError if a ray had too many hits and therefore ended too early
-    void require_rays_fully_traced();
+    void check_truncation();
 
-    std::uint32_t get_stored_hits_per_ray() const;
+    std::uint32_t stored_hits_per_ray() const;
     /// Sets the number of hits per ray that are kept for the backward pass. The number
-    /// applies from the next record_forward_pass(). Waits until the stream is idle.
+    /// applies from the next record_forward(). Waits until the stream is idle.
     /// @throws OutOfDeviceMemory if the device does not have enough memory. The number is
     /// then unchanged.
-    void set_stored_hits_per_ray(std::uint32_t hits_per_ray);
+    void set_stored_hits(std::uint32_t hits_per_ray);
 
     /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
-    /// degree of the image model. The caller must call record_scene_update_for_view()
+    /// degree of the image model. The caller must call update()
     /// next.
     void set_sh_degree(int degree);
-    const ImageFormationModel& model() const;  ///< Image model with the active SH degree.
+    const ImageModel& model() const;  ///< Image model with the active SH degree.
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
     /// @throws DataError if the number of surfels or the primitive differs
     void upload_surfels(const Surfels& surfels);
@@ -187,10 +182,10 @@ public:
     const glm::vec3& view_origin_m() const;
 
     /// Releases the acceleration structure. Must be called before surfels are added or
-    /// removed. create_acceleration_structure() creates a new acceleration structure
+    /// removed. create_accel() creates a new acceleration structure
     /// afterwards.
-    void release_acceleration_structure();
-    void create_acceleration_structure();
+    void release_accel();
+    void create_accel();
 
 private:
     struct Impl;

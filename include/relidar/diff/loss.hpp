@@ -30,7 +30,7 @@ struct ImageShape {
     std::uint32_t columns = 0;
     bool circular = false;  ///< True for a full sweep: the first and the last column are neighbours.
 
-    bool has_image_rows_and_columns() const { return rows > 0; }
+    bool is_image() const { return rows > 0; }
 };
 
 /// Measured targets of a batch of rays. The target of ray k is targets[first + k *
@@ -60,7 +60,7 @@ struct LossTermRow {
     std::uint32_t row = 0;
 
     LossTermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
-    Address<float, shared::LossTerms> get_loss_term_row_address() const {
+    Address<float, shared::LossTerms> row_address() const {
         return terms.address_as<float, shared::LossTerms>(std::size_t(row) * kLossTerms);
     }
 };
@@ -73,7 +73,7 @@ struct SurfelGradients {
 };
 
 /// Base class of a loss. A loss computes one or several terms. A custom loss overrides
-/// record_ray_losses() or record_regularisation_losses() and is added to the list of
+/// add_ray_losses() or add_regularisers() and is added to the list of
 /// losses.
 class Loss {
 public:
@@ -83,13 +83,13 @@ public:
     /// @param rendered rays to compare. The commands add the gradient of the loss to
     /// their array `upstream`. Only ImageLoss, the first loss, overwrites this array
     /// @param terms row of a device array, to which the commands add the loss terms
-    virtual void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                                   const LossTermRow& terms);
+    virtual void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                                const LossTermRow& terms);
     /// Records GPU commands for the loss terms that depend directly on the surfel
     /// parameters, not on rendered rays. Called after the backward pass.
     /// @param terms row of a device array, to which the commands add the loss terms
-    virtual void record_regularisation_losses(Stream& stream, const DeviceScene& scene,
-                                              const SurfelGradients& gradients, const LossTermRow& terms);
+    virtual void add_regularisers(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
+                                  const LossTermRow& terms);
 };
 
 /// Creates the losses whose weights are above 0, in the order in which their commands
@@ -106,8 +106,8 @@ public:
     /// @param n_rays number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
-    void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                           const LossTermRow& terms) override;
+    void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                        const LossTermRow& terms) override;
 
 private:
     struct Impl;
@@ -132,13 +132,13 @@ public:
     /// @param n_rays number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;
-    void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                           const LossTermRow& terms) override;
+    void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                        const LossTermRow& terms) override;
     /// Returns two arrays of ray indices, which stand for the points of these rays. The
     /// first array has the nearest measured point of each simulated point of the last
     /// batch. The second array has the nearest simulated point of each measured point. ~0
     /// means no point. Waits for the GPU.
-    std::array<std::vector<std::uint32_t>, 2> download_nearest_point_indices() const;
+    std::array<std::vector<std::uint32_t>, 2> nearest_points() const;
 
 private:
     struct Impl;
@@ -155,8 +155,8 @@ class LikelihoodLoss final : public Loss {
 public:
     LikelihoodLoss(Device& device, const LossWeights& weights);
     ~LikelihoodLoss() override;
-    void record_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                           const LossTermRow& terms) override;
+    void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
+                        const LossTermRow& terms) override;
 
 private:
     struct Impl;
@@ -175,8 +175,8 @@ class ActorBoxLoss final : public Loss {
 public:
     ActorBoxLoss(Device& device, const LossWeights& weights);
     ~ActorBoxLoss() override;
-    void record_regularisation_losses(Stream& stream, const DeviceScene& scene,
-                                      const SurfelGradients& gradients, const LossTermRow& terms) override;
+    void add_regularisers(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
+                          const LossTermRow& terms) override;
 
 private:
     struct Impl;

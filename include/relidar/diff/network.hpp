@@ -48,7 +48,7 @@ struct RayDropNetworkOptions {
 struct RayDropImage {
     int rows = 0, columns = 0;
     /// Input channels, [channels of the network, rows, columns].
-    /// list_network_input_channels() returns the name of each channel.
+    /// channel_names() returns the name of each channel.
     std::vector<float> channels;
     /// Measured drops, [rows, columns]. 1 = dropped, 0 = returned, negative = unknown.
     /// Empty if nothing was measured.
@@ -61,7 +61,7 @@ struct RayDropImage {
 /// "log_range", "intensity", "drop_logit", "weight", "spread" and "cosine" (of the
 /// incidence angle). The options can add "elevation" (the sine of the elevation in the
 /// sensor frame) and "origin_x" ... "origin_z".
-std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions& options);
+std::vector<std::string> channel_names(const RayDropNetworkOptions& options);
 
 struct RayDropNetwork {
     std::string image = "native";     ///< Type of the training images: "native", or the name of a grid.
@@ -76,15 +76,15 @@ struct RayDropNetwork {
     /// logit. If false, its output replaces the rendered drop logit.
     bool residual = true;
     std::vector<float> normalisation;  ///< Scale and shift of each input channel, [channels, 2].
-    std::vector<float> parameters;     ///< Network parameters, layer by layer, in the order of evaluation.
-    /// Running means and variances of the normalisation layers, used during evaluation.
+    std::vector<float> parameters;     ///< Network parameters, layer by layer, in the order of result.
+    /// Running means and variances of the normalisation layers, used during result.
     std::vector<float> running;
 
     bool empty() const { return parameters.empty(); }
-    int compute_min_image_rows_and_columns() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
+    int min_image_size() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
 };
 
-std::size_t count_network_parameters(const RayDropNetworkOptions& options);
+std::size_t count_parameters(const RayDropNetworkOptions& options);
 
 struct RayDropTrainProgress {
     int epoch = 0, n_epochs = 0;
@@ -111,7 +111,7 @@ struct RayDropTrainState {
 
     /// Calls visit(name, value) for each value that is stored in a checkpoint.
     template <class Visitor>
-    void visit_checkpoint_state(Visitor&& visit) {
+    void visit_state(Visitor&& visit) {
         visit("step", step);
         visit("parameters", parameters);
         visit("moment1", moment1);
@@ -136,10 +136,10 @@ using RayDropTrainCallback = std::function<bool(const RayDropTrainProgress& prog
 /// @throws DataError if the images have different shapes, are too small, are not finite
 /// or have no dropped pixels, or if `resume_state` belongs to another training
 /// @throws DeviceError if the device cannot run the layers of the network
-RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropImage>& images,
-                                      const RayDropNetworkOptions& options, std::uint64_t seed,
-                                      const RayDropTrainCallback& progress,
-                                      const RayDropTrainState* resume_state = nullptr);
+RayDropNetwork train_drop_network(Device& device, const std::vector<RayDropImage>& images,
+                                  const RayDropNetworkOptions& options, std::uint64_t seed,
+                                  const RayDropTrainCallback& progress,
+                                  const RayDropTrainState* resume_state = nullptr);
 
 class RayDropInference;
 
@@ -159,13 +159,13 @@ public:
     /// Returns the drop probability of each pixel, [rows, columns].
     /// @throws DataError if the image is too small, or has the wrong number of values or
     /// values that are not finite
-    std::vector<float> predict_drop_probabilities(const RayDropImage& image);
+    std::vector<float> predict_drops(const RayDropImage& image);
     /// Returns the total time of each kernel so far, in milliseconds, by kernel name.
     /// Empty if the device has no timestamps.
     const KernelTimes& times() const;
     /// Returns an object that applies the network to images on the device, without copies
     /// to the host.
-    RayDropInference& get_ray_drop_inference();
+    RayDropInference& inference();
 
 private:
     struct Impl;

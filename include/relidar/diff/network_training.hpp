@@ -15,10 +15,10 @@ struct DropSamples;
 struct DropProbabilities;
 }  // namespace shared
 
-/// Compiles all pipelines for training and evaluation of the network. Does not run them.
-void compile_network_pipelines(Device& device, const RayDropNetworkOptions& options);
+/// Compiles all pipelines for training and result of the network. Does not run them.
+void compile_network(Device& device, const RayDropNetworkOptions& options);
 
-/// Ray-drop network in evaluation mode. Its GPU commands are recorded in a stream that
+/// Ray-drop network in result mode. Its GPU commands are recorded in a stream that
 /// the caller provides.
 class RayDropInference {
 public:
@@ -34,8 +34,8 @@ public:
     /// @return drop probabilities, [rows, columns]. The object keeps one result array for
     /// each of the last two image sizes. A third image size invalidates the older array.
     /// @throws DataError if the image is smaller than
-    /// network().compute_min_image_rows_and_columns()
-    const Array<float, shared::DropProbabilities>& record_network_evaluation(
+    /// network().min_image_size()
+    const Array<float, shared::DropProbabilities>& record_drops(
         Stream& stream, int rows, int columns, bool circular,
         const Array<float, shared::DropSamples>& input_channels);
 

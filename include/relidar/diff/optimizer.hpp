@@ -26,7 +26,7 @@ struct AdamOptions {
 
 /// Returns a value that changes exponentially from `start` at step 0 to `end` at step
 /// n_steps.
-double interpolate_exponentially(double start, double end, int step, int n_steps);
+double interpolate_exp(double start, double end, int step, int n_steps);
 
 class Adam {
 public:
@@ -39,18 +39,18 @@ public:
     /// @param step_number number of the step, counted from 1
     /// @param sh_degree active degree of the spherical harmonics. Coefficients of higher
     /// degrees are not changed
-    void record_adam_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
-                          const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
-                          const LearningRates& learning_rates, int step_number, int sh_degree);
-    SurfelArrays& get_first_moments();
-    SurfelArrays& get_second_moments();
+    void record_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
+                     const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
+                     const LearningRates& learning_rates, int step_number, int sh_degree);
+    SurfelArrays& first_moments();
+    SurfelArrays& second_moments();
     /// Sets an upper bound on the standard deviations of each surfel for all later steps.
     /// After this call, the number of surfels must not change.
     /// @param max_log_scales [n] natural logarithm of the bound in metres
-    void set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales);
+    void set_max_log_scales(Device& device, const std::vector<float>& max_log_scales);
     /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty
     /// without bounds.
-    Array<float>& get_upper_bounds_of_log_scales();
+    Array<float>& max_log_scales();
 
 private:
     struct Impl;
@@ -69,10 +69,10 @@ public:
     /// @param values [n] changed in place
     /// @param gradients [n] gradients of the values
     /// @param step_number number of the step, counted from 1
-    void record_adam_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
-                          double learning_rate, int step_number);
-    Array<float>& get_first_moments();
-    Array<float>& get_second_moments();
+    void record_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
+                     double learning_rate, int step_number);
+    Array<float>& first_moments();
+    Array<float>& second_moments();
 
 private:
     struct Impl;

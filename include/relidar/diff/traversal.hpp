@@ -80,13 +80,13 @@ struct TraceOptions {
     /// at most this value, metres.
     std::optional<float> mode_gap_m{};
 
-    bool writes_normals_or_surface_ranges() const { return normals || mode_gap_m; }
+    bool writes_surfaces() const { return normals || mode_gap_m; }
 };
 
 /// Returns the number of threads that trace a batch. An image is traced in tiles of 16 x
 /// 2 pixels, so threads at its border may have no ray. Without an image, every ray has
 /// one thread.
-std::size_t count_trace_threads(const RayBatch& batch);
+std::size_t count_threads(const RayBatch& batch);
 
 /// First hits of each ray, stored by the forward pass. The backward pass reads these hits
 /// instead of searching for them again.
@@ -100,15 +100,14 @@ struct StoredRayHits {
 
     /// @param n_threads number of threads that trace the largest batch
     StoredRayHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
-        : hits(device, round_up_to_interleave_group_size(n_threads) * hits_per_ray, "kept hits"),
-          per_ray(hits_per_ray) {}
+        : hits(device, round_up_threads(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
     /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE. The hits of
     /// that many neighbouring threads are interleaved in memory.
-    static std::size_t round_up_to_interleave_group_size(std::size_t n_threads) {
+    static std::size_t round_up_threads(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
     bool can_store_hits(const RayBatch& batch) const {
-        return round_up_to_interleave_group_size(count_trace_threads(batch)) * per_ray <= hits.size();
+        return round_up_threads(count_threads(batch)) * per_ray <= hits.size();
     }
 };
 
@@ -116,7 +115,7 @@ struct StoredRayHits {
 /// than `hits_per_ray` hits. The number is doubled while such rays exist. Even a few of
 /// these rays are expensive: on a GPU, their search takes as long as the search for all
 /// rays. The result is at most 256 (4 kB per ray), or `hits_per_ray` if that is larger.
-std::uint32_t recommend_stored_hits_per_ray(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays);
+std::uint32_t grow_stored_hits(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays);
 
 /// Rendered batch with the arrays that the losses and the backward pass read and write.
 struct RenderedBatch {
@@ -128,7 +127,7 @@ struct RenderedBatch {
     const StoredRayHits* stored_hits =
         nullptr;  ///< Hits that the forward pass has stored for this batch, or null.
     /// Surface normals and distances of this batch, [n_rays]. Null without
-    /// TraceOptions::writes_normals_or_surface_ranges().
+    /// TraceOptions::writes_surfaces().
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 

@@ -22,7 +22,7 @@ enum class RayTracingBackend { automatic, ray_query, software };
 /// Returns the traversal method named "auto", "ray_query" or "software". Upper and lower
 /// case are equal.
 /// @throws UsageError for any other name
-RayTracingBackend parse_ray_tracing_backend(const std::string& name);
+RayTracingBackend parse_backend(const std::string& name);
 
 /// Properties of a Vulkan device, and the relidar features that the device supports.
 struct DeviceInfo {
@@ -57,7 +57,7 @@ struct DeviceInfo {
 
 /// Returns the method that RayTracingBackend::automatic selects on a device. Returns
 /// `automatic` if no method works.
-RayTracingBackend choose_best_ray_tracing_backend(const DeviceInfo& info);
+RayTracingBackend best_backend(const DeviceInfo& info);
 
 /// Lists every Vulkan device, in the order of the Vulkan loader.
 /// @throws DeviceError if no Vulkan loader or driver is installed
@@ -66,8 +66,8 @@ std::vector<DeviceInfo> list_devices();
 /// Returns a line about each GPU of the machine that is missing in a list of all devices,
 /// because its Vulkan driver is not installed. Detects GPUs on Linux only.
 /// @param root  folder that contains the folders dev and sys
-std::vector<std::string> list_gpus_without_driver(const std::vector<DeviceInfo>& devices,
-                                                  const std::filesystem::path& root = "/");
+std::vector<std::string> find_driverless(const std::vector<DeviceInfo>& devices,
+                                         const std::filesystem::path& root = "/");
 
 /// Statistics from the driver for one compiled kernel with one set of specialisation
 /// constants.
@@ -91,14 +91,14 @@ struct DeviceOptions {
     /// and devices with ray queries before devices without them.
     int index = -1;
     RayTracingBackend traversal = RayTracingBackend::automatic;
-    /// True: reports list_gpus_without_driver() if a device of the type CPU is selected
+    /// True: reports find_driverless() if a device of the type CPU is selected
     /// automatically.
     bool report_missing_drivers = false;
     bool validation = false;  ///< Enables the Khronos validation layer.
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
     /// If true, pipelines are compiled but no kernel runs. Use this option to read the
-    /// driver's statistics of each pipeline (Device::get_pipeline_statistics). The option
+    /// driver's statistics of each pipeline (Device::statistics). The option
     /// also works with a driver that has no hardware.
     bool compile_only = false;
     /// Folder in which compiled pipelines are cached between processes. If empty, each
@@ -116,7 +116,7 @@ struct DeviceOptions {
 /// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder. 0 = no cache.
 ///   Default: $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar.
 /// @throws UsageError if the limit is not a number
-DeviceOptions apply_environment_variables(DeviceOptions options = {});
+DeviceOptions apply_environment(DeviceOptions options = {});
 
 /// Open Vulkan device. All objects created with a device must be destroyed before the
 /// device.
@@ -133,14 +133,14 @@ public:
     const DeviceInfo& info() const;
     /// Returns the traversal method of this device: ray_query or software, never
     /// automatic.
-    RayTracingBackend get_ray_tracing_backend() const;
-    /// Returns the device memory that arrays currently use, bytes. peak_allocated_bytes()
+    RayTracingBackend backend() const;
+    /// Returns the device memory that arrays currently use, bytes. peak_bytes()
     /// returns the maximum since the device was opened.
     std::uint64_t allocated_bytes() const;
-    std::uint64_t peak_allocated_bytes() const;
+    std::uint64_t peak_bytes() const;
     /// Returns statistics of all pipelines compiled so far, in the order of compilation.
     /// Empty if the device was not opened with compile_only.
-    const std::vector<PipelineStatistics>& get_pipeline_statistics() const;
+    const std::vector<PipelineStatistics>& statistics() const;
 
     struct Impl;
     /// Returns the internal implementation. Only the library uses this function.
@@ -152,11 +152,11 @@ private:
 
 /// Run times of kernels, milliseconds. Only submissions with enabled timing are measured.
 struct KernelTimes {
-    static constexpr std::ptrdiff_t kLast = 4096;
+    static constexpr std::ptrdiff_t kMaxTimes = 4096;
     struct LaunchTotals {
         double launches = 0.0, ms = 0.0;
     };
-    /// Run time of each launch by kernel name. Only the last kLast launches are kept.
+    /// Run time of each launch by kernel name. Only the last kMaxTimes launches are kept.
     std::map<std::string, std::vector<double>> milliseconds;
     /// Number of launches and their total run time, by kernel name.
     std::map<std::string, LaunchTotals> totals;

@@ -20,10 +20,10 @@ class Buffer {
 public:
     Buffer();
     /// Allocates n_bytes of device memory.
-    /// @param description name of the buffer in messages
+    /// @param text name of the buffer in messages
     /// @throws OutOfDeviceMemory if device memory is exhausted. The message names the
     /// buffer, its size and the free memory.
-    Buffer(Device& device, std::size_t n_bytes, const std::string& description);
+    Buffer(Device& device, std::size_t n_bytes, const std::string& text);
     ~Buffer();
     Buffer(Buffer&&) noexcept;
     Buffer& operator=(Buffer&&) noexcept;
@@ -48,7 +48,7 @@ private:
     friend class Array;
     std::unique_ptr<Impl> impl_;
 
-    std::uint64_t get_device_address() const;
+    std::uint64_t device_address() const;
 };
 
 /// Array in device memory. T must be trivially copyable.
@@ -56,10 +56,10 @@ template <class T>
 class Array<T, void> {
 public:
     Array() = default;
-    Array(Device& device, std::size_t count, const std::string& description)
-        : buffer_(device, (count ? count : 1) * sizeof(T), description), n_(count) {}
-    Array(Device& device, std::span<const T> values, const std::string& description)
-        : Array(device, values.size(), description) {
+    Array(Device& device, std::size_t count, const std::string& text)
+        : buffer_(device, (count ? count : 1) * sizeof(T), text), n_(count) {}
+    Array(Device& device, std::span<const T> values, const std::string& text)
+        : Array(device, values.size(), text) {
         upload(values);
     }
 
@@ -74,7 +74,7 @@ public:
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first_index = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
-        return Address<U, Meaning>(buffer_.get_device_address() + first_index * sizeof(T));
+        return Address<U, Meaning>(buffer_.device_address() + first_index * sizeof(T));
     }
     const Buffer& buffer() const { return buffer_; }
     void upload(std::span<const T> values, std::size_t first_index = 0) {
@@ -92,9 +92,9 @@ public:
     /// so no submitted GPU work may use the array.
     /// @throws OutOfDeviceMemory if device memory is exhausted. The array is then
     /// unchanged.
-    void reserve(Device& device, std::size_t count, const std::string& description) {
+    void reserve(Device& device, std::size_t count, const std::string& text) {
         if (count <= n_) return;
-        Array larger_array(device, count, description);
+        Array larger_array(device, count, text);
         if (n_) larger_array.buffer_.copy_from(buffer_, n_ * sizeof(T));
         *this = std::move(larger_array);
     }
@@ -120,7 +120,7 @@ public:
 
 /// Returns the device address of an array, or a null address if the pointer is null.
 template <class T, class Meaning>
-Address<T, Meaning> get_device_address_or_null(const Array<T, Meaning>* array_or_null) {
+Address<T, Meaning> address_or_null(const Array<T, Meaning>* array_or_null) {
     return array_or_null ? array_or_null->address() : Address<T, Meaning>();
 }
 
@@ -144,18 +144,18 @@ public:
     /// device.
     void copy(const Buffer& source, const Buffer& target, std::size_t n_bytes);
     /// Submits the recorded commands to the GPU.
-    /// @return ticket with which wait_for_submission() waits for this submission
+    /// @return ticket with which wait_for() waits for this submission
     std::uint64_t submit_commands();
     /// Waits until the submission with this ticket is done.
     /// @throws DeviceError if the device is lost or a check in a kernel failed. The
     /// message names the kernel.
-    void wait_for_submission(std::uint64_t ticket);
+    void wait_for(std::uint64_t ticket);
     /// Submits the recorded commands and waits until they are done.
-    void submit_and_wait() { wait_for_submission(submit_commands()); }
+    void submit_and_wait() { wait_for(submit_commands()); }
     /// Returns the kernel times measured so far. Times are measured only if timing = true
     /// and the device has timestamps.
     const KernelTimes& times() const;
-    void reset_kernel_times();
+    void reset_times();
     Device& device() const;
 
     struct Impl;
@@ -193,7 +193,7 @@ public:
     ConcurrentSequenceScope& operator=(const ConcurrentSequenceScope&) = delete;
     /// Records the next launches in the sequence (lane) with this index. Until the first
     /// call, launches are recorded in sequence 0.
-    void select_command_sequence(std::size_t sequence_index);
+    void select_lane(std::size_t sequence_index);
 
 private:
     Stream& stream_;
@@ -205,22 +205,21 @@ class ReadbackBuffer {
 public:
     /// Allocates host memory for the copied values.
     /// @param n_bytes maximum size of a copy
-    /// @param description name of the copy in messages
+    /// @param text name of the copy in messages
     /// @throws DeviceError if memory is exhausted
-    ReadbackBuffer(Device& device, std::size_t n_bytes, const std::string& description);
+    ReadbackBuffer(Device& device, std::size_t n_bytes, const std::string& text);
     ~ReadbackBuffer();
     ReadbackBuffer(ReadbackBuffer&&) noexcept;
     ReadbackBuffer& operator=(ReadbackBuffer&&) noexcept;
 
     /// Records a copy of n_bytes from the device into cached host memory. The next
     /// submit_commands() of the stream executes the copy.
-    void record_copy_to_host(Stream& stream, const Buffer& source, std::size_t n_bytes,
-                             std::size_t offset_bytes = 0);
-    /// Returns true if a copy was recorded but not yet read with wait_for_copied_bytes().
-    bool has_pending_copy() const;
+    void record_copy(Stream& stream, const Buffer& source, std::size_t n_bytes, std::size_t offset_bytes = 0);
+    /// Returns true if a copy was recorded but not yet read with wait_for_bytes().
+    bool is_pending() const;
     /// Waits until the recorded copy is done.
-    /// @return the copied bytes, valid until the next record_copy_to_host()
-    const void* wait_for_copied_bytes(Stream& stream);
+    /// @return the copied bytes, valid until the next record_copy()
+    const void* wait_for_bytes(Stream& stream);
 
 private:
     struct Impl;

@@ -39,8 +39,8 @@ struct DeviceOpenCallbacks {
 
 /// Sets the callbacks for all devices that this process opens later. A program calls this
 /// function once, before it opens a device. The standard callback `check` is
-/// test_device_capabilities() in relidar/diff/first_use.hpp.
-void set_device_open_callbacks(DeviceOpenCallbacks callbacks);
+/// test_device() in relidar/diff/first_use.hpp.
+void set_open_callbacks(DeviceOpenCallbacks callbacks);
 
 /// While this scope object exists, the current thread opens devices with the given test
 /// results instead of running the test.

@@ -35,7 +35,7 @@ enum class ChannelMergeRule {
 struct ChannelInfo {
     std::string name;          ///< name in files: lower case letters, digits and _
     std::string unit = {};     ///< unit; empty for a plain number
-    std::string meaning = {};  ///< description for users: a sentence without a full stop
+    std::string meaning = {};  ///< text for users: a sentence without a full stop
     /// Rule for channels of floats. Channels of integers or vectors always use `nearest`.
     ChannelMergeRule join = ChannelMergeRule::nearest;
     /// True for direction vectors, which rotate with the frame of the points.
@@ -67,35 +67,34 @@ struct BasicChannels {
     ChannelInfo range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance;
 };
 /// Returns a reference to a static object.
-const BasicChannels& get_basic_channels();
+const BasicChannels& basic_channels();
 /// Returns the basic channels that are written to files, in the order of their columns in
 /// the files.
-std::vector<ChannelInfo> list_channels_written_to_files();
+std::vector<ChannelInfo> file_channels();
 /// Returns the channels that the setting `render.channels` can enable.
-const std::vector<ChannelInfo>& get_optional_channels();
-/// Returns the names of the channels in `get_optional_channels()`, in the same order.
-std::vector<std::string> list_optional_channel_names();
+const std::vector<ChannelInfo>& optional_channels();
+/// Returns the names of the channels in `optional_channels()`, in the same order.
+std::vector<std::string> optional_names();
 
 /// Parses a comma-separated list of channel names, and removes duplicates.
 /// @throws UsageError for an unknown name; the message suggests the most similar known
 /// name
-std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_names);
+std::vector<ChannelInfo> parse_channels(const std::string& comma_separated_names);
 
 /// Returns the values of the channel with this name, or null if no channel has this name
 /// or its values have another type than T.
 template <class T>
-const std::vector<T>* find_channel_values(const std::vector<ScanChannel>& channels,
-                                          const std::string& channel_name) {
+const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, const std::string& channel_name) {
     for (const ScanChannel& channel : channels)
         if (channel.info.name == channel_name) return std::get_if<std::vector<T>>(&channel.values);
     return nullptr;
 }
 
 /// Returns the number of values of a channel: one for each ray or point.
-std::size_t count_channel_values(const ChannelValues& values);
+std::size_t count_values(const ChannelValues& values);
 
 /// Returns a copy of the channels with the same names and types, but without values.
-std::vector<ScanChannel> copy_channels_without_values(const std::vector<ScanChannel>& channels);
+std::vector<ScanChannel> copy_layout(const std::vector<ScanChannel>& channels);
 
 /// A column of numbers in a file, float32 or int32. A channel of scalars is written as
 /// one column, for example "instance". A channel of vectors is written as three columns,
@@ -104,21 +103,21 @@ struct ChannelColumn {
     std::string name;
     bool is_integer;
 };
-/// Returns the columns that the channels occupy in a file. append_channel_values() writes
+/// Returns the columns that the channels occupy in a file. append_values() writes
 /// the numbers in the same order.
 /// @param axis_separator  text between the name of a vector channel and its axis, for
 /// example "_" in "normal_x"
-std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& channels,
-                                                const std::string& axis_separator = "_");
+std::vector<ChannelColumn> list_columns(const std::vector<ScanChannel>& channels,
+                                        const std::string& axis_separator = "_");
 /// Appends the values of all channels for one ray or point to `output_bytes`. Each number
 /// takes 4 bytes in the byte order of the machine.
 /// @param element_index  index of the ray or point in the arrays of the channels
-void append_channel_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
-                           std::size_t element_index);
+void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
+                   std::size_t element_index);
 
 /// Returns the value where the true value is unknown.
 template <class T>
-T get_value_of_rays_without_hit(const ChannelInfo& channel) {
+T empty_value(const ChannelInfo& channel) {
     return T(float(channel.none));
 }
 
@@ -126,8 +125,8 @@ T get_value_of_rays_without_hit(const ChannelInfo& channel) {
 /// the value in `ScanChannel::second`. If that array is empty, it is the value of the
 /// first return for a channel with `ChannelInfo::of_ray`, otherwise `ChannelInfo::none`.
 /// @param return_number_from_1  number of the return, starting at 1
-void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& ray_channel,
-                                std::size_t index_of_ray, int return_number_from_1);
+void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t index_of_ray,
+                   int return_number_from_1);
 
 /// Checks names and sizes of channels before the channels are written to a file.
 /// @param expected_size  expected number of values
@@ -135,8 +134,7 @@ void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& r
 /// rays or points
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
 /// `expected_size` values
-void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& channels,
-                                           std::size_t expected_size,
-                                           const std::string& element_name_for_errors);
+void check_channels(const std::vector<ScanChannel>& channels, std::size_t expected_size,
+                    const std::string& element_name_for_errors);
 
 }  // namespace relidar

@@ -9,6 +9,6 @@ namespace relidar {
 /// Checks that a log can be used, for example that times ascend, numbers are finite and
 /// arrays have equal lengths. load_sequence() calls this function.
 /// @throws DataError naming the frame or box, the field and the value
-void require_valid_sequence(const LidarSequence& sequence);
+void check_sequence(const Log& sequence);
 
 }  // namespace relidar

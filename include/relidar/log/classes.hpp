@@ -14,7 +14,7 @@ namespace relidar {
 
 struct PoseTrack;
 struct BoxTrack;
-struct LidarSequence;
+struct Log;
 
 /// Class of a surface. The numbers are the values of the channel `class`.
 enum class SurfaceClass : std::uint8_t {
@@ -54,16 +54,14 @@ using SurfaceClassMap = std::vector<SurfaceClassCell>;
 /// the class with the higher number.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
 /// @param boxes  boxes of the objects of the log; returns in moving boxes are ignored
-/// @param frame_indices  indices into LidarSequence::frames of the frames to use
+/// @param frames  indices into Log::frames of the frames to use
 /// @return an empty map if no scan has classes
-SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
-                                               const PoseTrack& world_from_vehicle,
-                                               const std::vector<BoxTrack>& boxes,
-                                               const std::vector<int>& frame_indices);
+SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_vehicle,
+                            const std::vector<BoxTrack>& boxes, const std::vector<int>& frames);
 
 /// Adds the cells of another map. If both maps have a cell at the same position, keeps
 /// the cell of `target_map`.
-void add_missing_cells_of_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map);
+void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map);
 
 /// Finds the class of a point. Several threads can use the same object.
 class SurfaceClassLookup {
@@ -75,7 +73,7 @@ public:
     /// Returns the class of the nearest cell. Returns `unknown` if the centre of this
     /// cell is more than 2 m away, or if a coordinate is not finite.
     /// @param point_m [3] metres, in relidar's world frame
-    SurfaceClass find_class_of_nearest_cell(const glm::dvec3& point_m) const;
+    SurfaceClass find_class(const glm::dvec3& point_m) const;
 
 private:
     struct Impl;

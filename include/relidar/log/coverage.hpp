@@ -20,10 +20,10 @@ class ObservedVoxelSet {
 public:
     static constexpr double kCell_m = 1.0;
     static constexpr int kBlockCells = 8;  ///< cells along an edge of a block
-    static constexpr std::size_t kWords = 32;
+    static constexpr std::size_t kBlockWords = 32;
     /// Bits of the cells of a block, 16 in each word. Cell (x, y, z) of the block is bit
     /// x + 8 y + 64 z.
-    using VoxelBits = std::array<std::uint16_t, kWords>;
+    using VoxelBits = std::array<std::uint16_t, kBlockWords>;
     struct VoxelBlock {
         glm::ivec3 grid_index{0};  ///< position of the lowest corner, in units of blocks
         VoxelBits cells{};
@@ -34,16 +34,16 @@ public:
     /// finite.
     /// @param start_m [3] start of the segment; metres, world frame
     /// @param end_m [3] end of the segment; metres, world frame
-    void add_voxels_on_line_segment(const glm::dvec3& start_m, const glm::dvec3& end_m);
-    void add_voxels_of_block(const VoxelBlock& block);
-    void add_all_voxels_of_set(const ObservedVoxelSet& other_set);
+    void add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m);
+    void add_block(const VoxelBlock& block);
+    void merge(const ObservedVoxelSet& other_set);
     /// Returns the fraction of a line segment's length that is in cells of the set, 0..1.
     /// @param start_m [3] start of the segment; metres, world frame
     /// @param end_m [3] end of the segment; metres, world frame
     /// @return 0 if a coordinate is not finite
-    double compute_observed_fraction_of_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) const;
+    double observed_fraction(const glm::dvec3& start_m, const glm::dvec3& end_m) const;
     /// Returns all blocks, sorted by their positions in ascending order.
-    std::vector<VoxelBlock> list_voxel_blocks() const;
+    std::vector<VoxelBlock> list_blocks() const;
 
 private:
     std::unordered_map<std::uint64_t, VoxelBlock> blocks_;  ///< blocks by position
@@ -60,9 +60,9 @@ private:
 /// Two adjacent beams of a firing also observe the space between them, up to the shorter
 /// of their two lengths.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
-/// @param frame_indices  indices into LidarSequence::frames of the frames to use
+/// @param frames  indices into Log::frames of the frames to use
 /// @param max_range_m  maximum observed length of a ray
-ObservedVoxelSet compute_observed_coverage(const LidarSequence& sequence, const PoseTrack& world_from_vehicle,
-                                           const std::vector<int>& frame_indices, double max_range_m);
+ObservedVoxelSet observe_coverage(const Log& sequence, const PoseTrack& world_from_vehicle,
+                                  const std::vector<int>& frames, double max_range_m);
 
 }  // namespace relidar

@@ -19,7 +19,7 @@ struct RenderedIntensityImage {
     std::vector<float> intensity;
     /// Median range of the ray in metres (RenderedScan::median_range_m). 0: no hit.
     std::vector<float> range_m;
-    std::vector<float> spread_m;       ///< result of compute_range_spread()
+    std::vector<float> spread_m;       ///< result of range_spread()
     std::vector<float> cosine;         ///< of the angle of incidence; negative if unknown
     std::vector<float> elevation_rad;  ///< Elevation of the ray. It identifies the beam.
     bool circular = true;              ///< True if the image covers a full turn.
@@ -39,7 +39,7 @@ struct IntensityScatterModel {
     /// The range of entries in `values` holds the measured intensities of a node,
     /// including those of its children.
     struct DecisionTreeNode {
-        /// Feature that is compared with `at`, below count_intensity_features(). -1: leaf
+        /// Feature that is compared with `at`, below count_features(). -1: leaf
         std::int32_t feature = -1;
         /// The search continues with the first child if the feature is at most this
         /// value.
@@ -54,31 +54,31 @@ struct IntensityScatterModel {
 
     bool empty() const { return nodes.empty(); }
     /// Returns the multiple of `step` that is nearest to an intensity.
-    float quantise_intensity(float intensity) const;
+    float quantise(float intensity) const;
 };
 
 /// Returns the number of features of a ray.
-std::size_t count_intensity_features();
+std::size_t count_features();
 
 /// Returns the quantisation step of intensities: the largest number of which all values
 /// are multiples. M is the largest value, and a value may differ from a multiple by 1e-6
 /// M. Returns 0 if no step >= 1e-5 M exists, or if fewer than eight values are distinct.
 /// @param values  >= 0, in any order
-double find_quantisation_step(std::vector<float> values);
+double find_step(std::vector<float> values);
 
 /// Fits the decision tree to scans of a LiDAR. Splits nodes so that the entropy of the
 /// measured intensities decreases. The result does not depend on the number of threads.
 /// @return an empty tree if there are fewer than a thousand returns
 /// @throws DataError if an array has another size than its image
-IntensityScatterModel fit_intensity_scatter_model(std::span<const PairedIntensities> images);
+IntensityScatterModel fit_scatter(std::span<const PairedIntensities> images);
 
 /// Draws random intensities that a sensor could have measured. Processes the rays beam by
 /// beam from top to bottom, because an intensity also depends on the intensities of
 /// neighbouring rays that were drawn before.
 /// @param return_flags [rows*columns] 0 for rays without a return
 /// @return [rows*columns] kNoIntensity for rays without a return
-std::vector<float> sample_random_intensities(const IntensityScatterModel& scatter,
-                                             const RenderedIntensityImage& rendered,
-                                             std::span<const std::uint8_t> return_flags, std::uint64_t seed);
+std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
+                                    const RenderedIntensityImage& rendered,
+                                    std::span<const std::uint8_t> return_flags, std::uint64_t seed);
 
 }  // namespace relidar

@@ -27,26 +27,26 @@ namespace relidar {
 /// Arrays beyond the limit are stored in an unnamed file, which disappears when the
 /// process ends. Until this function is called, the memory is unlimited.
 /// @param max_bytes  0: half of the memory of the machine or of the control group,
-/// divided by the number of processes (divide_scan_memory_among_processes())
+/// divided by the number of processes (share_scan_memory())
 /// @param overflow_folder  folder of the file; the file is created when the first array
 /// needs it; empty: the system's folder for temporary files
-void store_scans_above_limit_in_file(std::uint64_t max_bytes, std::filesystem::path overflow_folder = {});
+void limit_scan_memory(std::uint64_t max_bytes, std::filesystem::path overflow_folder = {});
 
 /// Sets the number of processes on this machine that load scans. These processes share
 /// the memory limit. The default is one process.
-void divide_scan_memory_among_processes(int n_processes);
+void share_scan_memory(int n_processes);
 
 /// Memory used by the arrays of all scans, in bytes. Arrays below 16 KiB are not counted.
 struct ScanMemoryUse {
     std::uint64_t in_memory = 0;
     std::uint64_t in_file = 0;
 };
-ScanMemoryUse get_scan_memory_use();
+ScanMemoryUse scan_memory_use();
 
 /// Allocates an array in memory, or in a mapped file if the memory limit is reached.
 /// @throws DataError naming the folder if its disk is full or it cannot be written
 /// @throws std::bad_alloc
-void* allocate_scan_array(std::size_t bytes);
+void* allocate_array(std::size_t bytes);
 void free_scan_array(void* array, std::size_t bytes) noexcept;
 
 /// Allocator for the arrays of scans. It stores arrays in a mapped file if the memory
@@ -58,7 +58,7 @@ struct ScanAllocator {
     ScanAllocator() = default;
     template <class U>
     ScanAllocator(const ScanAllocator<U>&) {}
-    T* allocate(std::size_t count) { return static_cast<T*>(allocate_scan_array(count * sizeof(T))); }
+    T* allocate(std::size_t count) { return static_cast<T*>(allocate_array(count * sizeof(T))); }
     void deallocate(T* array, std::size_t count) noexcept { free_scan_array(array, count * sizeof(T)); }
     bool operator==(const ScanAllocator&) const { return true; }
 };
@@ -94,11 +94,11 @@ struct RayTable {
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
-    double get_beam_divergence_rad(std::size_t ray) const {
+    double divergence_of_rad(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
     /// Returns 0 if all rays are ideal.
-    double find_max_divergence_rad() const;
+    double max_divergence_rad() const;
     /// Appends a ray of another table, always of the same one. Does not change `rows` and
     /// `columns`.
     void append_ray(const RayTable& source_table, std::size_t ray_index);
@@ -109,7 +109,7 @@ struct RayTable {
 /// evenly lit disc.
 /// @param n_sub_rays  1, 5 or 9; any other number gives a spiral whose first ray is not
 /// on the axis
-std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays);
+std::vector<glm::dvec2> spread_sub_rays(int n_sub_rays);
 /// Returns true if the columns of a range image cover a full turn, up to a gap of 10
 /// degrees. The first column then follows the last column.
 /// @param directions [rows*columns] directions of the rays, sensor frame
@@ -142,17 +142,15 @@ struct Beam {
     /// clamped.
     /// @param intensity_factor_at_range  factor of the log's IntensityResponse at the
     /// range of the surface
-    double convert_surface_to_measured_range_m(double surface_range_m) const;
-    double convert_measured_to_surface_range_m(double measured_range_m) const;  ///< at least 1 mm
-    double convert_surface_to_measured_intensity(double surface_intensity,
-                                                 double intensity_factor_at_range) const;
-    double convert_measured_to_surface_intensity(double measured_intensity,
-                                                 double intensity_factor_at_range) const;
+    double to_measured_range_m(double surface_range_m) const;
+    double to_surface_range_m(double measured_range_m) const;  ///< at least 1 mm
+    double to_measured_intensity(double surface_intensity, double intensity_factor_at_range) const;
+    double to_surface_intensity(double measured_intensity, double intensity_factor_at_range) const;
 };
 
 /// Returns an ideal beam, which changes neither range nor intensity, if the number is
 /// unknown.
-const Beam& find_beam_of_channel(const std::vector<Beam>& beams, std::size_t channel);
+const Beam& find_beam(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
 struct RangeLimits {
@@ -163,7 +161,7 @@ struct RangeLimits {
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
 /// @throws UsageError if the intersection contains no range
-RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second);
+RangeLimits intersect(const RangeLimits& first, const RangeLimits& second);
 
 /// A spinning LiDAR.
 struct SpinningSensor {
@@ -189,18 +187,18 @@ struct BeamRay {
 };
 
 /// Uses the equation of `Beam`.
-BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad);
+BeamRay aim_beam(const Beam& beam, double head_azimuth_rad);
 
-/// Inverse of compute_beam_ray(): azimuth of the head at which a beam hits a point.
+/// Inverse of aim_beam(): azimuth of the head at which a beam hits a point.
 /// @param point_m [3] metres, sensor frame
 /// @return radians, not wrapped to a range
-double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m);
+double azimuth_facing_rad(const Beam& beam, const glm::dvec3& point_m);
 
 /// Returns a beam's azimuth offset in image columns, rounded. Beams that fire at the same
 /// time have different azimuths, but all pixels of an image column have the same azimuth.
 /// Therefore column j of the beam's image row shows the beam's firing number (j + offset)
 /// mod n_columns, not firing j.
-int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns);
+int offset_columns(const Beam& beam, int n_columns);
 
 /// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A head that
 /// rotates clockwise reaches azimuth a at time -a / (2 pi) * period.
@@ -223,11 +221,11 @@ struct RayDropTable {
     bool empty() const { return probability.empty(); }
     /// Returns the index of a ray's entry in `probability`.
     /// @param direction [3] sensor frame
-    std::size_t compute_drop_table_index_of_ray(std::uint16_t channel, const glm::vec3& direction) const;
+    std::size_t index_of(std::uint16_t channel, const glm::vec3& direction) const;
     /// Returns the drop probability of a ray.
     /// @param direction [3] sensor frame
     /// @return 0 if the table is empty or does not have the channel
-    float get_drop_probability(std::uint16_t channel, const glm::vec3& direction) const;
+    float probability_of(std::uint16_t channel, const glm::vec3& direction) const;
 };
 
 /// Layout of a range image whose rows have equal elevation steps and whose columns have
@@ -245,7 +243,7 @@ struct RangeImageGrid {
 
 /// Returns the range grid that published results on KITTI-360 use: 66 x 1030 pixels,
 /// elevation +2.0 to -24.9 degrees, 80 m.
-RangeImageGrid make_kitti360_grid();
+RangeImageGrid kitti360_grid();
 
 /// Returns rays through the pixel centres of a grid. All rays start at the sensor origin.
 /// The sweep is clockwise and takes 0.1 s.
@@ -258,7 +256,7 @@ RayTable make_rays(const RangeImageGrid& grid);
 /// view, at range 0 or beyond max_range_m.
 /// @differs Eq. 7 as printed divides only |f_down| by f_v; Eq. 6 writes arctan(y, x) and
 /// arcsin(z, d).
-std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m);
+std::optional<int> project_to_pixel(const RangeImageGrid& grid, const glm::dvec3& point_m);
 
 /// A range image that was made by projecting points onto a grid. If several points fall
 /// into the same pixel, the pixel holds the nearest of these points.
@@ -346,9 +344,9 @@ struct ScanPatternSummary {
     /// set only for a sensor that does not spin and fires column by column
     std::optional<AzimuthSweep> sweep = {};
 };
-ScanPatternSummary summarise_scan_pattern(const SensorPattern& pattern);
+ScanPatternSummary summarise_pattern(const SensorPattern& pattern);
 /// Returns ScanPatternSummary::period_s.
-double get_scan_period_s(const SensorPattern& pattern);
+double scan_period_s(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
@@ -363,17 +361,16 @@ struct SensorModel {
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
 /// Returns nothing for a spinning sensor.
-std::optional<SensorPattern> get_non_spinning_pattern(const SensorModel& sensor);
+std::optional<SensorPattern> other_pattern(const SensorModel& sensor);
 
-/// Returns the names that find_built_in_sensor() accepts.
-std::vector<std::string> list_sensor_names();
+/// Returns the names that find_built_in() accepts.
+std::vector<std::string> list_sensors();
 /// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
 /// @param columns,rate_hz  azimuth steps and rotation rate of a spinning sensor; 0: the
 /// defaults of the sensor
 /// @throws UsageError if one of them is set for a sensor that does not spin
-std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
-                                                double rate_hz = 0.0);
+std::optional<SensorModel> find_built_in(const std::string& name, int columns = 0, double rate_hz = 0.0);
 
 /// Parses a table of beams in CSV format: a header line, then a line for each beam, from
 /// the highest to the lowest. Lines that begin with # are ignored. The columns can have
@@ -386,11 +383,11 @@ std::optional<SensorModel> find_built_in_sensor(const std::string& name, int col
 /// - channel: the manufacturer's channel number, which is ignored.
 /// @param n_columns  azimuth steps in a sweep
 /// @throws DataError naming the line and the value that is wrong
-SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
-                                double rotation_rate_hz);
+SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns,
+                           double rotation_rate_hz);
 
 /// Returns a range grid by name, for example "kitti360", in upper or lower case.
 /// @throws UsageError for an unknown name
-RangeImageGrid get_range_image_grid_by_name(const std::string& name);
+RangeImageGrid find_grid(const std::string& name);
 
 }  // namespace relidar

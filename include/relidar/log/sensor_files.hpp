@@ -18,8 +18,8 @@ inline constexpr double kDefaultMaxRange_m = 80.0;
 
 /// Returns a sensor by its name or from a file. For a spinning sensor, ":columns[xHz]"
 /// may follow, for example "beams.csv:1024x10".
-///   NAME       a name of list_sensor_names(), in upper or lower case
-///   FILE.csv   a beam table (parse_beam_table()), or a ray table with a line for each
+///   NAME       a name of list_sensors(), in upper or lower case
+///   FILE.csv   a beam table (parse_beams()), or a ray table with a line for each
 ///              ray, in firing order. Columns of a ray table: azimuth_deg (positive to
 ///              the left), elevation_deg; optional, 0 by default: origin_x_m, origin_y_m,
 ///              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam);
@@ -44,10 +44,9 @@ SensorModel find_sensor(const std::string& name_or_file,
 
 /// Returns the sensor that the text of a JSON file describes.
 /// @param name  name of the sensor
-/// @param error_location  name of the text in error messages
+/// @param where  name of the text in error messages
 /// @throws DataError if the text is not a valid sensor
-SensorModel parse_sensor_json_text(const std::string& text, const std::string& name,
-                                   const std::string& error_location);
+SensorModel parse_sensor(const std::string& text, const std::string& name, const std::string& where);
 
 /// A sensor of a rig, with its mounting.
 struct MountedSensor {
@@ -72,6 +71,6 @@ struct MountedSensor {
 std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& path);
 
 /// Returns the help text for users about the formats of sensor files.
-std::string make_sensor_file_help();
+std::string sensor_file_help();
 
 }  // namespace relidar

@@ -13,7 +13,7 @@ namespace relidar {
 
 class JsonField;
 
-/// Reads a sensor from a JSON object {"<kind>": {...}}. format_pattern_kinds_help() lists
+/// Reads a sensor from a JSON object {"<kind>": {...}}. pattern_help() lists
 /// the possible kinds. All files that contain sensors use such an object. If the object
 /// has no maximum range, the maximum range is infinite.
 /// @param default_name  name of the sensor if the object does not contain a name
@@ -25,7 +25,7 @@ std::string format_sensor_json(const SensorModel& sensor);
 
 /// Returns a text for users that lists the kinds of sensor objects and their members, one
 /// line for each kind.
-std::string format_pattern_kinds_help();
+std::string pattern_help();
 
 /// Channel number and firing time of one beam, from a line of a beam table.
 struct BeamFiring {
@@ -35,11 +35,11 @@ struct BeamFiring {
 
 /// Returns the channel number and firing time of each beam of a built-in sensor, highest
 /// beam first. The values are in src/log/sensor/tables.
-/// @param sensor_name  a name of list_sensor_names() that has a table
-std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name);
+/// @param name  a name of list_sensors() that has a table
+std::vector<BeamFiring> read_firings(const std::string& name);
 
 /// Returns the maximum range in the data sheet of a built-in sensor, or of a sensor of a
 /// log that is "fitted to" this log. Empty for other sensors.
-std::optional<double> find_specified_max_range_m(const std::string& sensor_name);
+std::optional<double> nominal_max_range_m(const std::string& name);
 
 }  // namespace relidar

@@ -34,12 +34,12 @@ struct PoseTrack {
     /// Returns the interpolated pose at a time (slerp for rotations, lerp for
     /// translations). Outside the track, extrapolates with the velocity at its end.
     /// @throws DataError if the track is empty
-    Pose interpolate_pose(double t_s) const;
+    Pose pose_at(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the object of this
-    /// track. Same as compute_mounted_track() followed by interpolate_pose().
-    Pose interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const;
+    /// track. Same as mount_track() followed by pose_at().
+    Pose mounted_pose_at(double t_s, const Pose& carrier_from_mounted) const;
     /// @throws DataError if the track is empty
-    TrackInterpolation find_poses_before_and_after_time(double t_s) const;
+    TrackInterpolation find_segment(double t_s) const;
     bool contains_time(double t_s) const {
         return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back();
     }
@@ -62,14 +62,14 @@ struct Scan {
     ScanArray<SurfaceClass> classes = {};  ///< [n] class of the strongest return; empty without labels
 
     /// Returns the end point of a ray: [3] metres, sensor frame at its firing time.
-    glm::vec3 compute_return_point_in_sensor_frame(std::size_t index_of_ray) const {
+    glm::vec3 return_point(std::size_t index_of_ray) const {
         return rays.origin[index_of_ray] + range_m[index_of_ray] * rays.direction[index_of_ray];
     }
     std::size_t count_returns() const;
 };
 
 /// Removes the returns of a scan, also second returns, whose range is outside the limits.
-void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits);
+void limit_ranges(Scan& scan, const RangeLimits& limits);
 
 /// Azimuth of a LiDAR's head at the start of a sweep, and the time of this start relative
 /// to the reference time of the frame.
@@ -84,13 +84,13 @@ struct SweepStart {
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor);
 
 /// A sweep of one LiDAR of the log.
-struct LidarFrame {
+struct Frame {
     /// Frame number in the dataset. LiDARs that sweep at the same time share this number.
     int index = 0;
     /// Reference time. A spinning LiDAR faces forward at this time if `start` is empty.
     double time_s = 0.0;
     Scan scan;
-    int lidar = 0;  ///< index into LidarSequence::lidars
+    int lidar = 0;  ///< index into Log::lidars
     /// Azimuth and time at the start of the sweep; empty if both have default values
     std::optional<SweepStart> start = {};
     /// [columns] radians, measured minus nominal azimuth of the head at each firing.
@@ -98,19 +98,17 @@ struct LidarFrame {
     std::vector<float> azimuth_shift_rad = {};
 };
 
-inline LidarFrame copy_frame_without_scan(const LidarFrame& frame) {
+inline Frame strip_scan(const Frame& frame) {
     return {frame.index, frame.time_s, {}, frame.lidar, frame.start, frame.azimuth_shift_rad};
 }
 
 /// LiDAR, time and start of a sweep.
 struct SweepTiming {
     double time_s = 0.0;  ///< reference time of the sweep
-    int lidar = 0;        ///< index into LidarSequence::lidars
+    int lidar = 0;        ///< index into Log::lidars
     std::optional<SweepStart> start = {};
 };
-inline SweepTiming get_sweep_timing_of_frame(const LidarFrame& frame) {
-    return {frame.time_s, frame.lidar, frame.start};
-}
+inline SweepTiming timing_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 struct Lidar;
 /// Returns the start of a sweep of any LiDAR, or nothing if it is the default (half a
 /// period before the reference time) or unknown (no scan pattern, or equal ray times).
@@ -125,7 +123,7 @@ struct RangeNoiseTable {
 
     /// Returns the standard deviation of the range noise in the bin of these values, or
     /// in the nearest bin; 0 if the noise is unknown.
-    double get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const;
+    double lookup_sigma_m(double measured_range_m, double incidence_cosine) const;
 };
 
 /// A LiDAR of a log.
@@ -141,30 +139,30 @@ struct Lidar {
     RangeNoiseTable range_noise = {};  ///< range noise; empty unless it was measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
-    double get_sweep_period_s() const { return pattern ? get_scan_period_s(*pattern) : sensor.period_s; }
+    double sweep_period_s() const { return pattern ? scan_period_s(*pattern) : sensor.period_s; }
 };
 
-void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor);
+void set_sensor(Lidar& lidar, const SensorModel& sensor);
 /// Returns the nominal (ideal) sensor of a LiDAR. It has no beams if it is unknown.
-SensorModel get_nominal_sensor(const Lidar& lidar);
+SensorModel sensor_of(const Lidar& lidar);
 
 /// Returns the rays that a LiDAR nominally fires at a time; none if its sensor is
 /// unknown.
-RayTable make_nominal_rays(const Lidar& lidar, double time_s);
+RayTable make_lidar_rays(const Lidar& lidar, double time_s);
 
 /// Measures the difference between the actual and the nominal azimuth of a spinning head,
 /// at each firing of a sweep, positive to the left. The value is the median over all
 /// returned rays of the firing, so it does not reveal which rays were dropped. Firings
 /// with less than three returns are interpolated.
-/// @param nominal_rays  make_nominal_rays() of the LiDAR
-/// @return [columns] radians, by firing (compute_beam_azimuth_offset_columns()). Empty if
+/// @param nominal_rays  make_lidar_rays() of the LiDAR
+/// @return [columns] radians, by firing (offset_columns()). Empty if
 /// the rays are not in nominal order, the beams do not rotate together, or none deviates.
-std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
-                                              const RayTable& nominal_rays);
+std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
+                                      const RayTable& nominal_rays);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
-/// @param azimuth_shifts_rad  result of measure_azimuth_shifts_rad(). Empty: no rotation
-RayTable rotate_firings_by_azimuth_shifts(RayTable nominal_rays, const SpinningSensor& sensor,
-                                          const std::vector<float>& azimuth_shifts_rad);
+/// @param azimuth_shifts_rad  result of measure_shifts_rad(). Empty: no rotation
+RayTable rotate_firings(RayTable nominal_rays, const SpinningSensor& sensor,
+                        const std::vector<float>& azimuth_shifts_rad);
 
 /// Category of moving objects without a label that discover_tracks() found in the scans.
 inline constexpr const char* kDiscoveredCategory = "Discovered";
@@ -194,9 +192,9 @@ struct BoxTrack {
     bool is_moving() const;
     /// Returns true if the box was observed at a time, give or take half a mean time
     /// step.
-    bool is_observed_at_time(double t_s) const;
+    bool is_observed(double t_s) const;
     /// Returns the track without the poses before its first and after its last label.
-    BoxTrack copy_track_of_labelled_poses() const;
+    BoxTrack labelled_part() const;
     /// Returns true if a point in the world frame is in the box, enlarged by margin_m on
     /// all sides, at a time.
     bool contains_point(const glm::dvec3& point_m, double t_s, double margin_m) const;
@@ -204,18 +202,17 @@ struct BoxTrack {
 
 /// Model of the measured intensity, the same for all beams of a log. The factor is 1 at
 /// 10 m and perpendicular incidence.
-///   intensity of the mean beam = albedo * compute_intensity_factor_at_range(range)
-///                                * compute_intensity_factor_at_incidence(cosine)
+///   intensity of the mean beam = albedo * range_factor(range)
+///                                * incidence_factor(cosine)
 struct IntensityResponse {
     /// Ranges in metres, ascending, of the factors. Empty: the factor is 1 at all ranges.
     std::vector<double> range_m;
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
     double incidence = 0.0;      ///< dependence on incidence: 0 none, 1 Lambert's cosine law
 
-    double compute_intensity_factor_at_range(
-        double distance_m) const;  ///< uses the first or last factor outside the knots
+    double range_factor(double distance_m) const;  ///< uses the first or last factor outside the knots
     /// `incidence_cosine`: cosine of the angle between ray and normal
-    double compute_intensity_factor_at_incidence(double incidence_cosine) const {
+    double incidence_factor(double incidence_cosine) const {
         return 1.0 - incidence * (1.0 - incidence_cosine);
     }
 };
@@ -225,7 +222,7 @@ struct Note {
     /// Check that found the fault. Loading a log repeats it, so save_folder() leaves out
     /// notes with an id. Empty for messages of a reader.
     std::string id;
-    int lidar = -1;    ///< index into LidarSequence::lidars; -1: not about a single LiDAR
+    int lidar = -1;    ///< index into Log::lidars; -1: not about a single LiDAR
     std::string text;  ///< one line
 
     Note(std::string note_text) : text(std::move(note_text)) {}
@@ -238,11 +235,11 @@ struct Note {
 using Notes = std::vector<Note>;
 
 /// A LiDAR log. Its world origin is the vehicle in the middle frame.
-struct LidarSequence {
+struct Log {
     std::string name;
     std::string source;                                 ///< path of the log
     std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
-    std::vector<LidarFrame> frames;                     ///< frames of all LiDARs, ascending in time
+    std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
     /// Add this vector to coordinates in relidar's world frame to get coordinates in the
@@ -259,40 +256,40 @@ struct LidarSequence {
     /// True: the rays of a scan were fired at different times and not motion-compensated.
     bool rolling_shutter = true;
 
-    const Lidar& get_lidar(const LidarFrame& frame) const { return lidars[std::size_t(frame.lidar)]; }
+    const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
     /// Returns the index of the vehicle pose that has the time of a frame.
     /// @throws DataError if there is no such pose
-    std::size_t get_vehicle_pose_index_of_frame(const LidarFrame& frame) const;
+    std::size_t find_pose_index(const Frame& frame) const;
     /// Returns the poses of a LiDAR at the times of the vehicle's poses.
-    PoseTrack get_world_from_sensor(int lidar_index) const;
-    std::size_t count_beams_of_all_lidars() const;
+    PoseTrack lidar_track(int lidar_index) const;
+    std::size_t count_beams() const;
     /// Returns the number of a beam among the beams of all LiDARs, in the order of
     /// `lidars`, or nothing if the LiDAR does not have the beam.
-    std::optional<std::uint16_t> find_global_beam_number(int lidar_index, std::uint16_t channel) const;
+    std::optional<std::uint16_t> find_global_beam(int lidar_index, std::uint16_t channel) const;
 };
 
 /// Returns the box with this id, or null if there is none or the id is empty.
-const BoxTrack* find_box_track_by_id(const LidarSequence& sequence, const std::string& box_id);
+const BoxTrack* find_box(const Log& sequence, const std::string& box_id);
 
 /// Returns a copy of a log without its frames.
-LidarSequence copy_without_frames(const LidarSequence& sequence);
+Log strip_frames(const Log& sequence);
 
 /// Returns the index of the LiDAR with this name. An empty name gives the first LiDAR.
 /// @throws UsageError if no LiDAR has this name
-int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& name);
+int find_lidar(const Log& sequence, const std::string& name);
 
 /// Returns the poses of an object that is mounted on another moving object, its carrier.
-PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
+PoseTrack mount_track(PoseTrack carrier_track, const Pose& carrier_from_mounted);
 /// Returns the same motion with additional poses where the object turns, so that a
 /// mounted object moves on a curve.
-PoseTrack subdivide_turning_segments(const PoseTrack& track);
-/// Adds a vector to all positions. LidarSequence::world_offset_m converts from relidar's
+PoseTrack subdivide_turns(const PoseTrack& track);
+/// Adds a vector to all positions. Log::world_offset_m converts from relidar's
 /// world frame to the dataset's world frame, -world_offset_m back.
-PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m);
+PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m);
 
 /// Replaces the poses of the vehicle. The times must stay the same. Boxes keep their
 /// poses relative to the vehicle.
-void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle);
+void set_trajectory(Log& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
 struct WorldRay {
@@ -312,8 +309,7 @@ WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const
 /// every direction repeatedly, or a table of rays, it is the middle of the scan. It is
 /// the `time_s` of the sweep without a rolling shutter.
 /// @param point_m [3] metres, sensor frame
-double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
-                                             const SweepTiming& sweep);
+double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const SweepTiming& sweep);
 
 /// Range and intensity of the surface that a ray hit, not corrected for the incidence.
 struct SurfaceReturn {
@@ -323,8 +319,8 @@ struct SurfaceReturn {
 };
 /// @param ray  index of a ray of the frame
 /// @param return_index  0 for the strongest return, n for Scan::second_returns[n-1]
-SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
-                                     std::size_t return_index = 0);
+SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray,
+                             std::size_t return_index = 0);
 
 /// End point of a returned ray in the world frame, and the firing time of the ray,
 /// without range offset and intensity response of the beam.
@@ -336,12 +332,12 @@ struct WorldReturn {
 };
 /// @param ray  index of a returned ray of the frame
 /// @param return_index  number of an existing return of this ray
-WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
-                                 std::size_t return_index = 0);
+WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray,
+                          std::size_t return_index = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. The boxes
 /// are interpolated, enlarged by margin_m, and exist as in
-/// BoxTrack::is_observed_at_time().
+/// BoxTrack::is_observed().
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m);
 
@@ -362,42 +358,39 @@ struct IntensityCalibrationResult {
     bool beams = false;      ///< True if the beams now have gains and offsets.
 };
 /// Estimates two models of the intensity by least squares: the dependence on range and
-/// incidence (LidarSequence::intensity_response), and gain and offset of each beam
+/// incidence (Log::intensity_response), and gain and offset of each beam
 /// (Beam). Both are fitted to returns that hit the same 0.1 m of a surface. A model, or
 /// both together, is adopted only if it reduces the error by a further 5 %. The mean
 /// beam, and a beam that shares no surface with others, has gain 1 and offset 0. (Not in
 /// the paper.)
-/// @param frame_indices  indices into LidarSequence::frames of the frames to use
-IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequence,
-                                                             const std::vector<int>& frame_indices);
+/// @param frame_indices  indices into Log::frames of the frames to use
+IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<int>& frame_indices);
 /// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
 /// between neighbouring firings of a beam. The scans must be in image order. A bin with
 /// fewer than 200 returns uses the value of the neighbouring bin. (Not in the paper.)
-/// @param frame_indices  indices into LidarSequence::frames of the frames to use
+/// @param frame_indices  indices into Log::frames of the frames to use
 /// @return number of returns that were used; 0: nothing was measured
-std::size_t measure_and_set_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices);
+std::size_t calibrate_noise(Log& sequence, const std::vector<int>& frame_indices);
 /// Estimates the range offset of each beam (Beam), centimetres in many datasets, from
 /// returns on the same planes in cells of 0.3 m. Their mean is 0. Offsets that make the
 /// planes less than 3 % thinner are set to 0. (Not in the paper.)
-/// @param frame_indices  indices into LidarSequence::frames of the frames to use
-RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence,
-                                                         const std::vector<int>& frame_indices);
+/// @param frame_indices  indices into Log::frames of the frames to use
+RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frame_indices);
 
 /// Split of the frames into training and test frames.
-struct TrainTestSplit {
-    std::vector<int> train;  ///< indices into LidarSequence::frames
+struct Split {
+    std::vector<int> train;  ///< indices into Log::frames
     std::vector<int> test;
 };
 /// Splits the frames of a log into training and test frames. A test sweep includes the
 /// frames of all LiDARs that have the same index. Test sweeps are every
 /// `test_every_nth_frame`-th sweep except the first (10, 20, ... of 0:50 with 10), or,
-/// with 10 on a published part of a dataset, LidarSequence::test_frames.
+/// with 10 on a published part of a dataset, Log::test_frames.
 /// @param test_every_nth_frame  0: no test frames
 /// @param test_frame_list  if not empty, the indices and half-open ranges of the test
 /// frames, "13,26,40:45"
 /// @throws UsageError for a test_every_nth_frame of 1, for an invalid list, for a frame
 /// that does not exist or is named twice, and if no frame is left for training
-TrainTestSplit split_frames_into_train_and_test(const LidarSequence& sequence, int test_every_nth_frame,
-                                                const std::string& test_frame_list = "");
+Split split_frames(const Log& sequence, int test_every_nth_frame, const std::string& test_frame_list = "");
 
 }  // namespace relidar

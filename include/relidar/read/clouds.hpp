@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Functions that all dataset readers share. They convert points to scans, and poses and
 // boxes to tracks, and check the result. A dataset reader parses the files of a dataset
-// and fills a LidarSequence. docs/architecture.md section 3 explains how to add a reader.
+// and fills a Log. docs/architecture.md section 3 explains how to add a reader.
 #pragma once
 
 #include <cstdint>
@@ -9,8 +9,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/read/points.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/read/points.hpp>
 
 namespace relidar {
 
@@ -20,10 +20,10 @@ struct EncoderTickGrid {
     int n_ticks = 0;        ///< number of ticks in a sweep
     double zero_rad = 0.0;  ///< azimuth of tick 0
 
-    double compute_azimuth_per_tick_rad() const;
-    int find_nearest_encoder_tick(double head_azimuth_rad) const;
+    double tick_step_rad() const;
+    int nearest_tick(double head_azimuth_rad) const;
     /// Returns the azimuth of the rotating head at an encoder tick, in (-pi, pi].
-    double compute_azimuth_of_encoder_tick_rad(int tick) const;
+    double tick_azimuth_rad(int tick) const;
 };
 
 /// One sweep of a spinning LiDAR. `lattice` has the azimuths at which the LiDAR can fire,
@@ -37,7 +37,7 @@ struct SweepFirings {
 /// Returns a sweep with `sensor.columns` equal azimuth steps. Chooses the first azimuth
 /// so that the steps match the measured points.
 /// @param points  points with beam numbers (`LidarPoints::ring`)
-SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const SpinningSensor& sensor);
+SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sensor);
 
 /// Builds the scan of a spinning LiDAR in the order of a range image, with one ray for
 /// each beam and firing. A ray with a return keeps its measured direction and starts at
@@ -47,7 +47,7 @@ SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const 
 /// If two first returns belong to one ray, the second of them is moved to a free
 /// neighbouring cell of the image. If no such cell is free, only the nearer point is
 /// kept. A point beyond sensor.max_range_m gets a ray only if no other point uses this
-/// ray. remove_returns_outside_limits() removes such points later.
+/// ray. limit_ranges() removes such points later.
 ///
 /// The firing time of a ray is the time of its point, or of the nearest firing in the
 /// sweep. Without times, the head faces forward at time 0. If a sweep has fewer firings
@@ -56,14 +56,14 @@ SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const 
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
-Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
-                                            const SweepFirings& sweep_firings);
+Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
+                   const SweepFirings& sweep_firings);
 
 /// Builds a scan with one ray from the sensor origin to each point (rows = 1), in the
 /// order of the points. Rays without a return are unknown. The other returns of a ray
 /// must follow its first return. Beam numbers are not needed.
 /// @throws UsageError if the arrays have different lengths
-Scan make_scan_with_one_ray_per_point(const LidarPoints& points);
+Scan scan_of_points(const LidarPoints& points);
 
 /// Estimates the beams of a spinning LiDAR from points without beam numbers. The
 /// elevations of distant points form clusters, and each cluster is a beam. The highest
@@ -74,7 +74,7 @@ std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans);
 
 /// Sets the ring of each point to the nearest beam.
 /// @param beams  at least one beam
-void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams);
+void assign_rings(LidarPoints& points, const std::vector<Beam>& beams);
 
 /// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
@@ -94,32 +94,30 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// @param period_s  duration of a sweep, for points without times
 /// @throws UsageError if the points have no rings
 /// @throws DataError if the azimuths are not in steps
-FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s);
+FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s);
 
 /// Reverts the motion compensation of a scan: converts points from the sensor frame at
 /// time `compensated_time_s` to the sensor frame at their firing times.
 /// @param world_from_sensor  poses of the LiDAR that measured the points
-void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor,
-                              double compensated_time_s);
+void undo_deskew(LidarPoints& points, const PoseTrack& world_from_sensor, double compensated_time_s);
 
-/// @param error_location  file and field, for the error message
+/// @param where  file and field, for the error message
 /// @throws DataError if the matrix is not a rotation within 1e-3
-Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
-                                  const std::string& error_location);
+Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
 /// @param matrix [3 x 4] or [4 x 4] row-major; ignores the last row
-Pose check_rotation_and_make_pose(std::span<const double> matrix, const std::string& error_location);
+Pose make_pose(std::span<const double> matrix, const std::string& where);
 
 /// Appends a frame with an empty scan, and the vehicle's pose at this time unless a frame
 /// of another LiDAR has added it.
-LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
-                      const Pose& world_from_vehicle, int lidar_index = 0);
+Frame& add_frame(Log& sequence, int frame_number, double time_s, const Pose& world_from_vehicle,
+                 int lidar_index = 0);
 
 /// Moves the world origin to the vehicle at the middle pose of the log, so that
 /// coordinates are small enough for single precision. Adjusts poses, boxes and
 /// world_offset_m.
-void move_world_origin_of_log(LidarSequence& sequence);
+void centre_log(Log& sequence);
 /// @param new_origin_m  new origin, in the world frame before the move
-void move_world_origin_of_log(LidarSequence& sequence, glm::dvec3 new_origin_m);
+void centre_log(Log& sequence, glm::dvec3 new_origin_m);
 
 /// Box of an object at one time, as the labels of a dataset store it.
 struct BoxLabel {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads LiDAR logs from disk into a `LidarSequence`. Error messages name the invalid file
+// Loads LiDAR logs from disk into a `Log`. Error messages name the invalid file
 // and field.
 #pragma once
 
@@ -23,7 +23,7 @@ struct FrameRange {
 };
 
 /// Value of `DatasetOptions::poses_file` that means "the log has no poses". All vehicle
-/// poses are then the identity until the scans are registered. set_vehicle_poses() later
+/// poses are then the identity until the scans are registered. set_trajectory() later
 /// moves the labelled boxes together with the vehicle. To read a file with the name
 /// "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
@@ -64,24 +64,24 @@ struct DatasetOptions {
     /// All other frames have no rays. 0: all scans. Logs of KITTI, Argoverse 2, Waymo,
     /// and nuScenes with its original HDL-32E are always read completely.
     int max_scans = 0;
-    ProgressReporter progress = {};  ///< receives the progress of reading
+    Progress progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
     WaymoOptions waymo = {};
 };
 
 /// Reads a log from a dataset.
 /// @param dataset  a path, whose format is detected, or "kind:path" with a kind that
-/// detect_dataset_kind() returns
+/// detect_kind() returns
 /// @throws DataError naming the file and the error in it
 /// @throws UsageError for an unknown kind or an empty frame range
-LidarSequence load_sequence(const std::string& dataset, const DatasetOptions& options);
+Log load_sequence(const std::string& dataset, const DatasetOptions& options);
 
 /// Makes the path of a dataset argument absolute. Keeps a prefix "kind:".
-std::string make_dataset_path_absolute(const std::string& dataset);
+std::string absolute_dataset(const std::string& dataset);
 
 /// Returns the kind of a dataset, for example "kitti_raw" (docs/datasets.md).
 /// @throws DataError if the path is not a dataset of a known kind
-std::string detect_dataset_kind(const std::filesystem::path& path);
+std::string detect_kind(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct LogFolderOptions {
@@ -90,7 +90,7 @@ struct LogFolderOptions {
     /// False: no poses are written, for logs that were read without poses (kNoPoses).
     bool poses = true;
     /// If the callback throws an exception, writing stops and leaves no files.
-    ProgressReporter progress = {};
+    Progress progress = {};
 };
 /// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_sequence()
 /// can read. All rays are preserved bit by bit, including dropped rays and second
@@ -99,7 +99,7 @@ struct LogFolderOptions {
 /// written. The folder gets its final name only when it is complete.
 /// @throws UsageError if the path exists and may not be replaced
 /// @throws DataError if the folder cannot be written
-void save_folder(const LidarSequence& sequence, const std::filesystem::path& folder,
+void save_folder(const Log& sequence, const std::filesystem::path& folder,
                  const LogFolderOptions& options = {});
 
 /// Returns true if a folder or file is a log of a known kind.
@@ -107,7 +107,7 @@ bool is_dataset(const std::filesystem::path& path);
 
 /// Parameters of a synthetic street with facades, poles, parked cars and moving objects.
 /// The scans of the street are computed by exact ray casting.
-struct SyntheticOptions {
+struct StreetOptions {
     std::uint64_t seed = 1;
     int n_frames = 30;
     int rows = 32;
@@ -128,14 +128,14 @@ struct SyntheticOptions {
 
 /// Creates the log of the synthetic street in memory. The scans are ground truth, because
 /// they are computed by exact ray casting with a rolling shutter.
-LidarSequence make_synthetic_street(const SyntheticOptions& options);
+Log make_street_log(const StreetOptions& options);
 
 /// Casts rays into the synthetic street, each ray at its own firing time. Returns the
 /// exact scan of a novel sensor or pose, without noise. A dropped ray has range 0.
 /// @param world_from_sensor  poses of the sensor over time
 /// @param time_s  reference time of the scan
-Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
-                                     const PoseTrack& world_from_sensor, double time_s);
+Scan cast_street_rays(const StreetOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor,
+                      double time_s);
 
 /// Casts beams that have a divergence. Computes up to two returns for each beam, as a
 /// dual-return LiDAR does. The first return is the strongest return. The second return is
@@ -145,8 +145,8 @@ Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayT
 /// strongest return.
 /// @param rays  at least one ray must have a divergence above 0
 /// @throws UsageError if no ray has a divergence
-Scan cast_beams_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
-                                      const PoseTrack& world_from_sensor, double time_s);
+Scan cast_street_beams(const StreetOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor,
+                       double time_s);
 
 /// A car of an edited synthetic street. It has the shape of one of the street's original
 /// cars and follows a track in relidar's world frame.
@@ -160,14 +160,14 @@ struct SyntheticCar {
 /// Casts rays into a street in which `cars` replace all original cars. Returns the exact
 /// scan of the edited street.
 /// @throws DataError if SyntheticCar::shapes_of is not the id of an original car
-Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
-                                     const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
+Scan cast_street_rays(const StreetOptions& options, const std::vector<SyntheticCar>& cars,
+                      const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
 /// @throws DataError naming the key that is wrong
-SyntheticOptions read_synthetic_options(const std::filesystem::path& folder);
+StreetOptions load_street(const std::filesystem::path& folder);
 
 /// Writes a synthetic log as a folder that load_sequence() can read (kind "synthetic").
 /// The folder holds only the options of the street, in `street.toml`.
-void save_synthetic_options(const SyntheticOptions& options, const std::filesystem::path& folder);
+void save_street(const StreetOptions& options, const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -42,10 +42,10 @@ struct PacketCalibrationFile {
 };
 
 /// Returns the names of the sensors whose packets can be written, for messages.
-std::string format_packet_sensor_names();
+std::string packet_sensors();
 /// Returns the packet format (udp_profile_lidar) in the metadata of an Ouster, or an
 /// empty text if the file is something else.
-std::string read_ouster_packet_format(const std::filesystem::path& metadata_file);
+std::string read_udp_profile(const std::filesystem::path& metadata_file);
 
 /// Converts the scans of a sensor to packets. A packet holds a fixed number of firings,
 /// so it may contain the end of one scan and the start of the next. Drivers detect the
@@ -65,13 +65,13 @@ public:
     /// the previous scan
     /// @throws UsageError if the rays have no firing times or do not belong to the
     /// sensor. Also if a ray was fired before the end of the previous scan
-    std::vector<SensorPacket> encode_scan_as_packets(const Scan& scan, double time_s);
+    std::vector<SensorPacket> add_scan(const Scan& scan, double time_s);
     /// Returns the remaining packets, after the last scan.
-    std::vector<SensorPacket> flush_remaining_packets();
+    std::vector<SensorPacket> flush();
     /// Must be called after the last scan, because the calibration of an Ouster contains
     /// the azimuths of all firings.
-    PacketCalibrationFile get_packet_calibration() const;
-    int get_udp_port() const;  ///< UDP port to which the sensor usually sends
+    PacketCalibrationFile calibration_file() const;
+    int udp_port() const;  ///< UDP port to which the sensor usually sends
 
 private:
     struct Impl;
@@ -102,7 +102,7 @@ private:
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder
 /// @throws DataError if a file cannot be written
-std::size_t save_packets(const LidarSequence& sequence, const std::filesystem::path& file,
-                         const ProgressReporter& progress = {});
+std::size_t save_packets(const Log& sequence, const std::filesystem::path& file,
+                         const Progress& progress = {});
 
 }  // namespace relidar

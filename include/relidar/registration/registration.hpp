@@ -24,8 +24,8 @@ struct RegistrationOptions {
     /// Polled before each scan and each round. If it returns true, registration stops and
     /// leaves the poses unchanged.
     std::function<bool()> stop;
-    ProgressReporter progress = {};  ///< receives the progress of both parts
-    ProcessGroup group = {};         ///< processes that register the same log together
+    Progress progress = {};   ///< receives the progress of both parts
+    ProcessGroup group = {};  ///< processes that register the same log together
 };
 
 /// Statistics of one round of the adjustment of all poses. A round fits planes to the
@@ -78,7 +78,7 @@ struct RegistrationResult {
 /// Another LiDAR that sweeps at the same times as the LiDAR with the most returns is
 /// combined with it. All other LiDARs keep their mounting on the vehicle.
 /// @throws DataError if no two training scans observe a common surface
-RegistrationResult register_scans(const LidarSequence& sequence, const TrainTestSplit& split,
+RegistrationResult register_scans(const Log& sequence, const Split& split,
                                   const RegistrationOptions& options);
 
 /// Point and normal, world frame, of the surface that a ray hits. Normal 0: no surface.
@@ -87,7 +87,7 @@ struct SurfaceHit {
 };
 
 /// Callback that casts rays of a frame into a scene.
-/// @param position  index of the frame in LidarSequence::frames
+/// @param position  index of the frame in Log::frames
 /// @param rays  indices of the rays in the frame's scan
 /// @param world_from_vehicle  poses from which the rays are cast
 /// @return [rays] one surface for each ray
@@ -109,9 +109,9 @@ struct ScanAlignment {
 ///   rho as in register_scans()
 /// q and n are point and normal of the surface that the scene shows along the ray of p,
 /// rendered again after each Gauss-Newton step. Uses all LiDARs that swept at that time.
-/// @param pose_index  index into LidarSequence::world_from_vehicle
-ScanAlignment align_scan_with_scene(const LidarSequence& sequence, std::size_t pose_index,
-                                    const SceneRayCaster& scene_view, const RegistrationOptions& options);
+/// @param pose  index into Log::world_from_vehicle
+ScanAlignment align_scan(const Log& sequence, std::size_t pose, const SceneRayCaster& scene_view,
+                         const RegistrationOptions& options);
 
 struct ActorRegistrationResult {
     std::size_t n_actors = 0;      ///< number of moving boxes that are long enough
@@ -126,8 +126,8 @@ struct ActorRegistrationResult {
 /// register_scans(), with a prior that keeps corrections small and slow, and a mean
 /// correction of zero. Poses without points are interpolated. If the points of a box fit
 /// one constant pose, the box gets that pose.
-/// @param train_frame_indices  frames whose points are used
-ActorRegistrationResult register_actors(LidarSequence& sequence, const std::vector<int>& train_frame_indices,
-                                        const ProgressReporter& progress = {});
+/// @param train_frames  frames whose points are used
+ActorRegistrationResult register_actors(Log& sequence, const std::vector<int>& train_frames,
+                                        const Progress& progress = {});
 
 }  // namespace relidar

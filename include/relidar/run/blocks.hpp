@@ -18,7 +18,7 @@ namespace relidar {
 struct TrajectoryBlock {
     /// Distances along the trajectory from the start of the log, metres.
     double begin_m = 0.0, end_m = 0.0;
-    /// Indices in LidarSequence::frames, including held-out sweeps.
+    /// Indices in Log::frames, including held-out sweeps.
     std::vector<int> recorded_frames;
     /// Training frames in the section, or within BlockConfig::halo_m of it.
     std::vector<int> train;
@@ -27,24 +27,23 @@ struct TrajectoryBlock {
 /// Divides the vehicle's trajectory into blocks of equal length, at most
 /// options.length_m. Leaves out blocks without a recorded sweep, where the log has a gap.
 /// @throws DataError if a block has no training frame within options.halo_m metres
-std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
-                                                  const BlockConfig& options);
+std::vector<TrajectoryBlock> plan_blocks(const Log& sequence, const Split& split, const BlockConfig& options);
 
 /// Training frames of a block, held-out frames recorded in it, and boxes near these
 /// frames.
 struct BlockTrainingLog {
-    LidarSequence sequence;
-    TrainTestSplit split;
+    Log sequence;
+    Split split;
     /// They do not divide the log again, and list only the actor tracks of this block.
     Config config;
 };
 /// @param config settings of the complete training
-BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
-                                                const TrajectoryBlock& block, const Config& config);
+BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
+                         const Config& config);
 
 /// A surfel belongs to the block that contains the nearest sweep.
-void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
-                                    const std::vector<TrajectoryBlock>& blocks, std::size_t block_index);
+void keep_block_surfels(Scene& scene, const Log& sequence, const std::vector<TrajectoryBlock>& blocks,
+                        std::size_t block_index);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
 /// Each actor comes from the block in which the most training frames saw it, each
@@ -52,7 +51,7 @@ void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
 /// @param run run with the prepared log and without a scene
 /// @param run_folders [blocks] run folders of the blocks
 /// @throws DataError if a run folder has a missing, truncated or inconsistent file
-void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& blocks,
-                         const std::vector<std::filesystem::path>& run_folders);
+void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks,
+                 const std::vector<std::filesystem::path>& run_folders);
 
 }  // namespace relidar

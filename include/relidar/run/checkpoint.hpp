@@ -30,13 +30,13 @@ struct Checkpoint {
     std::vector<NamedArray> arrays;
 
     /// @throws DataError if the name does not exist
-    const NamedArray& get_array(const std::string& name) const;
-    const std::string& get_text(const std::string& name) const;
+    const NamedArray& array(const std::string& name) const;
+    const std::string& text(const std::string& name) const;
 };
 
 /// For example "f4" for float.
 template <class T>
-constexpr const char* get_numpy_dtype() {
+constexpr const char* numpy_dtype() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
     if constexpr (std::is_floating_point_v<T>) return sizeof(T) == 4 ? "f4" : "f8";
     else if constexpr (std::is_signed_v<T>) return sizeof(T) == 4 ? "i4" : "i8";
@@ -59,11 +59,11 @@ public:
     /// Stores a number, a host array [n] or a device array [n] under a name.
     template <class T>
     void operator()(const std::string& name, const T& value) requires std::is_arithmetic_v<T> {
-        copy_array_into_checkpoint(name, get_numpy_dtype<T>(), {}, &value);
+        copy_array(name, numpy_dtype<T>(), {}, &value);
     }
     template <class T>
     void operator()(const std::string& name, const std::vector<T>& values) {
-        copy_array_into_checkpoint(name, get_numpy_dtype<T>(), {values.size()}, values.data());
+        copy_array(name, numpy_dtype<T>(), {values.size()}, values.data());
     }
     template <class T>
     void operator()(const std::string& name, const Array<T>& array) {
@@ -79,8 +79,8 @@ public:
 private:
     Checkpoint& checkpoint_;
 
-    void copy_array_into_checkpoint(const std::string& name, const char* dtype,
-                                    std::vector<std::size_t> shape, const void* values);
+    void copy_array(const std::string& name, const char* dtype, std::vector<std::size_t> shape,
+                    const void* values);
 };
 
 /// Restores a state with the same calls as CheckpointWriter. Host vectors are resized to
@@ -92,13 +92,13 @@ public:
 
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
-        copy_array_bytes(get_array_of_type_and_shape(name, get_numpy_dtype<T>(), {}), &value);
+        copy_bytes(checked_array(name, numpy_dtype<T>(), {}), &value);
     }
     template <class T>
     void operator()(const std::string& name, std::vector<T>& values) const {
-        const NamedArray& stored_array = get_array_of_any_length(name, get_numpy_dtype<T>());
-        values.resize(stored_array.count_array_elements());
-        copy_array_bytes(stored_array, values.data());
+        const NamedArray& stored_array = array_of_type(name, numpy_dtype<T>());
+        values.resize(stored_array.element_count());
+        copy_bytes(stored_array, values.data());
     }
     template <class T>
     void operator()(const std::string& name, Array<T>& array) const {
@@ -107,7 +107,7 @@ public:
     template <class T>
     void operator()(const std::string& name, const ArrayPrefix<T>& first) const {
         std::vector<T> values(first.n);
-        copy_array_bytes(get_array_of_type_and_shape(name, get_numpy_dtype<T>(), {first.n}), values.data());
+        copy_bytes(checked_array(name, numpy_dtype<T>(), {first.n}), values.data());
         first.array.upload(values);
     }
     void operator()(const std::string& name, SurfelArrays& surfels) const {
@@ -115,22 +115,22 @@ public:
     }
 
     /// As host arrays; the checkpoint has their number.
-    Surfels read_all_surfels(const std::string& name) const;
+    Surfels read_surfels(const std::string& name) const;
 
 private:
     const Checkpoint& checkpoint_;
 
-    /// @throws DataError if type or shape differ. get_array_of_any_length() accepts any
+    /// @throws DataError if type or shape differ. array_of_type() accepts any
     /// length.
-    const NamedArray& get_array_of_type_and_shape(const std::string& name, const char* dtype,
-                                                  const std::vector<std::size_t>& shape) const;
-    const NamedArray& get_array_of_any_length(const std::string& name, const char* dtype) const;
+    const NamedArray& checked_array(const std::string& name, const char* dtype,
+                                    const std::vector<std::size_t>& shape) const;
+    const NamedArray& array_of_type(const std::string& name, const char* dtype) const;
     Surfels read_surfels(const std::string& name, std::size_t n_surfels) const;
-    static void copy_array_bytes(const NamedArray& array, void* destination);
+    static void copy_bytes(const NamedArray& array, void* destination);
 };
 
 /// @throws DataError naming the array and row of the first number that is not finite
-void require_finite_checkpoint_arrays(const Checkpoint& checkpoint);
+void check_finite_arrays(const Checkpoint& checkpoint);
 
 /// The file appears only when it is complete.
 /// @throws DataError if the file cannot be written
@@ -149,8 +149,8 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
 /// @param report_unreadable receives one line of text about each unreadable checkpoint
 /// @return nullopt if there is no checkpoint
 /// @throws DataError if there are checkpoints but none is readable
-std::optional<Checkpoint> load_newest_checkpoint(
-    const std::filesystem::path& folder, const std::function<void(const std::string&)>& report_unreadable);
+std::optional<Checkpoint> load_newest(const std::filesystem::path& folder,
+                                      const std::function<void(const std::string&)>& report_unreadable);
 /// Also removes the folder if it has no other files.
 void remove_checkpoints(const std::filesystem::path& folder);
 

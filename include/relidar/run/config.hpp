@@ -74,9 +74,7 @@ struct SensorConfig {
     double return_separation_m = 0.5;
 
     /// @param quantity "range" or "intensity"
-    bool is_calibration_enabled_for(const char* quantity) const {
-        return calibrate.find(quantity) != std::string::npos;
-    }
+    bool calibrates(const char* quantity) const { return calibrate.find(quantity) != std::string::npos; }
     bool operator==(const SensorConfig&) const = default;
 };
 
@@ -130,9 +128,7 @@ struct TrainConfig {
     std::uint64_t seed = 1;
 
     /// @param pose_kind "sensor" or "actors"
-    bool is_pose_refinement_enabled_for(const char* pose_kind) const {
-        return refine_poses.find(pose_kind) != std::string::npos;
-    }
+    bool refines(const char* pose_kind) const { return refine_poses.find(pose_kind) != std::string::npos; }
     bool operator==(const TrainConfig&) const = default;
 };
 
@@ -178,8 +174,8 @@ struct Config {
     std::string preset = "paper";
     DatasetConfig dataset;
     SensorConfig sensor;
-    SceneInitialisationOptions init;
-    ImageFormationModel image;
+    InitOptions init;
+    ImageModel image;
     LossWeights loss;
     TrainConfig train;
     BlockConfig blocks;
@@ -190,13 +186,13 @@ struct Config {
 
     /// Then a training step renders windows of adjacent columns instead of small groups
     /// that are spread over all directions.
-    bool has_loss_between_neighbour_pixels() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
+    bool has_pixel_pair_loss() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };
 
 /// "paper", "released", "default" or "quick".
 /// @throws UsageError for any other name, with the most similar name
-Config make_preset_config(const std::string& preset_name);
+Config make_preset(const std::string& preset_name);
 
 struct ConfigKey {
     std::string key;
@@ -209,20 +205,20 @@ std::vector<ConfigKey> list_config_keys(const Config& config);
 
 /// @throws UsageError for an unknown key (with the most similar key), or for a value of
 /// the wrong type or out of range
-void set_config_value(Config& config, const std::string& key, const std::string& value);
+void set_value(Config& config, const std::string& key, const std::string& value);
 
 /// Overwrites the settings that the file contains. A table name is the first part of a
 /// key.
 /// @throws UsageError for an unknown key or an invalid value
 /// @throws DataError if the file is missing or malformed
-void apply_config_file(Config& config, const std::filesystem::path& path);
+void apply_file(Config& config, const std::filesystem::path& path);
 /// For files of to_toml(), for example config.toml of a run.
 /// @throws DataError if the file is malformed, lacks a setting, or has an unknown setting
-Config load_saved_config(const std::filesystem::path& path);
+Config load_settings(const std::filesystem::path& path);
 
-/// With explanations as comments. load_saved_config() reads the same values.
+/// With explanations as comments. load_settings() reads the same values.
 std::string to_toml(const Config& config);
 /// Leaves out expert settings that equal the preset.
-std::string to_toml_without_defaults(const Config& config);
+std::string to_short_toml(const Config& config);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Edits of a dynamic scene change only tracks (pose of an instance over time; paper, Eq.
-// 4-5) and instances. TrainedRun::replace_driving_scene() then completes the vehicles
+// 4-5) and instances. Run::set_driving_scene() then completes the vehicles
 // whose tracks have changed.
 #pragma once
 
@@ -44,7 +44,7 @@ struct GroundPlacement {
 
 struct SceneWithLogView {
     const Scene& scene;
-    const LidarSequence& sequence;
+    const Log& sequence;
 };
 
 /// Height of the bottom of an actor's box above the ground, metres: the median along the
@@ -52,7 +52,7 @@ struct SceneWithLogView {
 /// height.
 /// @return nullopt if the actor's scene has no ground below the box
 /// @throws UsageError if no instance has this track
-std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_scene, const std::string& track);
+std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, const std::string& track);
 
 /// Pose of an actor on the ground of the background: the plane that is fitted to the
 /// level surfels below the box, at the same height as in `actor_scene` (or on the plane,
@@ -63,9 +63,8 @@ std::optional<double> measure_ground_clearance(const SceneWithLogView& actor_sce
 /// @param actor_scene scene that contains the actor with the track `actor_track`
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start
-NewActorMotion compute_motion_on_ground(const SceneWithLogView& target_scene,
-                                        const GroundPlacement& placement, const SceneWithLogView& actor_scene,
-                                        const std::string& actor_track);
+NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
+                               const SceneWithLogView& actor_scene, const std::string& actor_track);
 
 /// Rays then hit the surfaces behind the actor.
 /// @throws UsageError if no instance has this track, like all functions below with a
@@ -86,20 +85,20 @@ SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, d
 /// Mirrors surfels to the unobserved sides of vehicles whose tracks have changed. An
 /// actor that was moved there and back gets exactly its old track.
 /// @param boxes_before boxes of the log before all edits
-SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before);
+SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before);
 
 /// Says in how many frames an edit has made an actor absent. Empty if there are none, or
 /// if the edited log has no such track.
-std::string describe_frames_without_actor(const BoxTrack& original_box, const LidarSequence& edited_sequence);
+std::string describe_absence(const BoxTrack& original_box, const Log& edited_sequence);
 
 /// Between the poses, positions are interpolated linearly and rotations by slerp. Before
 /// the first and after the last pose, the actor is absent.
 /// @param dataset_from_box [>= 2] poses of the box centre in the dataset's world frame,
-/// with times in the time of the log (LidarFrame::time_s)
+/// with times in the time of the log (Frame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
 /// are not finite
-SceneWithLog replace_trajectory(SceneWithLog scene_and_log, const std::string& track,
-                                const PoseTrack& dataset_from_box);
+SceneWithLog replace_track(SceneWithLog scene_and_log, const std::string& track,
+                           const PoseTrack& dataset_from_box);
 
 /// Adds a copy of an actor that uses the same model, at the end of the instance list. The
 /// first copy of track "0" gets the name "0-copy-1".
@@ -113,7 +112,7 @@ SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source
 
 /// Removes all actors. remove_background() keeps the actors and leaves no surfels of the
 /// background.
-SceneWithLog remove_all_actors(SceneWithLog scene_and_log);
+SceneWithLog remove_actors(SceneWithLog scene_and_log);
 SceneWithLog remove_background(SceneWithLog scene_and_log);
 
 /// Surfels of an actor's model, and rays that hit the actor in the sweep nearest to it.
@@ -126,27 +125,26 @@ struct ActorModelResolution {
 
     /// The actor then looks like separate blobs, because it was recorded from a larger
     /// distance.
-    bool has_too_few_surfels() const { return rays > 8 * surfels; }
+    bool is_too_coarse() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
-/// @param lidar_index index in LidarSequence::lidars
+/// @param lidar_index index in Log::lidars
 /// @return result with 0 rays if no ray of the LiDAR hits the actor, or if the rays of
 /// the LiDAR are unknown
-ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_and_log,
-                                                    const std::string& track, int lidar_index = 0);
+ActorModelResolution model_resolution(const SceneWithLog& scene_and_log, const std::string& track,
+                                      int lidar_index = 0);
 
 /// For given rays from one pose of the sensor.
 /// @param ray_origins, ray_directions [n,3] sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
 /// @param size_m [3] size of the box, metres
-ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> ray_origins,
-                                                    std::span<const glm::vec3> ray_directions,
-                                                    const Pose& box_from_sensor, const glm::dvec3& size_m,
-                                                    std::size_t n_surfels);
+ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
+                                      std::span<const glm::vec3> ray_directions, const Pose& box_from_sensor,
+                                      const glm::dvec3& size_m, std::size_t n_surfels);
 
 /// Completed sides are mirror images. The remaining sides have no surfels, so rays pass
 /// through them. Empty if all sides were observed, or if it is unknown.
-std::string describe_unobserved_sides(const Scene& scene, const std::string& track);
+std::string describe_unseen(const Scene& scene, const std::string& track);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:
 /// time_s, x, y, z, yaw_deg or yaw_rad, and optionally pitch and roll in either unit.
@@ -154,6 +152,6 @@ std::string describe_unobserved_sides(const Scene& scene, const std::string& tra
 /// rotation is R = Rz(yaw) Ry(pitch) Rx(roll).
 /// @throws DataError naming line and column if a value is invalid, a column is unknown,
 /// or there are fewer than two poses
-PoseTrack read_trajectory_csv(const std::filesystem::path& path);
+PoseTrack read_trajectory(const std::filesystem::path& path);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes run folders, which contain a trained scene. A run can be rendered
-// without its dataset. The comment of TrainedRun lists the files of a run folder.
+// without its dataset. The comment of Run lists the files of a run folder.
 #pragma once
 
 #include <filesystem>
@@ -38,11 +38,11 @@ struct EditHistoryEntry {
 ///   intensity_scatter.safetensors  scatter of measured intensities
 ///   scene.json                     sensor, frames, poses, boxes, split, units
 ///   log.jsonl, report.html         training log and report
-struct TrainedRun {
+struct Run {
     std::filesystem::path folder;
     Config config;
-    LidarSequence sequence;
-    TrainTestSplit split;
+    Log sequence;
+    Split split;
     Scene scene;
     std::vector<EditHistoryEntry> edits{};  ///< Edit history, oldest first. Empty for a run without edits.
     /// Network that corrects drop probabilities. Empty if no network was trained.
@@ -58,11 +58,11 @@ struct TrainedRun {
     /// In the format of train.refine_poses. Empty if all poses are those of the log.
     std::string refined_poses{};
 
-    /// Example: run.replace_driving_scene(remove_track(run.copy_driving_scene(), "0")).
-    SceneWithLog copy_driving_scene() const { return {scene, sequence}; }
+    /// Example: run.set_driving_scene(remove_track(run.driving_scene(), "0")).
+    SceneWithLog driving_scene() const { return {scene, sequence}; }
     /// Completes actors whose tracks differ from those of this run
-    /// (complete_moved_actors()).
-    void replace_driving_scene(SceneWithLog driving_scene);
+    /// (complete_actors()).
+    void set_driving_scene(SceneWithLog driving_scene);
 };
 
 /// A new folder appears only when it is complete. In an existing folder, all new files
@@ -70,24 +70,24 @@ struct TrainedRun {
 /// are hard-linked to blocks/NNN/model.safetensors, or copied.
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
-void save_run(const TrainedRun& run);
+void save_run(const Run& run);
 /// Like save_run(), into a folder that contains an earlier run.
 /// @param remove_earlier_files called after all new files are written under temporary
 /// names and before they get their final names
-void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files);
+void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_files);
 /// Deletes everything else in the folder. Atomic if the file system can exchange two
 /// folders in one operation.
-void replace_folder_by_run_atomically(const TrainedRun& run);
+void replace_run(const Run& run);
 
 /// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
 /// enables it. config.dataset.memory_mib is not used: call
-/// store_scans_above_limit_in_file() before.
+/// limit_scan_memory() before.
 /// @param max_scans maximum number of scans, as in DatasetOptions::max_scans
 /// @throws errors of load_sequence()
-LidarSequence load_log(const Config& config, const ProgressReporter& progress = {}, int max_scans = 0);
+Log load_log(const Config& config, const Progress& progress = {}, int max_scans = 0);
 
 /// @throws DataError naming the file that is missing, truncated or inconsistent
-TrainedRun load_run(const std::filesystem::path& folder);
+Run load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2],
 /// opacity_logit [n], sh [n,3,16], and for 3D Gaussians log_scale_w [n]. The metadata
@@ -95,31 +95,31 @@ TrainedRun load_run(const std::filesystem::path& folder);
 /// must be in or below the same folder and are not written.
 /// @throws DataError if an array has the wrong shape or a value that is not finite, or if
 /// the file cannot be written
-void save_scene_to_model_file(const std::filesystem::path& path, const Scene& scene);
+void save_model(const std::filesystem::path& path, const Scene& scene);
 /// @throws DataError naming array and row if an array is missing, has the wrong shape, or
 /// has a value that is not finite
-Scene load_scene_from_model_file(const std::filesystem::path& path);
+Scene load_model(const std::filesystem::path& path);
 
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
-Surfels load_block_surfels(const SceneBlock& block);
+Surfels load_block(const SceneBlock& block);
 /// The background also contains the surfels of the selected blocks, in kd-tree order.
 /// Other blocks are left out.
 /// @param block_indices indices in Scene::blocks
 /// @throws DataError if a block file is invalid
-Scene copy_scene_with_loaded_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
+Scene with_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
 /// For functions that need every surfel.
-Scene copy_scene_with_all_blocks_loaded(const Scene& scene);
+Scene with_all_blocks(const Scene& scene);
 
 /// Saves or loads a ray-drop network as a safetensors file.
 /// @throws DataError naming file and array, also for numbers that are not finite
-void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwork& network);
-RayDropNetwork load_ray_drop_network(const std::filesystem::path& path);
+void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& network);
+RayDropNetwork load_drop_network(const std::filesystem::path& path);
 
 /// Converts the models and instances to JSON, and back into a scene that has its surfels.
-/// @param error_location name of the text in error messages
+/// @param where name of the text in error messages
 /// @throws DataError naming a field that is missing or does not match the surfels
-std::string format_scene_layout_json(const Scene& scene);
-void parse_scene_layout_json(const std::string& text, const std::string& error_location, Scene& scene);
+std::string format_layout(const Scene& scene);
+void parse_layout(const std::string& text, const std::string& where, Scene& scene);
 
 /// It contains a scene.json or a model file.
 bool is_run_folder(const std::filesystem::path& path);
@@ -127,6 +127,6 @@ bool is_run_folder(const std::filesystem::path& path);
 /// Creates a folder and a test file in it, to report an unwritable folder before long
 /// work.
 /// @throws DataError if the folder or the file cannot be created
-void create_folder_and_require_writable(const std::filesystem::path& folder);
+void prepare_folder(const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -11,14 +11,14 @@
 namespace relidar {
 
 /// If dataset.max_range_m is 0, it becomes the largest range limit of the log's LiDARs.
-Config replace_automatic_max_range(Config config, const LidarSequence& sequence);
+Config with_max_range(Config config, const Log& sequence);
 /// For training and simulation.
-TraceOptions make_common_trace_options(const Config& config);
+TraceOptions common_options(const Config& config);
 /// With the values that only losses need.
-TraceOptions make_training_trace_options(const Config& config);
+TraceOptions training_options(const Config& config);
 /// With normals if the scene consists of surfels. If render.range is "mode", with the
 /// search for the surface with the largest weight.
-TraceOptions make_rendering_trace_options(const Config& config);
-BackwardOptions make_backward_options(const Config& config);
+TraceOptions rendering_options(const Config& config);
+BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

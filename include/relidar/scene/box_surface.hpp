@@ -14,7 +14,7 @@ namespace relidar {
 /// Sides of the box of an actor, without the bottom.
 enum class BoxSide { front, rear, left, right, top };
 inline constexpr std::size_t kBoxSides = 5;
-const char* get_name(BoxSide side);
+const char* name_of(BoxSide side);
 
 /// Axes of a side of a box: its outward normal is axis `normal` with the sign `sign`.
 /// Patches divide it along the axes `first` and `second`, on vertical sides the height.
@@ -31,11 +31,11 @@ using ObservedSideFractions = std::array<float, kBoxSides>;
 /// A side whose observed fraction is below this counts as unseen.
 inline constexpr float kUnseenSide = 0.1f;
 /// Returns the names of the unseen sides, for example "rear, left".
-std::string format_unobserved_sides(const ObservedSideFractions& observed_fractions);
+std::string list_unseen_sides(const ObservedSideFractions& observed_fractions);
 /// Returns the minimum cosine between a ray and the normal of a side. More grazing rays
 /// do not count, because their returns form separate streaks. The limit of the top is
 /// lower, because a LiDAR on a car hits other roofs only at grazing angles.
-double get_min_incidence_cosine(BoxSide side);
+double min_cosine(BoxSide side);
 
 /// Surface of a box, divided into patches of about 0.3 m, and which of them were observed
 /// by rays. A point belongs to the patch onto which it projects from the centre of the
@@ -50,37 +50,37 @@ public:
     /// Marks the patch of a point as observed by a ray (both in the box frame) that hits
     /// the side from outside and does not graze it. Rays from inside have passed through
     /// a window to the far side.
-    void mark_patch_of_point_as_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
+    void mark_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
     /// Returns true if a ray has observed the patch of a point.
-    bool is_patch_of_point_observed(const glm::dvec3& point_m) const;
+    bool is_observed(const glm::dvec3& point_m) const;
     /// Returns true if only the mirror patch of a point was observed.
-    bool is_observed_only_in_mirror_image(const glm::dvec3& point_m) const;
+    bool is_mirror_observed(const glm::dvec3& point_m) const;
     /// Returns the observed fraction, by area, of a side or of the complete surface, 0 to
     /// 1.
-    double compute_observed_area_fraction(std::optional<BoxSide> side = {}) const;
+    double observed_fraction(std::optional<BoxSide> side = {}) const;
     /// Returns the fraction that was not observed, but whose mirror image was.
-    double compute_mirrorable_area_fraction(std::optional<BoxSide> side = {}) const;
+    double mirrorable_fraction(std::optional<BoxSide> side = {}) const;
 
     /// If true, unobserved patches got mirrored surfels if their mirror patches were
     /// observed.
     bool is_completed = false;
     /// Returns the observed fraction of each side, including completed patches.
-    ObservedSideFractions compute_covered_fraction_of_each_side() const;
+    ObservedSideFractions covered_sides() const;
     /// Returns the side of the box if the point is in a completed patch.
-    std::optional<BoxSide> find_box_side_with_mirrored_surfels(const glm::dvec3& point_m) const;
+    std::optional<BoxSide> find_mirrored_side(const glm::dvec3& point_m) const;
     /// Measures how much the left and right half of an object differ.
     /// @param points_m points of the surface, box frame
     /// @return median difference between the two observed patches of a pair, metres. A
     /// patch counts with the mean distance of its points from the box centre along the
     /// normal of its side. 0 with fewer than three pairs
-    double compute_left_right_asymmetry_m(const std::vector<glm::vec3>& points_m) const;
+    double asymmetry_m(const std::vector<glm::vec3>& points_m) const;
 
     const glm::dvec3& half_size_m() const { return half_m_; }
     /// Returns the observed patches of a side as text, row by row: 1 observed, 0 not.
-    std::string format_observed_patches(BoxSide side) const;
-    /// Sets the observed patches of a side from the text of format_observed_patches().
+    std::string format_patches(BoxSide side) const;
+    /// Sets the observed patches of a side from the text of format_patches().
     /// @return false if the text has a wrong length or wrong characters
-    bool try_parse_and_set_observed_patches(BoxSide side, const std::string& text);
+    bool parse_patches(BoxSide side, const std::string& text);
 
 private:
     struct BoxSurfacePatch {
@@ -92,13 +92,13 @@ private:
     std::array<std::vector<char>, kBoxSides> observed_patches_;
 
     /// Returns nothing if the point belongs to no patch.
-    std::optional<BoxSurfacePatch> find_patch_of_point(const glm::dvec3& point_m) const;
+    std::optional<BoxSurfacePatch> find_patch(const glm::dvec3& point_m) const;
     /// Returns the index of a patch in the array observed_patches_[patch.side].
-    std::size_t get_patch_index(const BoxSurfacePatch& patch) const;
-    BoxSurfacePatch get_mirror_patch(BoxSurfacePatch patch) const;
+    std::size_t index_of_patch(const BoxSurfacePatch& patch) const;
+    BoxSurfacePatch mirror_patch(BoxSurfacePatch patch) const;
     /// Returns false if the patch is near the ground, where patches are ignored.
-    bool is_patch_above_ground_margin(const BoxSurfacePatch& patch) const;
-    bool has_observed_patch(const BoxSurfacePatch& patch) const;
+    bool is_above_ground(const BoxSurfacePatch& patch) const;
+    bool is_patch_set(const BoxSurfacePatch& patch) const;
     double compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirror_image_observed) const;
 };
 

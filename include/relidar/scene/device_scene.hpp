@@ -52,9 +52,9 @@ struct SurfelArrays {
     bool bends = false;
 
     SurfelArrays() = default;
-    SurfelArrays(Device& device, std::uint32_t n, const std::string& description,
+    SurfelArrays(Device& device, std::uint32_t n, const std::string& text,
                  SurfelParameterSet parameter_set = {});
-    SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
+    SurfelParameterSet parameters_used() const { return {primitive, bends}; }
     /// @throws DataError if the number of surfels, the primitive, or the presence of a
     /// gait differs
     void upload(const Surfels& surfels);
@@ -64,8 +64,8 @@ struct SurfelArrays {
     /// Enlarges the arrays to at least `capacity` surfels. Existing values are kept, and
     /// new values are undefined. No submitted GPU work may use the arrays.
     /// @throws DeviceError if device memory is exhausted; no values are lost
-    void reserve(Device& device, std::uint32_t capacity, const std::string& description);
-    void record_zero_fill(Stream& stream);
+    void reserve(Device& device, std::uint32_t capacity, const std::string& text);
+    void fill_zero(Stream& stream);
 };
 
 /// Learning rates of an optimiser step.
@@ -80,7 +80,7 @@ struct LearningRates {
     double gait = 1e-4;
     /// intensity coefficients, relative to the rate of the drop logits
     double intensity_factor = 1.0;
-    /// Surfel range of each model (DeviceScene::get_model_table()), for `mean_factors`.
+    /// Surfel range of each model (DeviceScene::model_table()), for `mean_factors`.
     const Array<shared::ModelEntry>* models = nullptr;
     /// Factor for the rate of the mean positions of each model, [models]. Empty = 1.
     std::vector<float> mean_factors = {};
@@ -108,18 +108,18 @@ struct SurfelParameterGroup {
 
     constexpr std::uint32_t count_floats() const { return row[0] * row[1]; }  ///< per surfel
     /// Returns the shape of the array in files: [n], [n,3] or [n,3,16] for n surfels.
-    std::vector<std::size_t> get_array_shape(std::size_t n_surfels) const;
+    std::vector<std::size_t> array_shape(std::size_t n_surfels) const;
 };
 
 /// @param kHost, kDevice members of Surfels and SurfelArrays with the parameters
 template <auto kHost, auto kDevice>
-constexpr SurfelParameterGroup make_parameter_group(
+constexpr SurfelParameterGroup make_group(
     const char* name, std::array<std::uint32_t, 2> shape_per_surfel, double LearningRates::*learning_rate,
     bool has_harmonics = false, bool has_scales = false,
     SurfelParameterGroup::SceneRequirement scene_requirement = SurfelParameterGroup::SceneRequirement::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     // Element is not a pointer. NOLINTNEXTLINE(bugprone-sizeof-expression)
-    constexpr std::size_t kFloats = sizeof(Element) / sizeof(float);
+    constexpr std::size_t kFloatsPerElement = sizeof(Element) / sizeof(float);
     return {name,
             shape_per_surfel,
             learning_rate,
@@ -130,57 +130,57 @@ constexpr SurfelParameterGroup make_parameter_group(
             [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
             [](const Surfels& surfels) {
                 return std::span(reinterpret_cast<const float*>((surfels.*kHost).data()),
-                                 kFloats * (surfels.*kHost).size());
+                                 kFloatsPerElement * (surfels.*kHost).size());
             },
             [](Surfels& surfels) {
                 return std::span(reinterpret_cast<float*>((surfels.*kHost).data()),
-                                 kFloats * (surfels.*kHost).size());
+                                 kFloatsPerElement * (surfels.*kHost).size());
             },
-            [](Surfels& surfels, std::size_t n_floats) { (surfels.*kHost).resize(n_floats / kFloats); }};
+            [](Surfels& surfels, std::size_t n_floats) {
+                (surfels.*kHost).resize(n_floats / kFloatsPerElement);
+            }};
 }
 
 /// Table of all groups of surfel parameters. A scene may lack the first and the last, so
 /// that the groups of every scene are consecutive. A new parameter needs an entry here, a
 /// member of Surfels and of SurfelArrays, and a pointer for the kernels.
 inline constexpr std::array<SurfelParameterGroup, 7> kParameterGroups{{
-    make_parameter_group<&Surfels::gait, &SurfelArrays::gait>(
-        "gait", {5, 1}, &LearningRates::gait, false, false, SurfelParameterGroup::SceneRequirement::bends),
-    make_parameter_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
-    make_parameter_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1},
-                                                                      &LearningRates::rotation),
-    make_parameter_group<&Surfels::log_scale, &SurfelArrays::log_scale>(
-        "log_scale", {2, 1}, &LearningRates::log_scale, false, true),
-    make_parameter_group<&Surfels::opacity_logit, &SurfelArrays::opacity_logit>(
-        "opacity_logit", {1, 1}, &LearningRates::opacity_logit),
-    make_parameter_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients},
-                                                          &LearningRates::sh, true),
-    make_parameter_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>(
+    make_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
+                                                    SurfelParameterGroup::SceneRequirement::bends),
+    make_group<&Surfels::mean, &SurfelArrays::mean>("mean", {3, 1}, &LearningRates::mean),
+    make_group<&Surfels::rotation, &SurfelArrays::rotation>("rotation", {4, 1}, &LearningRates::rotation),
+    make_group<&Surfels::log_scale, &SurfelArrays::log_scale>("log_scale", {2, 1}, &LearningRates::log_scale,
+                                                              false, true),
+    make_group<&Surfels::opacity_logit, &SurfelArrays::opacity_logit>("opacity_logit", {1, 1},
+                                                                      &LearningRates::opacity_logit),
+    make_group<&Surfels::sh, &SurfelArrays::sh>("sh", {kShChannels, kShCoefficients}, &LearningRates::sh,
+                                                true),
+    make_group<&Surfels::log_scale_w, &SurfelArrays::log_scale_w>(
         "log_scale_w", {1, 1}, &LearningRates::log_scale, false, true,
         SurfelParameterGroup::SceneRequirement::third_scale),
 }};
 
 /// Returns the parameter groups that the surfels of a scene have.
-constexpr std::span<const SurfelParameterGroup> list_parameter_groups(SurfelParameterSet parameter_set) {
+constexpr std::span<const SurfelParameterGroup> list_groups(SurfelParameterSet parameter_set) {
     const std::size_t first = parameter_set.bends ? 0 : 1,
                       last = kParameterGroups.size() -
-                             (get_primitive_properties(parameter_set.primitive).third_scale ? 0 : 1);
+                             (properties_of(parameter_set.primitive).third_scale ? 0 : 1);
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
 /// Metadata key in model and checkpoint files that stores the PrimitiveType.
 inline constexpr const char* kPrimitiveKey = "primitive";
 /// Reads from the metadata of a file which parameters the stored surfels have.
-/// @param error_location text at the beginning of error messages, usually a file name
+/// @param where text at the beginning of error messages, usually a file name
 /// @param has_array returns true if the file has an array with the given name
 /// @throws DataError if the key is missing or its value is not a primitive
-SurfelParameterSet read_surfel_parameter_set(const std::string& error_location,
-                                             const std::map<std::string, std::string>& metadata,
-                                             const std::string& primitive_key,
-                                             const std::function<bool(const char*)>& has_array);
-constexpr std::uint32_t count_floats_per_surfel(SurfelParameterSet parameter_set) {
+SurfelParameterSet read_parameter_set(const std::string& where,
+                                      const std::map<std::string, std::string>& metadata,
+                                      const std::string& primitive_key,
+                                      const std::function<bool(const char*)>& has_array);
+constexpr std::uint32_t floats_per_surfel(SurfelParameterSet parameter_set) {
     std::uint32_t sum = 0;
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameter_set))
-        sum += group.count_floats();
+    for (const SurfelParameterGroup& group : list_groups(parameter_set)) sum += group.count_floats();
     return sum;
 }
 
@@ -188,7 +188,7 @@ namespace shared {
 struct SurfelPointers;  // Device addresses of the parameter arrays.
 }
 /// Returns the device addresses of all parameter arrays, to be passed to kernels.
-shared::SurfelPointers get_surfel_pointers(const SurfelArrays& arrays);
+shared::SurfelPointers surfel_pointers(const SurfelArrays& arrays);
 
 /// List of the surfels that have a gradient, made by a kernel from an array of flags.
 /// This saves time on CPU devices, where idle threads cost as much as active threads.
@@ -198,16 +198,15 @@ public:
     ~TouchedSurfelList();
     /// Lists the rows whose flag is 1, [n_rows]. Waits for the stream if there are more
     /// rows than in any earlier call.
-    void record_compaction_of_touched_rows(Stream& stream,
-                                           Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
-                                           std::uint32_t n_rows);
+    void compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+                 std::uint32_t n_rows);
     /// [count] indices of the listed rows, in no particular order
-    Address<std::uint32_t, shared::TouchedRows> get_touched_rows_address() const;
-    Address<std::uint32_t, shared::TouchedCount> get_touched_count_address() const;  ///< [1]
+    Address<std::uint32_t, shared::TouchedRows> rows_address() const;
+    Address<std::uint32_t, shared::TouchedCount> count_address() const;  ///< [1]
     /// Returns the number of threads for a kernel that processes the list. It is
     /// constant, because the host does not know the length, so a thread may process
     /// several rows.
-    std::size_t choose_thread_count_for_touched_rows(std::size_t max_touched_rows) const;
+    std::size_t choose_threads(std::size_t max_touched_rows) const;
 
 private:
     struct Impl;
@@ -218,12 +217,12 @@ private:
 /// the track at the first and the last time at which a ray may hit the box. A box behind
 /// a spinning sensor is hit at the start and at the end of the sweep.
 /// @param half_size_m [3] half size of the box. 0 = unknown, so any ray may hit the box
-InstancePose compute_box_pose_in_sweep(const LidarSequence& sequence, const PoseTrack& world_from_box,
-                                       const glm::dvec3& half_size_m, const SweepTiming& sweep);
+InstancePose box_pose_in_sweep(const Log& sequence, const PoseTrack& world_from_box,
+                               const glm::dvec3& half_size_m, const SweepTiming& sweep);
 
-/// Inputs and outputs of DeviceScene::record_activation_backpropagation().
+/// Inputs and outputs of DeviceScene::activate_vjp().
 struct ActivationGradients {
-    /// Input: gradients with respect to the surfel records, [count_gradient_rows,16].
+    /// Input: gradients with respect to the surfel records, [count_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the parameters.
     /// Output: flags, [n]. 1 for each surfel whose record has a nonzero gradient.
@@ -234,7 +233,7 @@ struct ActivationGradients {
     bool zero_untouched = true;  ///< If true, surfels without a gradient get zeros.
     /// If true, `touched` is also an input: 0 for each surfel that no ray has hit. Such a
     /// surfel is skipped, and nothing is written for it, if zero_untouched is false and
-    /// can_skip_surfels_without_gradient() returns true.
+    /// can_skip_surfels() returns true.
     bool touched_is_marked = false;
 };
 
@@ -243,66 +242,64 @@ class DeviceScene {
 public:
     /// @param stage_harmonics if true, kernels copy SH coefficients through shared memory
     /// in full cache lines. Default: true on GPUs
-    /// @throws DataError see require_valid_scene_layout()
+    /// @throws DataError see check_layout()
     DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics = std::nullopt);
     ~DeviceScene();
 
     /// Sets the pose world_from_model of every instance. All are present. Waits until the
     /// upload is finished.
-    void upload_instance_poses_and_wait(const std::vector<Pose>& world_from_instance);
+    void upload_poses(const std::vector<Pose>& world_from_instance);
     /// The same with motions and absent instances.
-    void upload_instance_poses_and_wait(const std::vector<InstancePose>& instance_poses);
+    void upload_poses(const std::vector<InstancePose>& instance_poses);
     /// The same without waiting. The acceleration structure has the new poses only after
-    /// record_bvh_refit_or_build() or record_top_level_bvh_update().
-    void record_upload_of_instance_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
-    const std::vector<InstancePose>& get_instance_poses() const;
+    /// record_refit() or record_top_level().
+    void stage_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
+    const std::vector<InstancePose>& poses() const;
     /// Returns true if the new poses change the phase of an actor's walking cycle, so
-    /// that record_activation_of_surfel_parameters() must be called again.
-    bool would_change_gait_phases(const std::vector<InstancePose>& instance_poses) const;
+    /// that activate() must be called again.
+    bool moves_gait(const std::vector<InstancePose>& instance_poses) const;
     /// Computes the SurfelRecord of each surfel from its parameters (docs/method.md M1,
     /// M2, M9); with ShDirection::surfel also intensity, hit logit and drop logit.
     /// Tracing kernels read only these records.
     /// @param view_origin_m [3] sensor position, world frame. If a model has several
     /// instances, it is used relative to the first of them
     /// @throws UsageError if `model` has another primitive than the scene
-    void record_activation_of_surfel_parameters(Stream& stream, const ImageFormationModel& model,
-                                                const glm::vec3& view_origin_m);
-    /// Returns true if record_activation_backpropagation() can skip surfels without a
+    void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
+    /// Returns true if activate_vjp() can skip surfels without a
     /// gradient, which is the case on CPU devices.
-    bool can_skip_surfels_without_gradient() const;
+    bool can_skip_surfels() const;
     /// Converts gradients with respect to the SurfelRecords to gradients with respect to
     /// the parameters (chain rule). Writes the gradients of the SH coefficients only with
     /// ShDirection::surfel. Otherwise the backward pass has already written them.
-    void record_activation_backpropagation(Stream& stream, const ImageFormationModel& model,
-                                           const glm::vec3& view_origin_m,
-                                           const ActivationGradients& gradients);
+    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
+                      const ActivationGradients& gradients);
 
     /// Enlarges all arrays to at least `capacity` surfels. Existing values are kept.
     void reserve(Device& device, std::uint32_t capacity);
     /// Sets the range of each model after the arrays were rearranged. Afterwards,
-    /// record_activation_of_surfel_parameters() must update the surfel records, and
-    /// record_upload_of_instance_poses() or upload_instance_poses_and_wait() the
+    /// activate() must update the surfel records, and
+    /// stage_poses() or upload_poses() the
     /// instances.
     void set_models(const std::vector<SurfelModel>& models);
 
-    const Scene& get_scene_layout() const;  ///< Models and instances of the scene, without surfels.
-    SurfelArrays& get_surfel_parameters();
-    const SurfelArrays& get_surfel_parameters() const;
-    const Array<shared::SurfelRecord>& get_surfel_records() const;  ///< Surfel records, [n].
-    /// ImageFormationModel::alpha_min of the last activation. Rays skip hits with a
+    const Scene& layout() const;  ///< Models and instances of the scene, without surfels.
+    SurfelArrays& surfel_parameters();
+    const SurfelArrays& surfel_parameters() const;
+    const Array<shared::SurfelRecord>& surfel_records() const;  ///< Surfel records, [n].
+    /// ImageModel::alpha_min of the last activation. Rays skip hits with a
     /// smaller alpha.
     float alpha_min() const;
     /// [models], in the order of their surfel ranges
-    const Array<shared::ModelEntry>& get_model_table() const;
+    const Array<shared::ModelEntry>& model_table() const;
     /// [instances], with the most recent poses
-    const Array<shared::InstanceEntry>& get_instance_table() const;
+    const Array<shared::InstanceEntry>& instance_table() const;
     std::uint32_t size() const;  ///< Number of surfels.
     PrimitiveType primitive() const;
     /// Returns the first row of an instance in the array of gradients with respect to
     /// SurfelRecords, which has a row for each surfel of each instance.
-    std::uint32_t get_first_gradient_row_of_instance(std::size_t instance_index) const;
+    std::uint32_t first_gradient_row(std::size_t instance_index) const;
     /// Number of rows in this array, at least one per surfel.
-    std::uint32_t count_gradient_rows() const;
+    std::uint32_t count_rows() const;
 
 private:
     struct Impl;

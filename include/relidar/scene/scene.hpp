@@ -57,7 +57,7 @@ inline constexpr std::array kPrimitives{
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Adds one row per primitive.
 #undef RELIDAR_PRIMITIVE
 };
-constexpr const PrimitiveProperties& get_primitive_properties(PrimitiveType primitive) {
+constexpr const PrimitiveProperties& properties_of(PrimitiveType primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
@@ -106,10 +106,10 @@ struct Surfels {
     bool bends = false;  ///< True if the surfels have a gait (phase window).
 
     std::size_t size() const { return mean.size(); }
-    SurfelParameterSet get_parameter_set() const { return {primitive, bends}; }
-    void resize(std::size_t count) { resize(count, get_parameter_set()); }
+    SurfelParameterSet parameters_used() const { return {primitive, bends}; }
+    void resize(std::size_t count) { resize(count, parameters_used()); }
     void resize(std::size_t count, SurfelParameterSet parameter_set);
-    void add_motionless_gait();  ///< Adds a gait without motion to all surfels if they have none.
+    void add_still_gait();  ///< Adds a gait without motion to all surfels if they have none.
     /// Appends surfels. An empty set adopts the primitive type of `other`. If only one
     /// set has a gait, the other gets one without motion.
     /// @throws DataError if the primitive types differ
@@ -119,12 +119,12 @@ struct Surfels {
     /// Returns a copy of surfels first ... first + count - 1.
     Surfels slice(std::size_t first, std::size_t count) const;
     /// @throws DataError if the arrays do not have the same number of surfels
-    void require_equal_array_lengths() const;
+    void check_lengths() const;
 };
 
 /// Converts surfels to another primitive. If the new primitive has a third scale, its
 /// value is `relative_thickness` times the geometric mean of the other two scales.
-void convert_to_primitive(Surfels& surfels, PrimitiveType primitive, double relative_thickness);
+void convert_surfels(Surfels& surfels, PrimitiveType primitive, double relative_thickness);
 
 /// Contiguous range of the scene's surfels that share one coordinate frame.
 struct SurfelModel {
@@ -156,7 +156,7 @@ struct SceneBlock {
     glm::vec3 low_m{0.0f}, high_m{0.0f};
 
     /// Returns the distance from a point in the world frame to the box; 0 in the box.
-    double compute_distance_to_box_m(const glm::dvec3& point_m) const {
+    double distance_m(const glm::dvec3& point_m) const {
         return glm::distance(point_m, glm::clamp(point_m, glm::dvec3(low_m), glm::dvec3(high_m)));
     }
 };
@@ -168,7 +168,7 @@ struct Scene {
     std::vector<SurfelModel> models;
     std::vector<ModelInstance> instances;
     /// Probabilities that the log's LiDARs drop a ray regardless of the scene, one row
-    /// per beam (LidarSequence::find_global_beam_number). Empty if not estimated.
+    /// per beam (Log::find_global_beam). Empty if not estimated.
     RayDropTable sensor_drop;
     /// Parts of the background that are stored in files and not in `surfels`.
     std::vector<SceneBlock> blocks = {};
@@ -181,35 +181,34 @@ std::size_t count_surfels(const Scene& scene);
 /// scans of the log are not used.
 struct SceneWithLog {
     Scene scene;
-    LidarSequence sequence;
+    Log sequence;
 };
 
 /// @throws DataError unless the models are consecutive ranges that contain all surfels,
 /// in order, and all instances have one of the models
-void require_valid_scene_layout(const Scene& scene);
+void check_layout(const Scene& scene);
 /// Returns a scene that has only a background model and its instance.
-Scene make_background_scene(Surfels surfels);
+Scene wrap_background(Surfels surfels);
 /// Returns a copy of the scene in which another background, sorted in kd-tree order,
 /// replaces the background and all blocks.
-Scene copy_scene_with_new_background(const Scene& scene, const Surfels& background);
+Scene replace_background(const Scene& scene, const Surfels& background);
 /// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
 std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index);
 /// Returns the same scene with a separate model for every instance.
-Scene duplicate_shared_models(Scene scene);
+Scene unshare_models(Scene scene);
 /// Selects instances by name: "background", "actors" (all except the background), or a
 /// track id.
 /// @return [instances] true for each selected instance
 /// @throws UsageError for an unknown name
-std::vector<bool> mark_instances_with_names(const Scene& scene,
-                                            const std::vector<std::string>& instance_names);
+std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& instance_names);
 
 /// Direction in which spherical harmonics are evaluated. `ray`: along each ray. `surfel`:
 /// from the sensor to each surfel's mean.
 enum class ShDirection { ray, surfel };
 
 /// Constants of the image formation model (docs/method.md sections 2-3).
-struct ImageFormationModel {
+struct ImageModel {
     float near_m = 0.2f;              ///< Minimum range at which a ray can hit a surfel, metres.
     float alpha_min = 1.0f / 255.0f;  ///< Minimum alpha of a hit. Hits with a smaller alpha are skipped.
     float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero if alpha is clamped.
@@ -221,7 +220,7 @@ struct ImageFormationModel {
     /// hit and drop logits (docs/method.md M6), depends on the drop logits only.
     bool single_drop_logit = false;
     PrimitiveType primitive = PrimitiveType::surfel;  ///< Primitive of the scene (ablation).
-    bool operator==(const ImageFormationModel&) const = default;
+    bool operator==(const ImageModel&) const = default;
 };
 
 /// Kind of a labelled object, the same for all datasets.
@@ -233,9 +232,9 @@ enum class ObjectKind {
 };
 /// Maps a class name of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes to a kind.
 /// Returns `other` for an unknown name.
-ObjectKind parse_object_kind(std::string_view category);
+ObjectKind parse_kind(std::string_view category);
 /// Returns the name of a kind in settings: vehicle, cyclist, person or other.
-const char* get_name(ObjectKind kind);
+const char* name_of(ObjectKind kind);
 
 /// Treatment of moving objects without a label. `background`: their points become
 /// background. `removed`: points are removed if rays of other frames pass through them.
@@ -243,7 +242,7 @@ const char* get_name(ObjectKind kind);
 enum class UnlabelledMoverPolicy { background, removed, actors };
 
 /// Options for creating the initial scene from a log.
-struct SceneInitialisationOptions {
+struct InitOptions {
     /// Edge length of voxels in which points of all training frames are averaged, metres.
     double voxel_m = 0.15;
     /// Minimum edge length of a voxel, divided by its distance from the nearest sensor
@@ -263,7 +262,7 @@ struct SceneInitialisationOptions {
     /// initial drop probability (softmax of both) is 1 / (1 + exp(hit_margin)).
     double hit_margin = 1.0;
     /// If true, surfels start with hit logit 0 and drop logit -hit_margin. Training sets
-    /// this if it keeps all hit logits at 0 (ImageFormationModel::single_drop_logit).
+    /// this if it keeps all hit logits at 0 (ImageModel::single_drop_logit).
     bool one_logit = false;
     /// Upper bound of the initial standard deviations, metres, except over gaps
     /// (max_gap_m).
@@ -280,7 +279,7 @@ struct SceneInitialisationOptions {
     /// Treatment of moving objects without a label. The default is that of the paper.
     UnlabelledMoverPolicy unlabelled_movers = UnlabelledMoverPolicy::background;
     /// Moving boxes that become actors: comma-separated class names or kinds
-    /// (parse_object_kind()), all, or empty for none.
+    /// (parse_kind()), all, or empty for none.
     std::string actor_classes = "all";
     /// If true, moving boxes that do not become actors are excluded from training. If
     /// false, they are trained as background (paper).
@@ -298,7 +297,7 @@ struct SceneInitialisationOptions {
     int actor_min_points = 20;
     /// Seed for random orientations and points. Training uses train.seed instead.
     std::uint64_t seed = 1;
-    bool operator==(const SceneInitialisationOptions&) const = default;
+    bool operator==(const InitOptions&) const = default;
 };
 
 /// Pose and motion of an instance during a sweep. An instance may be absent.
@@ -321,78 +320,69 @@ struct InstancePose {
 /// box. Other boxes are named mover-0, mover-1, ... All processes of a group get the same
 /// result. If several LiDARs saw an object, the first track is kept unless a later one is
 /// more than 1.5 times as long.
-std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequence,
-                                                    const std::vector<int>& train_frame_indices,
-                                                    const ProgressReporter& progress = {},
-                                                    const ProcessGroup& group = {});
+std::vector<BoxTrack> discover_tracks(const Log& sequence, const std::vector<int>& train_frames,
+                                      const Progress& progress = {}, const ProcessGroup& group = {});
 
 /// Returns the boxes whose points and rays are kept out of the background: moving boxes
 /// (BoxTrack::is_moving()) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
-std::vector<BoxTrack> list_foreground_boxes(const LidarSequence& sequence,
-                                            const SceneInitialisationOptions& options);
+std::vector<BoxTrack> list_foreground(const Log& sequence, const InitOptions& options);
 
 /// Creates the background surfels from the training frames of a log, in the recentred
 /// world frame and in kd-tree order, which software BVH builders without sorting need.
 /// @throws DataError if no training frame has a usable point
-Surfels initialise_background(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
-                              const SceneInitialisationOptions& options,
-                              const ProgressReporter& progress = {});
+Surfels init_background(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+                        const Progress& progress = {});
 
 /// Creates the background, and one model and instance per actor, in the frame of the
 /// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
 /// selected tracks. A point in two boxes belongs to both models.
-/// @param notes output: for each actor of SceneInitialisationOptions::deform, whether its
+/// @param notes output: for each actor of InitOptions::deform, whether its
 /// shape changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
-Scene initialise_scene(const LidarSequence& sequence, const std::vector<int>& train_frame_indices,
-                       const SceneInitialisationOptions& options, const ProgressReporter& progress = {},
-                       std::vector<std::string>* notes = nullptr);
+Scene init_scene(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+                 const Progress& progress = {}, std::vector<std::string>* notes = nullptr);
 
 /// Returns the boxes that were removed from the background and have no model in the
 /// scene, because of their class or their few points. Renderings lack their returns.
-std::vector<BoxTrack> find_boxes_without_model(const Scene& scene, const LidarSequence& sequence,
-                                               const SceneInitialisationOptions& options);
+std::vector<BoxTrack> find_unmodelled(const Scene& scene, const Log& sequence, const InitOptions& options);
 /// Returns the moving boxes that are neither background nor selected as actors.
-std::vector<BoxTrack> find_moving_boxes_not_selected_as_actors(const LidarSequence& sequence,
-                                                               const SceneInitialisationOptions& options);
+std::vector<BoxTrack> find_unselected(const Log& sequence, const InitOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string format_box_list(const std::vector<BoxTrack>& boxes);
 
 /// Computes poses and motions of all instances during a sweep, from the tracks of the
 /// log. A box is absent before its first and after its last label.
-std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
-                                                 const SweepTiming& sweep);
+std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence, const SweepTiming& sweep);
 
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorTracksByName = std::map<std::string, PoseTrack>;
 /// The same with actor tracks of the caller.
 /// @throws UsageError if a name is unknown
-std::vector<InstancePose> compute_instance_poses(const Scene& scene, const LidarSequence& sequence,
-                                                 const SweepTiming& sweep,
-                                                 const ActorTracksByName& world_from_actor);
+std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence, const SweepTiming& sweep,
+                                         const ActorTracksByName& world_from_actor);
 /// Returns the surfels of all present instances at one time, with their poses and walking
 /// motions, in the world frame.
 /// @param instance_poses [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
-Surfels transform_all_surfels_to_world(const Scene& scene, const std::vector<InstancePose>& instance_poses);
+Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& instance_poses);
 
 /// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
 /// median of a range is at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
-std::vector<std::uint32_t> compute_kd_tree_order(const std::vector<glm::vec3>& points);
+std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points);
 
 /// Returns the extent of a model in metres, to which some settings are relative. Actors:
 /// 4 times the diagonal of the box. Other models: 3 times the 90th percentile of 2 |p -
 /// centre| over the surfels. Without surfels: 1.
-double compute_robust_model_extent_m(const Scene& scene, std::size_t model_index);
-double compute_actor_model_extent_m(const glm::vec3& half_size_m);
+double model_extent_m(const Scene& scene, std::size_t model_index);
+double actor_extent_m(const glm::vec3& half_size_m);
 /// The extent of the background.
-double compute_robust_background_extent_m(const Scene& scene);
+double scene_extent_m(const Scene& scene);
 
 /// Returns a copy of a scene that has everything but the surfels.
-Scene copy_scene_without_surfels(const Scene& scene);
+Scene strip_surfels(const Scene& scene);
 
 }  // namespace relidar

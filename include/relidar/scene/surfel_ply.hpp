@@ -28,14 +28,14 @@ enum class PrimitiveType;
 ///   model                 index of the model; not in the original layout
 ///
 /// Positions are in the frame of the surfel's model, so actors are at the origin.
-/// @throws DataError for the reasons listed at write_file_atomically()
-void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
+/// @throws DataError for the reasons listed at write_atomically()
+void write_surfels(const std::filesystem::path& path, const Scene& scene);
 /// Writes surfels that are all in the same coordinate frame. The file has no property
 /// `model`, so that read_surfel_ply() does not read it as a complete scene.
 /// @param header_comments comments in the file header
-void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
-                      const FileMetadata& header_comments);
-/// Reads a scene that write_surfel_ply() has written. The surfels are restored bit by bit
+void write_surfels(const std::filesystem::path& path, const Surfels& surfels,
+                   const FileMetadata& header_comments);
+/// Reads a scene that write_surfels() has written. The surfels are restored bit by bit
 /// and grouped by model. Models, instances and sensor drop probabilities are copied from
 /// `scene_layout`. Properties may have any order, and additional properties are allowed.
 /// Ignores nx ny nz, scale_2 of surfels, and the second and third colour. Many editors

@@ -13,12 +13,12 @@ namespace relidar {
 bool is_vehicle(const BoxTrack& box);
 
 /// Returns a copy of the surfels, mirrored at the x-z plane: y becomes -y.
-Surfels mirror_left_right(Surfels surfels);
+Surfels mirror_surfels(Surfels surfels);
 
 /// Completes a symmetric object. Surfels of an unobserved patch are replaced by mirrored
 /// surfels of the other side, if the other side was observed. The new surfels are
 /// appended. Does nothing if both sides were observed and differ by more than 0.15 m.
 /// @return number of surfels that were added
-std::size_t replace_unobserved_by_mirrored_surfels(Surfels& surfels, ObservedBoxSurface& surface);
+std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface);
 
 }  // namespace relidar

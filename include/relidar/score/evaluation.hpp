@@ -24,12 +24,12 @@ struct RangeErrorCounts {
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
     static constexpr std::array<double, 3> kErrorEdges_m{0.05, 0.2, 1.0};
     /// edges + 1, plus a last bin for rays without rendered return
-    static constexpr std::size_t kBands = kErrorEdges_m.size() + 2;
+    static constexpr std::size_t kErrorBins = kErrorEdges_m.size() + 2;
 
-    std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
+    std::array<std::array<double, kErrorBins>, kRangeEdges_m.size() - 1> rays{};
 };
 
-/// Scores of the points of a moving box in one frame, or in all frames of an evaluation.
+/// Scores of the points of a moving box in one frame, or in all frames of an result.
 ///   points, points_real   number of simulated and of real points in the box
 ///   range_medae_m         median of the absolute range errors
 ///   range_bias_m          median of the range errors, simulated minus real
@@ -50,7 +50,7 @@ struct ScoredFrame {
     std::optional<SweepStart> start = {};  ///< azimuth and time of the sweep's start; empty if default
     /// Differs from the number of pixels if points are binned into an image.
     std::size_t n_rays = 0;
-    /// Only the middle frame of an evaluation keeps its scan, the others only the
+    /// Only the middle frame of an result keeps its scan, the others only the
     /// rendering time.
     RenderedScan rendered;
     RangeImage real;  ///< Measured image. Only frames that keep the rendered scan also keep this image.
@@ -75,14 +75,14 @@ struct MovingBoxPoints {
 /// @param point_ranges_m [n] ranges at which the simulated points are placed
 /// @param sweep  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
-MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                                      const RangeImage& real, const LidarSequence& sequence,
-                                      const SweepTiming& sweep, const BoxTrack& box);
+MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep,
+                              const BoxTrack& box);
 
 /// Called with the images of a frame after its metrics were computed. It may add metrics.
 using ScoredFrameCallback = std::function<void(ScoredFrame&)>;
 
-struct EvaluationResult {
+struct Evaluation {
     std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
     MetricValues mean;
@@ -96,51 +96,48 @@ struct EvaluationResult {
 };
 
 /// The poses of the run do not change.
-/// @param frame_indices  indices into TrainedRun::sequence of the frames
+/// @param frame_indices  indices into Run::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
-void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices, const LidarSequence& log);
+void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log);
 
 /// Renders a frame at the pose of the real sensor, along the rays of the real scan or
 /// binned into another grid like the real points.
 /// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
 /// log's sensor
-ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
-                                   const LidarSequence& sequence, const LidarFrame& frame,
-                                   const Pose& sensor_offset = {});
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& sequence, const Frame& frame,
+                        const Pose& sensor_offset = {});
 
 /// Memory use does not grow with the number of frames.
 /// @param frame_indices  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
-/// evaluation stops
+/// result stops
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
-EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
-                                 const std::vector<int>& frame_indices, const ProgressReporter& progress = {},
-                                 const ScoredFrameCallback& on_frame = {});
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& sequence,
+                           const std::vector<int>& frame_indices, const Progress& progress = {},
+                           const ScoredFrameCallback& on_frame = {});
 
 /// @param kernel_times  of the renderer that rendered the frames
-EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
-                                      const KernelTimes& kernel_times);
+Evaluation summarise(std::vector<ScoredFrame> scored_frames, const KernelTimes& kernel_times);
 
 /// By kernel name.
-MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times);
+MetricValues mean_kernel_ms(const KernelTimes& kernel_times);
 
 /// A baseline predicts a scan from the points of the neighbouring training scans.
 /// "nearest" keeps points where they were measured, "nearest-actors" moves points in a
 /// box with it.
 /// @throws UsageError for another name
-BoxPointMotion parse_box_point_motion_of_baseline(const std::string& baseline_name);
+BoxPointMotion parse_baseline(const std::string& baseline_name);
 /// On the held-out frames of a log with its scans.
 /// @param progress  called before each frame and after the last one
 /// @throws UsageError for another name
-EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,
-                                   const LidarSequence& sequence, const TrainTestSplit& split,
-                                   const ProgressReporter& progress = {},
-                                   const ScoredFrameCallback& on_frame = {});
+Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& sequence,
+                             const Split& split, const Progress& progress = {},
+                             const ScoredFrameCallback& on_frame = {});
 
-/// If the user has set a file, reads it before a long evaluation.
+/// If the user has set a file, reads it before a long result.
 /// @throws DataError if the file is damaged or an array is missing
-void require_readable_lpips_weights();
+void check_lpips_weights();
 /// Environment variable RELIDAR_LPIPS_WEIGHTS. If empty, LPIPS is not computed.
-std::string find_lpips_weights_path();
+std::string lpips_weights_path();
 
 }  // namespace relidar

@@ -22,10 +22,10 @@
 
 namespace relidar {
 
-struct LidarFrame;
+struct Frame;
 struct RayTable;
 struct Scan;
-struct LidarSequence;
+struct Log;
 
 /// Metric values by name. A name contains the protocol and the unit: "peer/depth_rmse_m",
 /// "strict/cd_mean_m", "strict/drop_accuracy", ...
@@ -86,18 +86,16 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
 
 /// all, moving_boxes, static, range_0_20_m, range_20_40_m, range_40_80_m
 /// @param moving_pixels [rows*columns] true for pixels whose return is in a moving box
-std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
-                                                 const std::vector<bool>& moving_pixels);
+std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<bool>& moving_pixels);
 
 /// True for returns inside a moving box that the dataset labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] rays
-std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence, const LidarFrame& frame,
-                                                  const Pose& sensor_offset = {});
+std::vector<bool> mask_labelled_movers(const Log& sequence, const Frame& frame,
+                                       const Pose& sensor_offset = {});
 /// Same for moving boxes that relidar has found in the scans.
-std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
-                                                    const Pose& sensor_offset = {});
+std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset = {});
 
 /// Scores the points that are written to point cloud files, whose ranges can differ from
 /// those of the image: strict/depth_*, strict/cd_* and strict/f_* of evaluate(), with
@@ -113,8 +111,8 @@ MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
 /// @param rendered_classes [n] values of the channel `class`
 /// @param real_classes [n] labels
 /// @return an empty row if no ray has a label
-MetricValues compute_surface_class_metrics(const std::vector<std::int32_t>& rendered_classes,
-                                           std::span<const SurfaceClass> real_classes);
+MetricValues score_classes(const std::vector<std::int32_t>& rendered_classes,
+                           std::span<const SurfaceClass> real_classes);
 
 struct RangeImageComparison {
     const RangeImage* rendered = nullptr;
@@ -136,21 +134,21 @@ enum class BoxPointMotion { stay, follow };
 /// Moves the returns of the nearest earlier and later training frames of the same LiDAR
 /// into another sweep:
 ///   p_sensor(t) = sensor_from_world(t) p_world
-///   t = compute_time_when_lidar_faces_point_s(p_sensor)
+///   t = facing_time_s(p_sensor)
 /// The result is a list of rays that start at the sensor origin.
 /// @param predicted_frame_index  index of the sweep in sequence.frames; its scan is not
 /// read
 /// @param train_frames  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
-Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_frame_index,
-                                  const std::vector<int>& train_frames, BoxPointMotion box_motion);
+Scan predict_scan(const Log& sequence, int predicted_frame_index, const std::vector<int>& train_frames,
+                  BoxPointMotion box_motion);
 
 /// Assigns each point to the ray with the smallest angle to the point. If several points
 /// belong to a ray, the nearest point is kept. Skips points that are more than half a
 /// beam spacing above the highest or below the lowest beam.
 /// @return a scan of `rays`, with range_m along the direction of each ray
 /// @throws DataError if the rays are not in image order
-Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points);
+Scan assign_points(const RayTable& rays, const Scan& points);
 
 /// Weights of LPIPS v0.1 with AlexNet. The convolutions have the shapes 64x3x11x11,
 /// 192x64x5x5, 384x192x3x3, 256x384x3x3, 256x256x3x3 (out, in, height, width).
@@ -181,15 +179,15 @@ public:
     /// @return of the five layers
     /// @throws DataError if an array has another size, or the image is below 31 x 31
     /// pixels, so that pooling leaves no pixel
-    std::array<double, 5> compute_lpips_layer_distances(const std::vector<float>& first_image,
-                                                        const std::vector<float>& second_image, int rows,
-                                                        int columns) const;
+    std::array<double, 5> layer_distances(const std::vector<float>& first_image,
+                                          const std::vector<float>& second_image, int rows,
+                                          int columns) const;
     /// For images with a single channel, which is repeated three times, summed over all
     /// layers. Values are mapped by x -> 2 x - 1, without clamping, like `normalize` in
     /// the published code. Published tables for LiDAR use ranges in metres.
     /// @param first_image, second_image [rows*columns]
-    double compute_perceptual_distance(const std::vector<double>& first_image,
-                                       const std::vector<double>& second_image, int rows, int columns) const;
+    double compute_distance(const std::vector<double>& first_image, const std::vector<double>& second_image,
+                            int rows, int columns) const;
 
 private:
     struct Impl;
@@ -206,10 +204,10 @@ double compute_ssim(const std::vector<double>& first_image, const std::vector<do
 /// Exact distance from each query point to the nearest target point. Uses all cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
-std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query_points,
-                                              const std::vector<glm::dvec3>& target_points);
+std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& query_points,
+                                        const std::vector<glm::dvec3>& target_points);
 
 /// Returns the mean of each metric. Rows that lack a metric do not affect its mean.
-MetricValues compute_mean_metrics(const std::vector<MetricValues>& metric_rows);
+MetricValues mean_metrics(const std::vector<MetricValues>& metric_rows);
 
 }  // namespace relidar

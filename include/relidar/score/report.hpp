@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a self-contained HTML report about a training or an evaluation.
+// Writes a self-contained HTML report about a training or an result.
 #pragma once
 
 #include <filesystem>
@@ -89,7 +89,7 @@ struct Report {
     std::vector<ReportFigure> figures;
 };
 /// @throws DataError if x and y of a curve differ in length, and like
-/// write_file_atomically()
+/// write_atomically()
 void write_report(const std::filesystem::path& path, const Report& report);
 
 }  // namespace relidar

@@ -28,12 +28,11 @@ struct ActorBox {
 
 /// Returns the boxes of `format.actors` that at least one ray would hit if no other
 /// object hid them.
-/// @param scan  rendered after ScanRenderer::enable_actor_visibility()
-std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format);
+/// @param scan  rendered after ScanRenderer::count_actor_rays()
+std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputOptions& format);
 
 /// Sets the poses of `output_options.actors` to those of a ScanRequest. Removes the boxes
 /// of other actors.
-void set_actor_boxes_to_requested_poses(ScanOutputOptions& output_options,
-                                        const ActorTracksByName& dataset_from_actor);
+void move_actor_boxes(ScanOutputOptions& output_options, const ActorTracksByName& dataset_from_actor);
 
 }  // namespace relidar

@@ -28,13 +28,12 @@ struct ActorObservations {
     double nearest_m = std::numeric_limits<double>::infinity();  ///< shortest range of a hit
 };
 /// Marks the patches of an actor's box that rays of the log have hit.
-ObservedBoxSurface make_observed_box_surface(const glm::dvec3& box_size_m,
-                                             const ActorObservations& observations);
+ObservedBoxSurface observed_surface(const glm::dvec3& box_size_m, const ActorObservations& observations);
 /// Returns the points at which rays of the log hit each actor, by track. Renders the
 /// training frames again, so that an object that hid an actor in the log also hides it
 /// here. A LiDAR without a nominal ray pattern is replaced by an HDL-64E.
-std::map<std::string, ActorObservations> collect_actor_observations(Device& device, const TrainedRun& run,
-                                                                    const ProgressReporter& progress = {});
+std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
+                                                        const Progress& progress = {});
 
 struct AssetDescription {
     std::string name;      ///< name of its folder and its track, for example "car-3"
@@ -53,40 +52,39 @@ struct AssetDescription {
     /// fraction of the box surface that was replaced by the mirror image of the other
     /// side
     double completed = 0.0;
-    /// Height of the box above the road, from measure_ground_clearance().
+    /// Height of the box above the road, from ground_clearance().
     double clearance_m = 0.0;
     double nearest_m = 0.0;  ///< Shortest range from which a ray hit the actor.
     std::size_t surfels = 0;
     std::size_t mirrored = 0;  ///< Number of surfels that were mirrored from the other side of the box.
 
-    double get_observed_or_mirrored_surface_fraction() const { return seen + completed; }
+    double covered_share() const { return seen + completed; }
 };
 
 struct ActorAsset {
     AssetDescription facts;
     /// Has the frames in which the actor is present, and an empty background.
-    TrainedRun run;
+    Run run;
 };
 /// Removes surfels that are too faint to be blended or outside the box. Parts of a
 /// vehicle that no ray has hit are replaced by the mirror image of the other side, if
 /// rays have hit it.
 /// @param observations  hits of this actor
 /// @throws UsageError if no instance has this track
-ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
-                               const ActorObservations& observations);
+ActorAsset extract_asset(const Run& run, const std::string& track, const ActorObservations& observations);
 
 /// Writes asset.json, and the files of a trained run that contains only the actor.
 /// @throws DataError if the folder cannot be written
 void save_asset(ActorAsset asset, const std::filesystem::path& folder);
 /// @throws DataError if asset.json is missing or malformed
-AssetDescription read_asset_description(const std::filesystem::path& folder);
+AssetDescription read_description(const std::filesystem::path& folder);
 /// Returns AssetDescription::clearance_m, or nothing if the run is not an asset.
-std::optional<double> read_asset_ground_clearance(const TrainedRun& run);
+std::optional<double> read_clearance(const Run& run);
 /// Sorted by name.
 /// @throws DataError if the folder contains no asset
-std::vector<std::filesystem::path> list_asset_folders(const std::filesystem::path& folder);
+std::vector<std::filesystem::path> list_assets(const std::filesystem::path& folder);
 
 /// @throws UsageError if the run has no actor or several
-std::string get_track_name_of_only_actor(const TrainedRun& run);
+std::string only_track(const Run& run);
 
 }  // namespace relidar

@@ -24,9 +24,9 @@ enum class PointSelection {
 /// computation uses single precision: positions are within 0.03 mm at 80 m.
 /// @param dataset_from_points  frame of the points. If not set, each point is in the
 /// sensor's frame at the firing time of its ray.
-/// @throws DataError in the same cases as require_valid_channel_names_and_sizes()
-LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& config,
-                                   const std::optional<Pose>& dataset_from_points,
-                                   PointSelection selection = PointSelection::returns);
+/// @throws DataError in the same cases as check_channels()
+LidarPoints place_points(const RenderedScan& scan, const Config& config,
+                         const std::optional<Pose>& dataset_from_points,
+                         PointSelection selection = PointSelection::returns);
 
 }  // namespace relidar

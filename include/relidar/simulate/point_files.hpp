@@ -15,7 +15,7 @@ namespace relidar {
 /// points still lists ring, time and instance.
 /// @param notes comments in the header of the file
 /// @throws DataError if lengths differ, and in the same cases as
-/// require_valid_channel_names_and_sizes() and write_file_atomically()
+/// check_channels() and write_atomically()
 void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});
 /// Binary PCD 0.7. VIEWPOINT is `world_from_points`.
 void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes = {});

@@ -14,17 +14,17 @@
 #include <relidar/log/channels.hpp>
 #include <relidar/log/classes.hpp>
 #include <relidar/log/coverage.hpp>
-#include <relidar/read/points.hpp>
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/read/points.hpp>
 #include <relidar/run/config.hpp>
 #include <relidar/scene/scene.hpp>
 #include <relidar/simulate/weather.hpp>
 
 namespace relidar {
 
-struct TrainedRun;
+struct Run;
 struct MountedSensor;
 
 /// Side of an actor that the log has not observed, and the number of simulated rays on
@@ -76,7 +76,7 @@ struct RenderedScan {
     std::optional<double> unseen_share = {};
     /// Set by the command `relidar render`, not by ScanRenderer.
     std::vector<UnobservedActorSide> unseen_sides = {};
-    /// Empty if ScanRenderer::enable_actor_visibility() was not called.
+    /// Empty if ScanRenderer::count_actor_rays() was not called.
     std::vector<ActorVisibility> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses during the scan, in the dataset's world frame; a single pose if it is
@@ -86,7 +86,7 @@ struct RenderedScan {
     double trace_ms = 0.0;
 
     /// Pose of the sensor at the firing time of a ray, in the dataset's world frame.
-    Pose get_firing_pose(std::size_t ray) const;
+    Pose firing_pose(std::size_t ray) const;
     /// Point at the median range, in the frame of the sensor at the ray's firing time.
     template <class Real = float>
     glm::vec<3, Real> end_of(std::size_t ray) const {
@@ -97,8 +97,8 @@ struct RenderedScan {
 
 /// Finds sides that the log did not observe, although at least five rays reach them. Uses
 /// the poses of the actors in the log.
-std::vector<UnobservedActorSide> find_unobserved_actor_sides(const RenderedScan& scan, const Scene& scene,
-                                                             const LidarSequence& sequence);
+std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
+                                                   const Log& sequence);
 
 /// Pose of the sensor at the firing time of each ray, interpolated once per column. Not
 /// thread-safe.
@@ -107,9 +107,9 @@ public:
     /// @param scan must outlive this object
     /// @param target_from_dataset transform to the frame of the returned poses
     explicit FiringPoseInterpolator(const RenderedScan& scan, const Pose& target_from_dataset = {});
-    /// Returns `target_from_dataset * scan.get_firing_pose(ray)`, valid until the next
+    /// Returns `target_from_dataset * scan.firing_pose(ray)`, valid until the next
     /// call.
-    const Pose& compute_firing_pose(std::size_t ray);
+    const Pose& pose_of(std::size_t ray);
 
 private:
     struct CachedFiringPose {
@@ -129,24 +129,24 @@ private:
 inline constexpr double kMuchUnseen = 0.2;
 
 /// [n] metres. `render.points` selects scan.median_range_m or scan.image.range_m.
-const std::vector<float>& select_point_ranges(const RenderedScan& scan, const Config& config);
+const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
 
 /// [n] |mean range - median range| in metres. Large where a ray passes an edge, and 0 if
 /// the transmittance never falls below 0.5.
-std::vector<float> compute_range_spread(const RenderedScan& scan);
+std::vector<float> range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
 /// @param channel_names the network's inputs
-/// @param first_vehicle_position_m [3] from get_first_vehicle_position()
-RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
-                                      const glm::dvec3& first_vehicle_position_m);
+/// @param first_vehicle_position_m [3] from first_position()
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
+                             const glm::dvec3& first_vehicle_position_m);
 
 /// [3] First position of the log's vehicle in metres, in the dataset's world frame.
-glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence);
+glm::dvec3 first_position(const Log& sequence);
 
 /// Returns the values from which random intensities are drawn.
-RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan);
+RenderedIntensityImage make_noise_image(const RenderedScan& scan);
 
 /// Replaces the expected values by a random sample. Rays return independently with
 /// probability 1 - drop_prob. The noise of a range depends on the range and on the angle
@@ -155,12 +155,12 @@ RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan);
 /// result depends only on seed and time, not on the device.
 /// @param intensity_scatter if empty, intensities keep their expected values
 /// @param limits returns whose noise exceeds these limits are dropped
-void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
-                                        const RangeLimits& limits = {});
+void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
+                    const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
+                    const RangeLimits& limits = {});
 
 struct RenderedPoints {
-    LidarPoints points;      ///< all returns, in the order of convert_scan_to_points()
+    LidarPoints points;      ///< all returns, in the order of place_points()
     std::size_t n_rays = 0;  ///< number of rays of the scan
     /// RenderedScan::unseen_share
     std::optional<double> unseen_share = {};
@@ -186,35 +186,34 @@ struct SimulatedSensor {
     /// the settings select only 1.
     int returns = 0;
     /// False: all rays are fired at the scan's reference time. The settings can override
-    /// this: see fires_rays_at_different_times().
+    /// this: see is_rolling().
     bool rolling_shutter = true;
 };
 
 /// Without a rolling shutter (setting `sensor.rolling_shutter`), all points are in the
 /// sensor frame at the scan's time.
-bool fires_rays_at_different_times(const SimulatedSensor& sensor, const Config& config);
+bool is_rolling(const SimulatedSensor& sensor, const Config& config);
 
 /// Sets the measured azimuths of the log's sweep at this time, if the sensor follows
 /// sweeps and the log has such a sweep. ScanRenderer does this for scans without a
 /// ScanRequest.
 /// @param frames frames of the log with their azimuth shifts
-SimulatedSensor copy_sensor_with_azimuths_of_sweep(const SimulatedSensor& sensor,
-                                                   std::span<const LidarFrame> frames,
-                                                   std::span<const Lidar> lidars, double time_s);
+SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Frame> frames,
+                             std::span<const Lidar> lidars, double time_s);
 
 /// Returns the LiDAR or grid that `sensor.grid` selects. With `sensor.grid_method`, the
 /// rays of a grid are cast, or points of the LiDAR are binned. Range limits are those of
 /// the LiDAR and of the dataset settings. A LiDAR with an unknown pattern has empty
 /// `rays`.
-SimulatedSensor make_sensor_from_config(const Config& config, const LidarSequence& sequence, int lidar = 0);
+SimulatedSensor make_sensor(const Config& config, const Log& sequence, int lidar = 0);
 /// Returns "native" (the log's LiDAR), a built-in sensor, the sensor in a file, or a
 /// range grid; `sensor.grid_method` applies to the grid "kitti360".
-SimulatedSensor find_or_load_sensor(const std::string& name_or_file, const Config& config,
-                                    const LidarSequence& sequence, int lidar = 0);
+SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& sequence,
+                              int lidar = 0);
 
 /// A sensor that replaces a LiDAR of the log.
-SimulatedSensor make_simulated_sensor(const SensorModel& sensor, int lidar = 0);
-SimulatedSensor make_simulated_sensor(const MountedSensor& mounted, int lidar = 0);
+SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar = 0);
+SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one without image order, in the frame of the
 /// rig. Beam numbers continue from scan to scan. If a scan lacks a channel, its rays get
@@ -225,7 +224,7 @@ SimulatedSensor make_simulated_sensor(const MountedSensor& mounted, int lidar = 
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
 
 /// A scan at given poses. Poses are in the dataset's world frame, times are in the time
-/// of the log (LidarFrame::time_s).
+/// of the log (Frame::time_s).
 struct ScanRequest {
     double time_s = 0.0;  ///< time at which the sensor head faces forward, in seconds
     /// Each ray is fired from the pose at its firing time. A single pose: the sensor does
@@ -242,46 +241,46 @@ class ScanRenderer {
 public:
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
-    ScanRenderer(Device& device, const Scene& scene, const Config& config, const LidarSequence& sequence);
+    ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& sequence);
     /// Also uses the observed space, the surface classes and the scatter of intensities
     /// of the run, and its ray-drop network if `refine.enabled` is set.
-    ScanRenderer(Device& device, const TrainedRun& run);
+    ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// @param visible_flags [instances] false for an instance that is not rendered
-    void set_visible_instances(const std::vector<bool>& visible_flags);
+    void show_instances(const std::vector<bool>& visible_flags);
     /// An empty network switches the correction off. A network for rays needs scans in
     /// image order with enough rows and columns, and runs before a scan is binned. A
     /// network for the cells of a grid runs only on images of that grid. A drop
     /// probability of 1 stays.
     /// @throws DataError if the arrays of the network do not match its shape
-    void set_drop_network(const RayDropNetwork& network);
+    void use_network(const RayDropNetwork& network);
     /// Adds to the channels of `render.channels`.
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
-    void enable_optional_channels(const std::string& comma_separated_names);
+    void add_channels(const std::string& comma_separated_names);
     /// Fills RenderedScan::actor_views. Traces the rays near each actor a second time, in
     /// a scene that contains only this actor.
-    void enable_actor_visibility(bool enabled = true);
+    void count_actor_rays(bool enabled = true);
     /// Sets the space from which RenderedScan::unseen_share is computed. Empty: switched
     /// off.
-    void set_observed_voxels(const ObservedVoxelSet& observed_voxels);
+    void use_observed(const ObservedVoxelSet& observed_voxels);
     /// Sets the classes for the channel `class`. With an empty map, the background is
     /// `unknown`.
-    void set_background_classes(const SurfaceClassMap& class_map);
-    bool has_background_classes() const;  ///< true if the classes of the background are known
+    void use_classes(const SurfaceClassMap& class_map);
+    bool has_classes() const;  ///< true if the classes of the background are known
     /// Scans with a random seed draw intensities from these models. Other scans round
     /// intensities to the steps of the log.
     /// @param scatter [lidars] without a model, intensities are as rendered
-    void set_intensity_scatter_models(const std::vector<IntensityScatterModel>& scatter);
+    void use_scatter(const std::vector<IntensityScatterModel>& scatter);
     /// Uses the seed `sample` of render(), or 0. Scans in weather have the channel
     /// `source`.
     /// @throws UsageError if all intensities of the log are 0
-    /// @throws errors of require_valid_weather()
+    /// @throws errors of check_weather()
     void set_weather(const Weather& weather);
-    bool has_drop_network_for(const SimulatedSensor& sensor) const;
+    bool has_network_for(const SimulatedSensor& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
     /// @param sensor_offset pose of the sensor in the frame of the log's LiDAR
-    /// @param sample random seed for replace_expected_returns_by_sample(). If not set,
+    /// @param sample random seed for sample_returns(). If not set,
     /// the scan has expected values
     RenderedScan render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset = {},
                         std::optional<std::uint64_t> sample = {});
@@ -294,7 +293,7 @@ public:
     /// Requests the points of a scan without waiting. While the device renders, the
     /// caller can request more scans and collect earlier points. The device computes the
     /// points if the scan has no sub-rays, grid, channels, weather or sample, otherwise
-    /// convert_scan_to_points() does. Both are bitwise equal.
+    /// place_points() does. Both are bitwise equal.
     /// @param point_frame_time_s time of the sensor frame in which the points are
     /// expressed
     /// @param submission_timing with `with_next`, the scan is submitted together with the
@@ -309,10 +308,10 @@ public:
     /// Scans that the device renders in parallel: 4 on a GPU, 1 on a CPU and for a scene
     /// in blocks. Each further scan needs a copy of the scene; the number falls if memory
     /// is exhausted.
-    int get_max_parallel_scans() const;
-    static int choose_max_parallel_scans(const Device& device);
+    int max_parallel() const;
+    static int default_parallel(const Device& device);
     /// @throws UsageError if `count` is less than 1
-    void set_max_parallel_scans(int count);
+    void set_parallel(int count);
     /// Waits for the oldest requested scan.
     /// @param memory earlier points, whose memory is reused
     /// @throws UsageError if no scan was requested
@@ -327,10 +326,10 @@ private:
 /// Bins a scan into a grid as the dataset bins its points, at the median ranges. A cell
 /// holds its nearest returned point. Its drop probability is the smallest of its rays,
 /// not a product, because neighbouring rays are dropped for the same reason.
-RenderedScan project_points_into_grid_image(const RenderedScan& scan, const RangeImageGrid& grid);
+RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid);
 
 /// Measured image for comparison with a rendered one: the rays of the scan, or its points
 /// in the configured grid.
-RangeImage make_measured_image(const Config& config, const Scan& scan);
+RangeImage measured_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

@@ -26,15 +26,15 @@ namespace relidar {
 
 struct RangeImage;
 struct RenderedScan;
-struct TrainedRun;
+struct Run;
 struct SimulatedSensor;
 
 /// File extensions for single scans, and the recordings `mcap`, `rosbag` and `pcap`.
-std::vector<std::string> list_scan_formats();
+std::vector<std::string> scan_formats();
 /// Returns what the files of each format contain, for help texts.
 std::string make_scan_format_help();
 /// True if one file stores all scans, so that only one process can write it.
-bool is_recording_format(const std::string& format);
+bool is_recording(const std::string& format);
 
 /// Coordinate frame of points, and of the rays in npz and exr files.
 enum class PointCoordinateFrame { sensor, world };
@@ -45,7 +45,7 @@ struct PacketFormatOptions {
 };
 
 struct ScanOutputOptions {
-    std::vector<std::string> formats{"npz"};  ///< names from list_scan_formats()
+    std::vector<std::string> formats{"npz"};  ///< names from scan_formats()
     PointCoordinateFrame frame = PointCoordinateFrame::sensor;
     /// Only for points in the sensor frame. True: frame at the time of the scan. False:
     /// frame at each point's firing time.
@@ -74,23 +74,23 @@ struct ScanOutputOptions {
     /// used.
     std::string trajectory;
     PacketFormatOptions packets;
-    /// Added to times of the log in recordings and packets (compute_time_shift_ns()).
+    /// Added to times of the log in recordings and packets (time_shift_of()).
     std::int64_t time_shift_ns = 0;
     Config config;
 };
 /// @param first_scan_s  time of the first scan, if it can be before the log
-std::int64_t compute_time_shift_ns(const TrainedRun& run, const SimulatedSensor& sensor,
-                                   double first_scan_s = std::numeric_limits<double>::infinity());
+std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor,
+                           double first_scan_s = std::numeric_limits<double>::infinity());
 /// npz files with rays in the sensor frame, at the poses of the log's sensor.
-ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor);
+ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor);
 /// True for the world frame, for `deskew` and without a rolling shutter. Otherwise each
 /// point is in the sensor frame at its firing time.
-bool are_points_in_one_coordinate_frame(const ScanOutputOptions& output_options);
-/// /lidar/NAME/points, with make_valid_topic_name(), and NAME. An empty name gives
+bool has_common_frame(const ScanOutputOptions& output_options);
+/// /lidar/NAME/points, with to_topic_name(), and NAME. An empty name gives
 /// /lidar/points and lidar.
-void set_topic_and_frame_id_from_name(ScanOutputOptions& output_options, const std::string& sensor_name);
+void name_topics(ScanOutputOptions& output_options, const std::string& sensor_name);
 /// Replaces characters that ROS does not allow in topic names by _.
-std::string make_valid_topic_name(const std::string& name);
+std::string to_topic_name(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
 /// of the sensors of a rig. A file gets its final name when it is finished.
@@ -118,15 +118,15 @@ public:
     /// Creates the recordings in an existing folder. Removes list_scan_files().
     /// @param sensors  at least one; common settings are read from the first
     /// @throws UsageError if two topics or frames have the same name, if ROS does not
-    /// allow a name, or if find_foreign_scan_file() finds a file
+    /// allow a name, or if find_foreign_file() finds a file
     /// @throws DataError if a file cannot be written
     ScanRecordingsWriter(std::filesystem::path folder, std::vector<ScanOutputOptions> sensors);
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write_scans(std::span<const RenderedScan> scans);
     /// Gives the files their final names, and lists them in scans.json.
-    void finish_recording_files();
-    /// Calibration files of packets are listed after finish_recording_files().
+    void finish();
+    /// Calibration files of packets are listed after finish().
     std::vector<std::string> list_file_names() const;
 
 private:
@@ -152,7 +152,7 @@ public:
     /// In the order of their times.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease
-    std::vector<ScanMessage> convert_to_messages(std::span<const RenderedScan> scans);
+    std::vector<ScanMessage> encode(std::span<const RenderedScan> scans);
 
 private:
     struct Impl;
@@ -190,17 +190,16 @@ public:
     /// Opens a folder that another process has created for the same rendering.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
-    static ScanFolderWriter join_folder_of_other_process(std::filesystem::path folder,
-                                                         ScanOutputOptions output_options);
+    static ScanFolderWriter join_folder(std::filesystem::path folder, ScanOutputOptions output_options);
     /// @throws DataError if a file cannot be written
     void write_scan(int frame_number, const RenderedScan& scan);
     /// Must be called after the last scan.
-    void finish_scan_folder();
+    void finish();
     const std::filesystem::path& path() const { return folder_; }
-    /// Entries of scans.json, as JSON without line breaks. set_summary_entries() can add
+    /// Entries of scans.json, as JSON without line breaks. set_entries() can add
     /// those of other processes.
-    const std::vector<std::string>& get_summary_entries() const { return entries_; }
-    void set_summary_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
+    const std::vector<std::string>& entries() const { return entries_; }
+    void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
 private:
     struct JoinExistingTag {};
@@ -215,32 +214,32 @@ private:
     std::shared_ptr<ScanRecordingsWriter> recordings_;
     std::shared_ptr<const std::filesystem::path> unfinished_marker_;
 
-    bool is_output_format_selected(const std::string& format) const;
-    void write_summary_file() const;
+    bool has_format(const std::string& format) const;
+    void write_summary() const;
 };
 
 /// Arrays of an npz file, in the order of the file.
-std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
-                                         const ScanOutputOptions& format);
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame_number,
+                                    const ScanOutputOptions& format);
 
 /// Files that an earlier rendering has written: those in its scans.json, or all of an
 /// unfinished rendering.
 std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
 /// Returns a file that list_scan_files() does not list, although its name is a name of
 /// rendered scans. Empty if there is none.
-std::filesystem::path find_foreign_scan_file(const std::filesystem::path& folder);
+std::filesystem::path find_foreign_file(const std::filesystem::path& folder);
 
 /// False colours by the square root of the range, so that near objects have more
 /// contrast. The next two are gray. Pixels without a return are dark gray.
-Image draw_range_picture(const RangeImage& image, double max_range_m);
-Image draw_intensity_picture(const RangeImage& image);
-Image draw_ray_drop_picture(const RangeImage& image);
+Image draw_range(const RangeImage& image, double max_range_m);
+Image draw_intensity(const RangeImage& image);
+Image draw_drop(const RangeImage& image);
 /// Range, intensity and drop probability below each other.
-Image draw_scan_picture(const RenderedScan& scan);
-/// Factor for stack_images_vertically(): the angles between rows are larger than between
+Image draw_scan(const RenderedScan& scan);
+/// Factor for stack_images(): the angles between rows are larger than between
 /// columns.
-int compute_vertical_stretch_factor(const RangeImage& image);
+int stretch_factor(const RangeImage& image);
 /// [rows*columns] 1 for pixels with a return, 0 for all others.
-std::vector<float> make_returned_pixel_mask(const RangeImage& image);
+std::vector<float> return_mask(const RangeImage& image);
 
 }  // namespace relidar

@@ -12,7 +12,7 @@
 namespace relidar {
 
 /// Rays without a return get range 0.
-Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& config);
+Scan to_measured(const RenderedScan& scan, const Config& config);
 
 /// Converts the scans of a sensor, or of all sensors of a rig, to their network packets.
 class ScanPacketEncoder {
@@ -25,10 +25,10 @@ public:
     /// @param scans  a scan for each sensor
     /// @return [sensors] packets that are complete
     /// @throws UsageError if a scan does not fit its sensor or overlaps the previous scan
-    std::vector<std::vector<SensorPacket>> encode_scans_as_packets(std::span<const RenderedScan> scans);
+    std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
     /// Must be called after the last scans.
-    std::vector<std::vector<SensorPacket>> flush_remaining_packets();
-    const PacketEncoder& get_packet_encoder(std::size_t sensor_index) const;
+    std::vector<std::vector<SensorPacket>> flush();
+    const PacketEncoder& encoder(std::size_t sensor_index) const;
 
 private:
     struct Impl;

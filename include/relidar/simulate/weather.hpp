@@ -48,7 +48,7 @@ Weather parse_weather(const std::string& text);
 /// Inverse of parse_weather(); "clear" for clear air.
 std::string format_weather(const Weather& weather);
 /// @throws UsageError for the same values as parse_weather()
-void require_valid_weather(const Weather& weather);
+void check_weather(const Weather& weather);
 
 /// Properties of a sensor for weather. The wavelength is 905 nm; other near-infrared
 /// wavelengths give the same results, because particles are much larger.
@@ -73,11 +73,11 @@ struct WeatherSensorProperties {
     double min_stray_power = 0.0;
 
     /// Minimum power of noise and stray light: the darkest surface at the maximum range.
-    double compute_min_detectable_power() const { return darkest / (max_range_m * max_range_m); }
+    double floor_power() const { return darkest / (max_range_m * max_range_m); }
     /// Minimum power of surfaces, fog, particles and mirrored objects: the largest of
-    /// compute_min_detectable_power(), `min_specified_power`, and the power of
+    /// floor_power(), `min_specified_power`, and the power of
     /// `weakest_reflectivity` at this range.
-    double compute_min_detected_power_at_range(double range_m) const;
+    double min_power_at(double range_m) const;
 };
 
 /// Values of the channel `source`.
@@ -107,20 +107,20 @@ struct LidarEcho {
 };
 
 /// Extinction coefficient alpha in 1/m: R metres of air transmit exp(-alpha R).
-double compute_extinction_coefficient(const Weather& weather);
+double extinction_per_m(const Weather& weather);
 
 /// Fresnel, unpolarised, n = 1.33.
 /// @param cosine  of the angle of incidence in air, 0..1
-double compute_water_reflectance(double cosine);
+double water_reflectance(double cosine);
 /// Light that wet ground returns, divided by that of dry ground (Lekner and Dorf 1988).
 /// Total reflection keeps a part of the scattered light in the water until it leaves or
 /// is absorbed. F_mean is the mean of F over the light of a diffuse surface:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
 /// @param cosine  of the angle of incidence in air, 0..1
 /// @param surface_albedo_or_0  albedo of the dry ground, 0..1
-double compute_wet_reflectance_ratio(double cosine, double albedo);
+double wet_ratio(double cosine, double albedo);
 /// 1 if the water is at least 1 mm deep, the assumed texture depth of asphalt.
-double compute_water_film_fraction(double water_depth_mm);
+double film_fraction(double water_depth_mm);
 
 /// Standard deviation of the power after a matched filter, by shot noise of three
 /// sources:
@@ -129,13 +129,13 @@ double compute_water_film_fraction(double water_depth_mm);
 /// - the solar disc, if it is in view: E divided by its solid angle.
 /// @param surface_albedo_or_0  albedo of the surface that the ray hits; 0: none
 /// @param sees_sky  true if nothing is between the sensor and the sky
-double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorProperties& sensor,
-                                    double angle_to_sun_rad, double surface_albedo_or_0, bool sees_sky);
+double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
+                 double surface_albedo_or_0, bool sees_sky);
 /// How often noise exceeds a threshold, per metre of range (2 / c seconds):
 /// exp(-threshold_sigmas^2 / 2) / (2 sqrt(3) tau) times per second, where tau is the
 /// pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
 /// @param threshold_sigmas  in standard deviations of the noise
-double compute_false_returns_per_metre(const WeatherSensorProperties& sensor, double threshold_sigmas);
+double false_returns_per_m(const WeatherSensorProperties& sensor, double threshold_sigmas);
 
 struct WeatherInput;
 class RayWeatherEffect;
@@ -161,13 +161,14 @@ struct WeatherEffectEntry {
     /// Returns null if no ray has the effect.
     std::unique_ptr<RayWeatherEffect> (*prepare)(const WeatherInput&) = nullptr;
 
-    bool is_effect_active_in_weather(const Weather& weather) const;  ///< true if the weather has the effect
+    bool is_active(const Weather& weather) const;  ///< true if the weather has the effect
 };
 
-extern const WeatherEffectEntry kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;
+extern const WeatherEffectEntry kFogEffect, kRainEffect, kSnowEffect, kWetGroundEffect, kBloomingEffect,
+    kSunlightEffect;
 /// In the order in which they act on a ray.
-inline constexpr const WeatherEffectEntry* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
-                                                                &kWetGround, &kBlooming, &kSunlight};
-std::string make_weather_help();
+inline constexpr const WeatherEffectEntry* kWeatherEffects[] = {
+    &kFogEffect, &kRainEffect, &kSnowEffect, &kWetGroundEffect, &kBloomingEffect, &kSunlightEffect};
+std::string weather_help();
 
 }  // namespace relidar

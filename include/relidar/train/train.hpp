@@ -25,7 +25,7 @@
 namespace relidar {
 
 struct Checkpoint;
-struct TrainedRun;
+struct Run;
 
 /// Summarises the iterations since the previous line.
 struct TrainProgress {
@@ -44,7 +44,7 @@ struct TrainProgress {
 };
 
 /// Poses of training and held-out scans that training has corrected (train.refine_poses).
-/// prepare_log_for_training() registers a held-out scan by matching its points with the
+/// prepare_log() registers a held-out scan by matching its points with the
 /// planes of the training scans. Training does not use held-out scans in any other way.
 /// Gradients then correct a held-out pose only indirectly: with a rolling shutter by rays
 /// of neighbouring sweeps fired between it and the next pose, otherwise by interpolation
@@ -88,7 +88,7 @@ struct TrainSession {
     /// full disk.
     std::function<void(const std::string&)> note;
     /// Of the initialisation. An exception from the callback ends training.
-    ProgressReporter progress = {};
+    Progress progress = {};
     /// Times of "initialise", "train", "drops" (of the sensor) and "coverage".
     StageTimes* stages = nullptr;
 };
@@ -98,9 +98,9 @@ struct LogPreparationCallbacks {
     std::function<void(const std::string&)> report_line;
     /// Polled. Returns true to stop the preparation.
     std::function<bool()> stop;
-    ProgressReporter progress = {};  ///< Function that receives the progress of slow steps.
-    StageTimes* stages = nullptr;    ///< Output: times of the stages "register", "calibrate" and "movers".
-    ProcessGroup group = {};         ///< Group of processes that prepare the same log together.
+    Progress progress = {};        ///< Function that receives the progress of slow steps.
+    StageTimes* stages = nullptr;  ///< Output: times of the stages "register", "calibrate" and "movers".
+    ProcessGroup group = {};       ///< Group of processes that prepare the same log together.
 };
 
 /// Estimates data that training needs from the start but that the log does not contain.
@@ -116,8 +116,8 @@ struct LogPreparationCallbacks {
 /// @throws DataError if more than 5 % of the scans cannot be registered and
 /// train.allow_lost_scans is not set
 /// @throws UsageError if the log has no poses and the settings do not register it
-void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
-                              LogPreparationCallbacks callbacks = {});
+void prepare_log(Log& sequence, const Split& split, const Config& config,
+                 LogPreparationCallbacks callbacks = {});
 
 /// Trains a scene on the training frames of a prepared log. Existing checkpoints are kept
 /// if an error occurs.
@@ -125,12 +125,11 @@ void prepare_log_for_training(LidarSequence& sequence, const TrainTestSplit& spl
 /// @throws DataError if there is no training frame, if a loss is not finite (naming
 /// iteration, frame and term), or if a parameter is not finite (naming array and row)
 /// @throws DeviceError if the device fails
-TrainResult train(Device& device, const LidarSequence& sequence, const TrainTestSplit& split,
-                  const Config& config, const TrainProgressCallback& progress = {},
-                  const TrainSession& session = {});
+TrainResult train(Device& device, const Log& sequence, const Split& split, const Config& config,
+                  const TrainProgressCallback& progress = {}, const TrainSession& session = {});
 
 struct HeldOutPoseCallbacks {
-    ProgressReporter progress = {};
+    Progress progress = {};
     /// Called before each scan. If it returns true, no pose changes.
     std::function<bool()> stop = {};
 };
@@ -145,14 +144,12 @@ struct HeldOutPoseReport {
 /// corrected the neighbouring poses only. LiDARs that sweep at the same time are
 /// registered together. The run's sequence must contain the scans.
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
-/// 3D Gaussians, which have no normals. Sets TrainedRun::held_out_placed. If it was
+/// 3D Gaussians, which have no normals. Sets Run::held_out_placed. If it was
 /// stopped, no pose changes.
-HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& run,
-                                                  const HeldOutPoseCallbacks& session = {});
+HeldOutPoseReport register_held_out(Device& device, Run& run, const HeldOutPoseCallbacks& session = {});
 
 struct RayDropTrainingSession {
-    ProgressReporter progress =
-        {};  ///< Function that receives the progress of rendering the training frames.
+    Progress progress = {};  ///< Function that receives the progress of rendering the training frames.
     /// Called after each training step.
     std::function<void(const RayDropTrainProgress&)> step = {};
     /// Called after each frame and each step. Returns true to stop the training.
@@ -177,33 +174,32 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 /// resumed training gives the same network, bit by bit, on the same device.
 /// @return empty network if stopped
 /// @throws DataError if no training frame has an image or a dropped ray
-/// @throws errors of require_network_training_is_resumable() if the session resumes from
+/// @throws errors of check_drop_resume() if the session resumes from
 /// a checkpoint
-RayDropNetwork train_ray_drop_network_of_run(Device& device, const TrainedRun& run,
-                                             const RayDropTrainingSession& session = {});
+RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTrainingSession& session = {});
 
 /// The run's sequence must contain the scans of its training frames. Scene, log and the
 /// relevant settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must
 /// match the checkpoint.
 /// @throws UsageError naming a setting that differs
 /// @throws DataError naming the part of the log or scene that differs
-void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run);
+void check_drop_resume(const Checkpoint& checkpoint, const Run& run);
 /// Settings that affect the network.
 /// @throws UsageError for a setting that this version does not know
-void copy_network_settings_into_config(const Checkpoint& checkpoint, Config& config);
+void read_drop_settings(const Checkpoint& checkpoint, Config& config);
 
 struct ScatterFitCallbacks {
-    ProgressReporter progress = {};
+    Progress progress = {};
     /// Called before each frame. Returns true to stop.
     std::function<bool()> stop = {};
 };
 
 /// Models the measured intensities, given the rendered intensities of some training
-/// frames. TrainedRun::sequence must contain the measured scans of these frames.
+/// frames. Run::sequence must contain the measured scans of these frames.
 /// @return [lidars] models. A model is empty if its LiDAR has too few returns. The vector
 /// is empty if ScatterFitCallbacks::stop has stopped the fit
-std::vector<IntensityScatterModel> fit_intensity_scatter_model_per_lidar(
-    Device& device, const TrainedRun& run, const ScatterFitCallbacks& session = {});
+std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
+                                                 const ScatterFitCallbacks& session = {});
 
 /// `stopped`: by a callback
 enum class TrainingEndReason { finished, stopped };
@@ -221,10 +217,10 @@ struct ActorTrainingCallbacks {
 /// with the rays near its box and the background surfels along these rays. The run's
 /// sequence must contain the scans. The run is unchanged if the training was stopped.
 /// @throws DataError if a block cannot be read or a loss is not finite
-TrainingEndReason train_actors(Device& device, TrainedRun& run, const ActorTrainingCallbacks& session = {});
+TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session = {});
 
 /// Scene, coverage and corrected poses (if any).
-void move_result_into_run(TrainedRun& run, TrainResult& result);
+void move_result(Run& run, TrainResult& result);
 
 /// train.iterations may be increased; the learning rates then follow the longer schedule.
 /// These settings may also differ: dataset.path, dataset.sequence, dataset.poses,
@@ -232,10 +228,10 @@ void move_result_into_run(TrainedRun& run, TrainResult& result);
 /// sensor.grid, sensor.grid_method, refine.*, render.* and trace.chunk.
 /// @throws UsageError naming another setting that differs
 /// @throws DataError naming the part of the log that differs
-void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
-                                   const TrainTestSplit& split, const Config& config);
+void check_resume(const Checkpoint& checkpoint, const Log& sequence, const Split& split,
+                  const Config& config);
 /// The first setting whose difference prevents resuming. Empty if none does.
-std::string find_setting_that_prevents_resuming(const Config& config, const Config& other_config);
+std::string find_fixed_setting(const Config& config, const Config& other_config);
 /// @throws DataError if the checkpoint is not a training checkpoint
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config);
 

@@ -18,7 +18,7 @@ RELIDAR_FUNCTION vec3 exact_cross(vec3 a, vec3 b) {
 
 /// Returns sin(x) / x, computed as a power series in x^2. The error is at most 3e-7 for
 /// |x| <= pi.
-RELIDAR_FUNCTION float compute_sinc_from_square(float x_squared) {
+RELIDAR_FUNCTION float sinc_of_square(float x_squared) {
     RELIDAR_EXACT float sum = 1.0f - x_squared * 0.00476190476f;
     sum = 1.0f - x_squared * 0.00641025641f * sum;
     sum = 1.0f - x_squared * 0.00909090909f * sum;
@@ -36,7 +36,7 @@ RELIDAR_FUNCTION vec3 rotate_point(vec3 rotation, vec3 point) {
         0.25f * (rotation.x * rotation.x + rotation.y * rotation.y + rotation.z * rotation.z);
     RELIDAR_EXACT float quarter2 = 0.25f * half2;
     // series for 1/2 and 1/4 of the rotation angle
-    float sine = compute_sinc_from_square(half2), quarter = compute_sinc_from_square(quarter2);
+    float sine = sinc_of_square(half2), quarter = sinc_of_square(quarter2);
     RELIDAR_EXACT float cosine = 1.0f - 0.5f * half2 * quarter * quarter;
     vec3 once = exact_cross(rotation, point), twice = exact_cross(rotation, once);
     RELIDAR_EXACT vec3 result = point + sine * (cosine * once + 0.5f * sine * twice);

@@ -11,24 +11,24 @@
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
-uint unpack_surfel_count(uint decision_word) { return decision_word & 15u; }
+uint unpack_surfels(uint decision_word) { return decision_word & 15u; }
 /// Returns how many of the available child slots the left child gets. 0 means that one
 /// slot fewer is at least as good.
-uint unpack_left_child_slot_count(uint decision_word, uint n_available_slots) {
+uint unpack_left_slots(uint decision_word, uint n_available_slots) {
     return (decision_word >> (3u * n_available_slots - 2u)) & 7u;
 }
 
 /// Returns the number of surfels below a child of a binary node. Numbers above 15 are
 /// returned as 15.
 uint count_surfels(BvhBinary tree, uint child) {
-    return is_leaf(child) ? 1u : unpack_surfel_count(tree.decisions.at[child]);
+    return is_leaf(child) ? 1u : unpack_surfels(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
 /// Finds the children (up to eight) that a binary node gets when it is converted to a
 /// wide node. Writes them to `children` from left to right.
 /// @return number of children
-uint collect_wide_node_children(BvhBinary tree, uint node, out uint children[RELIDAR_BVH_WIDTH]) {
+uint collect_children(BvhBinary tree, uint node, out uint children[RELIDAR_BVH_WIDTH]) {
     children[0] = node;
     if (is_leaf(node)) return 1u;  // the model has one surfel
     uint stack[RELIDAR_BVH_WIDTH], shares[RELIDAR_BVH_WIDTH];
@@ -39,8 +39,8 @@ uint collect_wide_node_children(BvhBinary tree, uint node, out uint children[REL
         uint child = stack[--n], n_slots = shares[n], n_left = 0u;
         if (!is_leaf(child)) {
             uint decision_word = tree.decisions.at[child];
-            while (n_slots > 1u && unpack_left_child_slot_count(decision_word, n_slots) == 0u) --n_slots;
-            if (n_slots > 1u) n_left = unpack_left_child_slot_count(decision_word, n_slots);
+            while (n_slots > 1u && unpack_left_slots(decision_word, n_slots) == 0u) --n_slots;
+            if (n_slots > 1u) n_left = unpack_left_slots(decision_word, n_slots);
         }
         if (n_left == 0u) {
             children[n_children++] = child;

@@ -13,7 +13,7 @@
 #extension GL_KHR_shader_subgroup_vote : require
 RELIDAR_PARAMS(BvhBoundsParams);
 
-void extend_model_box(uint model, vec3 low, vec3 high) {
+void extend_box(uint model, vec3 low, vec3 high) {
     for (uint c = 0u; c < 3u; ++c) {
         atomicMin(params.bounds.at[6 * model + c], to_ordered_bits(low[c]));
         atomicMin(params.bounds.at[6 * model + 3 + c], to_ordered_bits(-high[c]));
@@ -21,11 +21,10 @@ void extend_model_box(uint model, vec3 low, vec3 high) {
 }
 
 void main() {
-    uint base = get_workgroup_index() * RELIDAR_BVH_TILE + get_subgroup_ordered_thread_index();
+    uint base = workgroup_index() * RELIDAR_BVH_TILE + ordered_thread();
     uint model = 0u;
     Box bounds = make_empty_box();
-    for (uint i = base;
-         i < min(base - get_subgroup_ordered_thread_index() + RELIDAR_BVH_TILE, params.n_surfels);
+    for (uint i = base; i < min(base - ordered_thread() + RELIDAR_BVH_TILE, params.n_surfels);
          i += RELIDAR_BVH_WORKGROUP) {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
@@ -33,7 +32,7 @@ void main() {
         // Tests whether surfel i is outside the current model. If i is less than
         // first_surfel, the unsigned difference wraps to a large number.
         if (i - first_surfel >= params.models.at[model].n_surfels) {
-            if (!is_empty(bounds)) extend_model_box(model, bounds.low, bounds.high);
+            if (!is_empty(bounds)) extend_box(model, bounds.low, bounds.high);
             bounds = make_empty_box();
             model = find_model(params.models, params.n_models, i);
         }
@@ -45,5 +44,5 @@ void main() {
         bounds.high = subgroupMax(bounds.high);
         if (!subgroupElect()) return;
     }
-    if (!is_empty(bounds)) extend_model_box(model, bounds.low, bounds.high);
+    if (!is_empty(bounds)) extend_box(model, bounds.low, bounds.high);
 }

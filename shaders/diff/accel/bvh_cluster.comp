@@ -38,7 +38,7 @@ shared uint nearest[ROOM];
 // ranges together are the complete model, otherwise -1.
 shared ivec4 task;
 
-void synchronise_subgroup() {
+void sync_subgroup() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 }
@@ -46,7 +46,7 @@ void synchronise_subgroup() {
 /// Returns the number of equal leading bits in the Morton codes of surfel `position` and
 /// the next surfel. Returns -1 unless both are in the range `model_first` ...
 /// `model_last`.
-int count_common_prefix_bits(int position, int model_first, int model_last) {
+int common_prefix(int position, int model_first, int model_last) {
     if (position < model_first || position >= model_last) return -1;
     uvec2 a = params.keys.at[position], b = params.keys.at[position + 1];
     if (a.y != b.y) return 31 - findMSB(a.y ^ b.y);
@@ -54,9 +54,9 @@ int count_common_prefix_bits(int position, int model_first, int model_last) {
     return 95 - findMSB(uint(position ^ (position + 1)));
 }
 
-Box get_box(uint index) { return Box(low_of[index], high_of[index]); }
+Box box_at(uint index) { return Box(low_of[index], high_of[index]); }
 
-Cluster get_shared_cluster(uint index) { return Cluster(get_box(index), root_of[index], spare_of[index]); }
+Cluster cluster_at(uint index) { return Cluster(box_at(index), root_of[index], spare_of[index]); }
 
 void store_cluster(uint index, Cluster cluster) {
     low_of[index] = cluster.box.low;
@@ -76,7 +76,7 @@ Cluster load_cluster(uint root) {
 
 /// Loads the clusters (subtrees) of the sorted surfels `range_first` ... `range_last`.
 /// Appends them to the `n_clusters` clusters in shared memory. Returns their new number.
-uint append_clusters_of_range(int range_first, int range_last, uint n_clusters) {
+uint append_range(int range_first, int range_last, uint n_clusters) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(range_last - range_first) + 1u, KEPT);
     for (uint start = 0u; start < n_range; start += gl_SubgroupSize) {
@@ -92,12 +92,12 @@ uint append_clusters_of_range(int range_first, int range_last, uint n_clusters) 
 /// Returns the cluster whose joint bounding box with `cluster` has the smallest
 /// surface area. If several areas are equal, returns the first of these clusters. This
 /// rule guarantees that at least two clusters choose each other and can be merged.
-uint find_nearest_neighbour_cluster(uint cluster, uint n_clusters) {
-    Box box = get_box(cluster);
+uint find_nearest(uint cluster, uint n_clusters) {
+    Box box = box_at(cluster);
     float least = BOX_HUGE;
     uint neighbour = cluster;
     for (uint j = cluster - min(cluster, RADIUS); j < min(cluster + RADIUS + 1u, n_clusters); ++j) {
-        float area = compute_half_area(join_boxes(box, get_box(j)));
+        float area = half_area(join_boxes(box, box_at(j)));
         if (j == cluster || !(area < least)) continue;
         least = area;
         neighbour = j;
@@ -108,29 +108,29 @@ uint find_nearest_neighbour_cluster(uint cluster, uint n_clusters) {
 Cluster merge_clusters(Cluster first, Cluster second) {
     uint node = second.spare;
     Box box = join_boxes(first.box, second.box);
-    store_shared_box(params.tree.boxes, node, box);
+    store_box(params.tree.boxes, node, box);
     SharedUints(uvec2(params.tree.spares)).at[node] = first.spare;
     params.tree.children.at[node] = uvec2(first.root, second.root);
-    write_node_costs(params.tree, node, Subtree(first.root, compute_half_area(first.box)),
-                     Subtree(second.root, compute_half_area(second.box)), compute_half_area(box));
+    write_costs(params.tree, node, Subtree(first.root, half_area(first.box)),
+                Subtree(second.root, half_area(second.box)), half_area(box));
     return Cluster(box, node, first.spare);
 }
 
 /// Merges each pair of clusters that are mutual nearest neighbours.
 /// @return number of remaining clusters
-uint merge_mutual_nearest_clusters(uint count) {
+uint merge_nearest(uint count) {
     for (uint i = gl_SubgroupInvocationID; i < count; i += gl_SubgroupSize)
-        nearest[i] = find_nearest_neighbour_cluster(i, count);
-    synchronise_subgroup();
+        nearest[i] = find_nearest(i, count);
+    sync_subgroup();
     uint n_kept = 0u;
     for (uint start = 0u; start < count; start += gl_SubgroupSize) {
         uint i = start + gl_SubgroupInvocationID;
         uint j = i < count ? nearest[i] : 0u;
         bool mutual = i < count && nearest[j] == i, kept = i < count && !(mutual && j < i);
         Cluster c;
-        if (kept) c = get_shared_cluster(i);
-        if (kept && mutual) c = merge_clusters(c, get_shared_cluster(j));
-        synchronise_subgroup();
+        if (kept) c = cluster_at(i);
+        if (kept && mutual) c = merge_clusters(c, cluster_at(j));
+        sync_subgroup();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
         // Removes gaps between the clusters in shared memory. A cluster never overwrites
         // an unread cluster, because it can only move to a lower index.
@@ -138,19 +138,19 @@ uint merge_mutual_nearest_clusters(uint count) {
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
     memoryBarrierBuffer();  // later merges read these nodes
-    synchronise_subgroup();
+    sync_subgroup();
     return n_kept;
 }
 
 /// Merges the subtrees of the two surfel ranges in `task` until at most KEPT = 16
 /// subtrees remain. If the ranges are a complete model, continues until one subtree
 /// remains. All threads of the subgroup must call this function.
-void merge_clusters_of_task_ranges() {
-    uint n = append_clusters_of_range(task.x, task.y, 0u);
-    n = append_clusters_of_range(task.y + 1, task.z, n);
-    synchronise_subgroup();
+void merge_ranges() {
+    uint n = append_range(task.x, task.y, 0u);
+    n = append_range(task.y + 1, task.z, n);
+    sync_subgroup();
     bool covers_model = task.w >= 0;
-    while (n > (covers_model ? 1u : KEPT)) n = merge_mutual_nearest_clusters(n);
+    while (n > (covers_model ? 1u : KEPT)) n = merge_nearest(n);
     if (covers_model) {
         if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = root_of[0];
         return;
@@ -165,10 +165,10 @@ void merge_clusters_of_task_ranges() {
 /// this function. The model has the surfels `model_first` ... `model_last`.
 /// @return false for the first caller, which stops. True for the second caller, which
 /// continues with the joined range `range_first` ... `range_last`
-bool try_join_sibling_range(inout int range_first, inout int range_last, out int split, int model_first,
-                            int model_last) {
-    bool leftward = count_common_prefix_bits(range_first - 1, model_first, model_last) >
-                    count_common_prefix_bits(range_last, model_first, model_last);
+bool join_sibling(inout int range_first, inout int range_last, out int split, int model_first,
+                  int model_last) {
+    bool leftward = common_prefix(range_first - 1, model_first, model_last) >
+                    common_prefix(range_last, model_first, model_last);
     split = leftward ? range_first - 1 : range_last;
     uint other = atomicExchange(SharedUints(uvec2(params.other_ends)).at[split],
                                 uint(leftward ? range_last : range_first));
@@ -179,7 +179,7 @@ bool try_join_sibling_range(inout int range_first, inout int range_last, out int
 }
 
 void main() {
-    uint position = get_thread_index();
+    uint position = thread_index();
     bool climbing = position < params.n_surfels;
     int model = climbing ? int(find_model(params.models, params.n_models, position)) : 0;
     int first = int(params.models.at[model].first_surfel),
@@ -192,7 +192,7 @@ void main() {
     }
     while (subgroupAny(climbing)) {
         memoryBarrierBuffer();
-        if (climbing) climbing = try_join_sibling_range(from, to, split, first, last);
+        if (climbing) climbing = join_sibling(from, to, split, first, last);
         memoryBarrierBuffer();
         bool covers_model = from == first && to == last,
              waiting = climbing && (covers_model || to - from >= int(KEPT));
@@ -200,9 +200,9 @@ void main() {
             uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
             bool next = gl_SubgroupInvocationID == first_lane;
             if (next) task = ivec4(from, split, to, covers_model ? model : -1);
-            synchronise_subgroup();
-            merge_clusters_of_task_ranges();
-            synchronise_subgroup();
+            sync_subgroup();
+            merge_ranges();
+            sync_subgroup();
             if (next) waiting = false;
         }
         if (covers_model) climbing = false;

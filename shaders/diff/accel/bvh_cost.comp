@@ -12,7 +12,7 @@
 RELIDAR_PARAMS(BvhCostParams);
 shared float sums[64];  // cost of each subgroup
 
-float compute_leaf_cost(uint node, uint first_surfel) {
+float leaf_cost(uint node, uint first_surfel) {
     uint first_leaf = params.wide.nodes.at[node].first_leaf;
     uint leaves[2] = params.wide.nodes.at[node].leaves;
     float cost = 0.0;
@@ -22,22 +22,20 @@ float compute_leaf_cost(uint node, uint first_surfel) {
         for (uint k = 0u; k < count; ++k)
             b = join_boxes(b, load_box(params.boxes,
                                        first_surfel + params.wide.order.at[first_leaf + (leaf & 31u) + k]));
-        cost += compute_half_area(b) * SURFEL_COST * float(count);
+        cost += half_area(b) * SURFEL_COST * float(count);
     }
     return cost;
 }
 
 void main() {
-    uint group = get_workgroup_index(),
-         node = group * RELIDAR_BVH_WORKGROUP + get_subgroup_ordered_thread_index();
+    uint group = workgroup_index(), node = group * RELIDAR_BVH_WORKGROUP + ordered_thread();
     float cost = 0.0;
     if (node < min(params.bound, params.wide.count.at[0]))
-        cost = compute_half_area(load_box(params.wide.boxes, node)) +
-               compute_leaf_cost(node, params.wide.links.at[node].y);
+        cost = half_area(load_box(params.wide.boxes, node)) + leaf_cost(node, params.wide.links.at[node].y);
     cost = subgroupAdd(cost);
     if (subgroupElect()) sums[gl_SubgroupID] = cost;
     barrier();
-    if (get_subgroup_ordered_thread_index() != 0u) return;
+    if (ordered_thread() != 0u) return;
     for (uint s = 1u; s < gl_NumSubgroups; ++s) cost += sums[s];
     if (group * RELIDAR_BVH_WORKGROUP < params.bound) params.partial.at[group] = cost;
 }

@@ -33,7 +33,7 @@ Box load_shared_box(Floats boxes, uint index) {
     return Box(vec3(b.at[6 * index], b.at[6 * index + 1], b.at[6 * index + 2]),
                vec3(b.at[6 * index + 3], b.at[6 * index + 4], b.at[6 * index + 5]));
 }
-void store_shared_box(Floats boxes, uint index, Box value) {
+void store_box(Floats boxes, uint index, Box value) {
     SharedFloats b = SharedFloats(uvec2(boxes));
     for (uint c = 0u; c < 3u; ++c) {
         b.at[6 * index + c] = value.low[c];
@@ -47,7 +47,7 @@ const float SURFEL_COST = 0.3;
 
 /// Returns half the surface area of a box. Limits each edge to 1e18 m, so that the result
 /// is finite.
-float compute_half_area(Box box) {
+float half_area(Box box) {
     vec3 e = clamp(box.high - box.low, vec3(0.0), vec3(1e18));
     return e.x * e.y + e.y * e.z + e.z * e.x;
 }
@@ -58,7 +58,7 @@ uint to_ordered_bits(float value) {
     uint bits = floatBitsToUint(value);
     return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;
 }
-float from_ordered_bits(uint bits) {
+float from_ordered(uint bits) {
     return uintBitsToFloat((bits & 0x80000000u) != 0u ? bits & 0x7fffffffu : ~bits);
 }
 #endif

@@ -14,15 +14,15 @@
 RELIDAR_PARAMS(BvhKeysParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, i);
     vec3 low, high;
     for (uint c = 0u; c < 3u; ++c) {
-        low[c] = from_ordered_bits(params.bounds.at[6 * model + c]);
-        high[c] = -from_ordered_bits(params.bounds.at[6 * model + 3 + c]);
+        low[c] = from_ordered(params.bounds.at[6 * model + c]);
+        high[c] = -from_ordered(params.bounds.at[6 * model + 3 + c]);
     }
-    uvec3 cell = compute_morton_cell(params.records.at[i].mean, low, high, RELIDAR_BVH_MORTON_BITS);
+    uvec3 cell = morton_cell(params.records.at[i].mean, low, high, RELIDAR_BVH_MORTON_BITS);
     uint coarse = interleave_bits(cell >> 5), fine = interleave_bits(cell & 31u);  // 24 bits and 15 bits
     params.keys.at[i] = uvec2(coarse << 15 | fine, coarse >> 17 | model << 7);
     params.other_ends.at[i] = RELIDAR_BVH_NO_NODE;

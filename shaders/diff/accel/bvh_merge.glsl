@@ -21,13 +21,13 @@ void load_costs(BvhBinary tree, Subtree subtree, out float costs[RELIDAR_BVH_WID
 /// Stores the lowest traversal cost of a binary subtree for each number k of child slots
 /// that it may use in a wide node. The two children of the binary node divide the k
 /// slots. Also stores, for each k, how many slots the left child gets.
-void write_node_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
+void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);
     load_costs(tree, right, in_right);
     SharedUints decided = SharedUints(uvec2(tree.decisions));
-    uint n_left = is_leaf(left.root) ? 1u : unpack_surfel_count(decided.at[left.root]),
-         n_right = is_leaf(right.root) ? 1u : unpack_surfel_count(decided.at[right.root]);
+    uint n_left = is_leaf(left.root) ? 1u : unpack_surfels(decided.at[left.root]),
+         n_right = is_leaf(right.root) ? 1u : unpack_surfels(decided.at[right.root]);
     uint n_surfels = min(n_left + n_right, 15u), decisions = n_surfels;
     float all = BOX_HUGE;
     uint share_of_all = 1u;

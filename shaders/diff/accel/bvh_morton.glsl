@@ -19,7 +19,7 @@ uint interleave_bits(uvec3 cell) {
 
 /// Returns the grid cell of a point. The grid covers the bounds with 2^bits cells along
 /// the longest edge. A NaN coordinate gives cell 0.
-uvec3 compute_morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
+uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
     vec3 edges = high - low;
     float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);
     float cells = longest > 0.0 && longest < 1e38 ? n_cells / longest : 0.0;

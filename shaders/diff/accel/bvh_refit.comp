@@ -21,14 +21,14 @@ RELIDAR_PARAMS(BvhRefitParams);
 
 const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;  // lanes per node
 const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // children per lane: 1 or 2
-uint get_lane_in_group() { return gl_SubgroupInvocationID % OF_NODE; }
+uint lane_in_group() { return gl_SubgroupInvocationID % OF_NODE; }
 /// Returns the child slot that this lane processes.
 /// @param child_of_lane number of the child among the children of this lane: 0 or 1
-uint get_child_slot_of_lane(uint child_of_lane) { return child_of_lane * OF_NODE + get_lane_in_group(); }
+uint child_slot(uint child_of_lane) { return child_of_lane * OF_NODE + lane_in_group(); }
 
 /// Returns the union of the boxes of all lanes that process the same node. All lanes of
 /// the subgroup must call this function, because it uses shuffles.
-Box join_boxes_of_node_lanes(Box lane_box) {
+Box join_lane_boxes(Box lane_box) {
     for (uint step = 1u; step < OF_NODE; step *= 2u)
         lane_box = join_boxes(
             lane_box, Box(subgroupShuffleXor(lane_box.low, step), subgroupShuffleXor(lane_box.high, step)));
@@ -36,13 +36,11 @@ Box join_boxes_of_node_lanes(Box lane_box) {
 }
 /// Combines the bytes of four neighbouring lanes to a word, for three words. Each lane
 /// has shifted its bytes to their positions in the words.
-uvec3 combine_bytes_of_four_lanes(uvec3 lane_bytes) {
+uvec3 pack_lane_bytes(uvec3 lane_bytes) {
     for (uint step = 1u; step < 4u; step *= 2u) lane_bytes |= subgroupShuffleXor(lane_bytes, step);
     return lane_bytes;
 }
-bool broadcast_from_first_lane(bool value) {
-    return subgroupShuffle(value, gl_SubgroupInvocationID - get_lane_in_group());
-}
+bool broadcast_first(bool value) { return subgroupShuffle(value, gl_SubgroupInvocationID - lane_in_group()); }
 
 Box make_child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     if ((inner_mask >> slot & 1u) != 0u)
@@ -62,22 +60,21 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     Box children[2], bounds = make_empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
         children[k] = make_empty_box();
-        if (has_node) children[k] = make_child_box(node, get_child_slot_of_lane(k), first_surfel, inner_mask);
+        if (has_node) children[k] = make_child_box(node, child_slot(k), first_surfel, inner_mask);
         bounds = join_boxes(bounds, children[k]);
     }
-    bounds = join_boxes_of_node_lanes(bounds);
+    bounds = join_lane_boxes(bounds);
     NodeGrid grid = make_node_grid(bounds);
     for (uint k = 0u; k < OF_LANE; ++k) {
-        uint slot = get_child_slot_of_lane(k);
+        uint slot = child_slot(k);
         uvec3 steps = quantise_box(grid, children[k]);
-        uvec3 low = combine_bytes_of_four_lanes((steps & 255u) << (8u * (slot % 4u))),
-              high = combine_bytes_of_four_lanes((steps >> 8) << (8u * (slot % 4u)));
-        if (has_node && slot % 4u == 0u)
-            write_bounds_of_four_children(params.wide.nodes, node, slot / 4u, low, high);
+        uvec3 low = pack_lane_bytes((steps & 255u) << (8u * (slot % 4u))),
+              high = pack_lane_bytes((steps >> 8) << (8u * (slot % 4u)));
+        if (has_node && slot % 4u == 0u) write_four_bounds(params.wide.nodes, node, slot / 4u, low, high);
     }
-    if (!has_node || get_lane_in_group() != 0u) return;
-    store_quantisation_grid(params.wide.nodes, node, grid, inner_mask);
-    store_shared_box(params.wide.boxes, node, bounds);
+    if (!has_node || lane_in_group() != 0u) return;
+    store_grid(params.wide.nodes, node, grid, inner_mask);
+    store_box(params.wide.boxes, node, bounds);
 }
 
 /// Counts the finished children of a parent node with an atomic counter. Memory barriers
@@ -85,13 +82,13 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
 /// @param has_finished_child true if this group of lanes has finished a child
 /// @param n_children number of children of the parent
 /// @return true for the group that finished the last child
-bool count_child_and_check_if_last(bool has_finished_child, uint parent, uint n_children) {
+bool is_last_child(bool has_finished_child, uint parent, uint n_children) {
     bool last = false;
     memoryBarrierBuffer();
-    if (has_finished_child && get_lane_in_group() == 0u)
+    if (has_finished_child && lane_in_group() == 0u)
         last = atomicAdd(SharedUints(uvec2(params.wide.arrivals)).at[parent], 1u) + 1u == n_children;
     memoryBarrierBuffer();
-    return broadcast_from_first_lane(last);
+    return broadcast_first(last);
 }
 
 /// Computes the boxes of a node whose children are all leaves, and then of its ancestors.
@@ -109,9 +106,9 @@ void refit_ancestors(bool has_node, uint node) {
             node = link.x;
             inner_mask = params.wide.nodes.at[node].exponents >> 24;
         }
-        has_node = count_child_and_check_if_last(has_node, node, bitCount(inner_mask));
+        has_node = is_last_child(has_node, node, bitCount(inner_mask));
         if (has_node) {
-            if (get_lane_in_group() == 0u) params.wide.arrivals.at[node] = 0u;  // reset for the next launch
+            if (lane_in_group() == 0u) params.wide.arrivals.at[node] = 0u;  // reset for the next launch
             link = params.wide.links.at[node];
         }
     }
@@ -119,8 +116,7 @@ void refit_ancestors(bool has_node, uint node) {
 
 void main() {
     uint n_nodes = min(params.bound, params.wide.count.at[0]), together = LANES / OF_NODE;
-    uint subgroup = get_workgroup_index() * gl_NumSubgroups + gl_SubgroupID,
-         n_subgroups = get_thread_count() / LANES;
+    uint subgroup = workgroup_index() * gl_NumSubgroups + gl_SubgroupID, n_subgroups = thread_count() / LANES;
     for (uint first = subgroup * together; first < n_nodes; first += n_subgroups * together) {
         uint node = first + gl_SubgroupInvocationID / OF_NODE;
         refit_ancestors(node < n_nodes, node);

@@ -47,9 +47,9 @@ Box make_world_box(InstanceEntry instance, Box model) {
 /// Computes the bounding boxes of all instances in the world frame. Marks instances that
 /// cannot be hit as ABSENT.
 /// @return bounds of the centres of the boxes that this thread has computed
-Box compute_instance_boxes_and_centre_bounds() {
+Box instance_boxes() {
     Box centres = make_empty_box();
-    for (uint i = get_subgroup_ordered_thread_index(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
+    for (uint i = ordered_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
         bool present = false;
         if (i < params.n_instances) {
             uint model = params.model_of.at[i];
@@ -59,7 +59,7 @@ Box compute_instance_boxes_and_centre_bounds() {
             Box b = placed ? load_box(params.model_boxes, model) : make_empty_box();
             if (!is_empty(b)) b = make_world_box(m, b);
             present = !is_empty(b);
-            store_shared_box(params.boxes, i, b);
+            store_box(params.boxes, i, b);
             if (present)
                 centres = join_boxes(centres, Box(0.5 * b.low + 0.5 * b.high, 0.5 * b.low + 0.5 * b.high));
         }
@@ -69,7 +69,7 @@ Box compute_instance_boxes_and_centre_bounds() {
     return centres;
 }
 
-Box join_boxes_over_workgroup(Box box) {
+Box join_workgroup(Box box) {
     box.low = subgroupMin(box.low);
     box.high = subgroupMax(box.high);
     if (subgroupElect()) {
@@ -81,13 +81,12 @@ Box join_boxes_over_workgroup(Box box) {
     return box;
 }
 
-void write_morton_codes(Box centre_bounds) {
+void write_keys(Box centre_bounds) {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
-    for (uint i = get_subgroup_ordered_thread_index(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
+    for (uint i = ordered_thread(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
         if (keys.at[i].x == ABSENT) continue;
         Box b = load_shared_box(params.boxes, i);
-        uvec3 cell =
-            compute_morton_cell(0.5 * b.low + 0.5 * b.high, centre_bounds.low, centre_bounds.high, 10u);
+        uvec3 cell = morton_cell(0.5 * b.low + 0.5 * b.high, centre_bounds.low, centre_bounds.high, 10u);
         keys.at[i].x = interleave_bits(cell);
     }
 }
@@ -97,12 +96,11 @@ bool is_key_after(uvec2 first, uvec2 second) {
 }
 
 /// Sorts the keys (Morton code, instance) with a bitonic sort.
-void sort_instances_by_morton_code() {
+void sort_instances() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
         for (uint reach = size / 2u; reach > 0u; reach /= 2u) {
-            for (uint pair = get_subgroup_ordered_thread_index(); pair < params.n_padded / 2u;
-                 pair += RELIDAR_BVH_WORKGROUP) {
+            for (uint pair = ordered_thread(); pair < params.n_padded / 2u; pair += RELIDAR_BVH_WORKGROUP) {
                 uint i = (pair & ~(reach - 1u)) * 2u + (pair & (reach - 1u)), j = i + reach;
                 uvec2 a = keys.at[i], b = keys.at[j];
                 if (is_key_after(a, b) != ((i & size) == 0u)) continue;
@@ -119,8 +117,7 @@ void sort_instances_by_morton_code() {
 /// elements
 /// @param first_node_below if children are nodes: index of their level's first node in
 /// top_nodes
-void write_top_level_node(uint node, uint first_child, uint n_below, uint first_node_below,
-                          bool is_lowest_level) {
+void write_node(uint node, uint first_child, uint n_below, uint first_node_below, bool is_lowest_level) {
     Box children[RELIDAR_BVH_WIDTH];
     uint leaves[2] = uint[](0u, 0u), inner_mask = 0u;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
@@ -140,19 +137,19 @@ void write_top_level_node(uint node, uint first_child, uint n_below, uint first_
     params.bvh.top_nodes.at[node].first_child = first_node_below + first_child;
     params.bvh.top_nodes.at[node].first_leaf = first_child;
     params.bvh.top_nodes.at[node].leaves = leaves;
-    store_shared_box(params.boxes, params.n_instances + node,
-                     write_child_boxes_and_get_union(params.bvh.top_nodes, node, inner_mask, children));
+    store_box(params.boxes, params.n_instances + node,
+              write_child_boxes(params.bvh.top_nodes, node, inner_mask, children));
 }
 
 void main() {
-    if (get_workgroup_index() > 0u) return;
-    if (get_subgroup_ordered_thread_index() == 0u) group_present = 0u;
+    if (workgroup_index() > 0u) return;
+    if (ordered_thread() == 0u) group_present = 0u;
     barrier();
-    Box bounds = join_boxes_over_workgroup(compute_instance_boxes_and_centre_bounds());
+    Box bounds = join_workgroup(instance_boxes());
     synchronise();
-    write_morton_codes(bounds);
+    write_keys(bounds);
     synchronise();
-    sort_instances_by_morton_code();
+    sort_instances();
     // Total number of nodes on all levels. The root is stored first and the lowest level
     // last.
     uint n_nodes = 0u;
@@ -165,8 +162,8 @@ void main() {
     for (uint n = group_present;;) {
         uint n_level = max((n + 7u) / 8u, 1u);
         n_nodes -= n_level;
-        for (uint k = get_subgroup_ordered_thread_index(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
-            write_top_level_node(n_nodes + k, 8u * k, n, first_node_below, is_lowest_level);
+        for (uint k = ordered_thread(); k < n_level; k += RELIDAR_BVH_WORKGROUP)
+            write_node(n_nodes + k, 8u * k, n, first_node_below, is_lowest_level);
         synchronise();
         if (n_level == 1u) return;
         first_node_below = n_nodes;

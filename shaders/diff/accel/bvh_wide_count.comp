@@ -12,24 +12,20 @@ RELIDAR_PARAMS(BvhWideParams);
 
 /// Returns the number of children that are wide nodes and the number of surfels in
 /// leaves.
-uvec2 unpack_child_and_surfel_counts(uint packed_counts) {
-    return uvec2(packed_counts & 255u, packed_counts >> 8);
-}
+uvec2 unpack_counts(uint packed_counts) { return uvec2(packed_counts & 255u, packed_counts >> 8); }
 
 void main() {
-    uint tile = get_workgroup_index();
+    uint tile = workgroup_index();
     if (tile >= params.n_tiles) return;
     // Number of consecutive nodes per thread.
     const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;
-    uint first = tile * RELIDAR_BVH_TILE + get_subgroup_ordered_thread_index() * RUN,
-         end = min(first + RUN, params.n_surfels);
+    uint first = tile * RELIDAR_BVH_TILE + ordered_thread() * RUN, end = min(first + RUN, params.n_surfels);
     uvec2 sums = uvec2(0u), total;
-    for (uint node = first; node < end; ++node)
-        sums += unpack_child_and_surfel_counts(params.demands.at[node]);
-    uvec2 before = compute_exclusive_sum(sums, total);
+    for (uint node = first; node < end; ++node) sums += unpack_counts(params.demands.at[node]);
+    uvec2 before = exclusive_sum(sums, total);
     for (uint node = first; node < end; ++node) {
         params.offsets.at[node] = before;
-        before += unpack_child_and_surfel_counts(params.demands.at[node]);
+        before += unpack_counts(params.demands.at[node]);
     }
-    if (get_subgroup_ordered_thread_index() == 0u) params.tiles.at[tile] = total;
+    if (ordered_thread() == 0u) params.tiles.at[tile] = total;
 }

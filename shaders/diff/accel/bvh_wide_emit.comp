@@ -13,7 +13,7 @@
 RELIDAR_PARAMS(BvhWideParams);
 
 void main() {
-    uint entry = get_thread_index();
+    uint entry = thread_index();
     if (entry >= min(params.bound, params.wide.count.at[0])) return;
     uint node = params.queue.at[entry];
     if (node == RELIDAR_BVH_NO_NODE) return;

@@ -22,11 +22,11 @@ layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer Sha
 /// Tries to replace one child of a node by the grandchildren below this child. All
 /// children must fit into the node.
 /// @return false if no child was replaced
-bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
+bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
         if (!is_inner_slot(params.tree, slots[s])) continue;
         uint below[RELIDAR_BVH_WIDTH];
-        uint n_below = collect_wide_node_children(params.tree, slots[s], below);
+        uint n_below = collect_children(params.tree, slots[s], below);
         if (n_slots - 1u + n_below > RELIDAR_BVH_WIDTH) continue;
         slots[s] = below[0];
         for (uint k = 1u; k < n_below; ++k) slots[n_slots++] = below[k];
@@ -37,12 +37,12 @@ bool replace_child_by_grandchildren(inout uint slots[RELIDAR_BVH_WIDTH], inout u
 
 uint level_end;  // Queue index at which the next level starts.
 
-void choose_children_of_wide_node(uint queue_index) {
+void choose_children(uint queue_index) {
     uint node = SharedUints(uvec2(params.queue)).at[queue_index];
     if (node == RELIDAR_BVH_NO_NODE) return;  // the model has no surfels
     uint slots[RELIDAR_BVH_WIDTH];
-    uint n_slots = collect_wide_node_children(params.tree, node, slots);
-    while (n_slots < RELIDAR_BVH_WIDTH && replace_child_by_grandchildren(slots, n_slots)) {}
+    uint n_slots = collect_children(params.tree, node, slots);
+    while (n_slots < RELIDAR_BVH_WIDTH && open_child(slots, n_slots)) {}
     uint n_inner = 0u, n_surfels = 0u;
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         params.slots.at[8u * queue_index + s] = s < n_slots ? slots[s] : RELIDAR_BVH_NO_NODE;
@@ -61,10 +61,10 @@ void choose_children_of_wide_node(uint queue_index) {
 
 /// Processes the level that starts at queue entry `level_begin`, and then all lower
 /// levels of the tree.
-void choose_children_on_remaining_levels(uint level_begin) {
+void choose_remaining(uint level_begin) {
     for (uint end = level_end; level_begin < end;) {
         for (uint entry = level_begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)
-            choose_children_of_wide_node(entry);
+            choose_children(entry);
         memoryBarrierBuffer();
         barrier();
         level_begin = end;
@@ -80,6 +80,6 @@ void main() {
         begin = level_end;
         level_end += params.level_sizes.at[k];
     }
-    if (UNTIL_DONE != 0u) choose_children_on_remaining_levels(begin);
-    else if (begin + get_thread_index() < level_end) choose_children_of_wide_node(begin + get_thread_index());
+    if (UNTIL_DONE != 0u) choose_remaining(begin);
+    else if (begin + thread_index() < level_end) choose_children(begin + thread_index());
 }

@@ -12,11 +12,10 @@ RELIDAR_PARAMS(BvhWideParams);
 void main() {
     uvec2 before = uvec2(0u);
     for (uint first = 0u; first < params.n_tiles; first += RELIDAR_BVH_WORKGROUP) {
-        uint tile = first + get_subgroup_ordered_thread_index();
-        uvec2 total,
-            sum = compute_exclusive_sum(tile < params.n_tiles ? params.tiles.at[tile] : uvec2(0u), total);
+        uint tile = first + ordered_thread();
+        uvec2 total, sum = exclusive_sum(tile < params.n_tiles ? params.tiles.at[tile] : uvec2(0u), total);
         if (tile < params.n_tiles) params.tiles.at[tile] = before + sum;
         before += total;
     }
-    if (get_subgroup_ordered_thread_index() == 0u) params.wide.count.at[0] = params.n_models + before.x;
+    if (ordered_thread() == 0u) params.wide.count.at[0] = params.n_models + before.x;
 }

@@ -15,7 +15,7 @@ RELIDAR_PARAMS(ModelRadiiParams);
 /// not finite.
 /// @param axis_over_scale vector along the axis with the length 1 / standard deviation,
 /// 1/m
-float compute_surfel_scale_along_axis(vec3 axis_over_scale) {
+float scale_along(vec3 axis_over_scale) {
     float s = 1.0 / length(axis_over_scale);
     return isnan(s) || isinf(s) ? 0.0 : s;
 }
@@ -25,30 +25,29 @@ float compute_surfel_scale_along_axis(vec3 axis_over_scale) {
 float compute_radius(SurfelRecord record) {
     if (!(record.opacity > params.alpha_min)) return 0.0;
     float k = sqrt(2.0 * log(record.opacity / params.alpha_min));
-    float u = compute_surfel_scale_along_axis(record.axis_u),
-          v = compute_surfel_scale_along_axis(record.axis_v),
-          w = has_third_axis_scale() ? compute_surfel_scale_along_axis(record.normal) : 0.0;
+    float u = scale_along(record.axis_u), v = scale_along(record.axis_v),
+          w = has_third_axis() ? scale_along(record.normal) : 0.0;
     float radius = (length(record.mean) + k * max(max(u, v), w)) * params.margin_scale + params.margin_m;
     return isnan(radius) || isinf(radius) ? 3.4e38 : radius;
 }
 
-void extend_model_radius(uint model, float radius) {
+void extend_radius(uint model, float radius) {
     if (radius > 0.0) atomicMax(params.radii.at[model], floatBitsToUint(radius));
 }
 
 void main() {
-    uint first = get_thread_index() * RELIDAR_RADIUS_STRETCH;
+    uint first = thread_index() * RELIDAR_RADIUS_STRETCH;
     if (first >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, params.first_surfel + first);
     float radius = 0.0;
     for (uint k = first; k < min(first + RELIDAR_RADIUS_STRETCH, params.n_surfels); ++k) {
         uint surfel = params.first_surfel + k;
         if (surfel - params.models.at[model].first_surfel >= params.models.at[model].n_surfels) {
-            extend_model_radius(model, radius);
+            extend_radius(model, radius);
             radius = 0.0;
             model = find_model(params.models, params.n_models, surfel);
         }
         radius = max(radius, compute_radius(params.records.at[surfel]));
     }
-    extend_model_radius(model, radius);
+    extend_radius(model, radius);
 }

@@ -18,9 +18,9 @@ RELIDAR_PARAMS(ProxyParams);
 
 // Golden ratio phi. The corners of an icosahedron are the even permutations of (0, +-1,
 // +-phi).
-const float kPhi = 1.618033988749895;
+const float kGoldenRatio = 1.618033988749895;
 // Scale of an icosahedron whose faces touch the unit sphere: sqrt(3) / phi^2.
-const float kCircumscribed = 0.66158453824961;
+const float kCircumscribedScale = 0.66158453824961;
 // Distance between the centre and the corners of an icosahedron whose faces touch the
 // unit sphere.
 const float kOuterRadius = 1.25840857236482;
@@ -29,7 +29,7 @@ const float kOuterRadius = 1.25840857236482;
 /// `axis_over_scale`, with the length n_deviations * s * margin_scale + margin_m. s is
 /// the standard deviation, m.
 /// @param axis_over_scale axis of the surfel: unit vector divided by s, 1/m
-vec3 compute_proxy_half_axis(vec3 axis_over_scale, float n_deviations) {
+vec3 half_axis(vec3 axis_over_scale, float n_deviations) {
     float inverse_scale = length(axis_over_scale);
     float half_size = n_deviations / inverse_scale * params.margin_scale + params.margin_m;
     vec3 half_vector = axis_over_scale / inverse_scale * half_size;
@@ -38,8 +38,8 @@ vec3 compute_proxy_half_axis(vec3 axis_over_scale, float n_deviations) {
 
 /// Returns corner `k` of an icosahedron around the origin. Corners are sqrt(1 + phi^2)
 /// away from the origin.
-vec3 get_icosahedron_corner(uint k) {
-    float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
+vec3 icosahedron_corner(uint k) {
+    float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kGoldenRatio : kGoldenRatio;
     if (k < 4u) return vec3(0.0, one, phi);
     if (k < 8u) return vec3(one, phi, 0.0);
     return vec3(phi, 0.0, one);
@@ -47,10 +47,10 @@ vec3 get_icosahedron_corner(uint k) {
 
 /// Writes the twelve corners of an icosahedron. Their order must match the triangles in
 /// src/diff/accel/hardware.cpp.
-void write_icosahedron(uint index, vec3 mean, vec3 axis_u, vec3 axis_v, vec3 axis_w) {
+void write_corners(uint index, vec3 mean, vec3 axis_u, vec3 axis_v, vec3 axis_w) {
     for (uint k = 0u; k < 12u; ++k) {
-        vec3 at = get_icosahedron_corner(k);
-        vec3 corner = mean + kCircumscribed * (at.x * axis_u + at.y * axis_v + at.z * axis_w);
+        vec3 at = icosahedron_corner(k);
+        vec3 corner = mean + kCircumscribedScale * (at.x * axis_u + at.y * axis_v + at.z * axis_w);
         for (uint c = 0u; c < 3u; ++c) params.vertices.at[36u * index + 3u * k + c] = corner[c];
     }
     float reach =
@@ -59,16 +59,16 @@ void write_icosahedron(uint index, vec3 mean, vec3 axis_u, vec3 axis_v, vec3 axi
 }
 
 void main() {
-    uint i = params.first_surfel + get_thread_index();
-    if (get_thread_index() >= params.n_surfels) return;
+    uint i = params.first_surfel + thread_index();
+    if (thread_index() >= params.n_surfels) return;
     SurfelRecord s = params.records.at[i];
     vec3 u = vec3(0.0), v = vec3(0.0), w = vec3(0.0);
     bool visible = s.opacity > params.alpha_min;
     if (visible) {
         float k = sqrt(2.0 * log(s.opacity / params.alpha_min));
-        u = compute_proxy_half_axis(s.axis_u, k);
-        v = compute_proxy_half_axis(s.axis_v, k);
-        if (has_third_axis_scale()) w = compute_proxy_half_axis(s.normal, k);
+        u = half_axis(s.axis_u, k);
+        v = half_axis(s.axis_v, k);
+        if (has_third_axis()) w = half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
         // Half size of the axis-aligned box around an ellipsoid with half axes u, v, w.
@@ -81,8 +81,8 @@ void main() {
         }
         return;
     }
-    if (get_triangles_per_proxy() == kProxy_icosahedron) {
-        write_icosahedron(i, s.mean, u, v, w);
+    if (proxy_triangles() == kProxy_icosahedron) {
+        write_corners(i, s.mean, u, v, w);
         return;
     }
     vec3 corner[4] = vec3[](s.mean - u - v, s.mean + u - v, s.mean + u + v, s.mean - u + v);

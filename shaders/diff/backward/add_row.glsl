@@ -18,18 +18,18 @@ shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
 /// Returns true if the threads of a subgroup exchange their rows (16 floats per thread)
 /// through shared memory before they add them to the array. All threads of the subgroup
-/// must then call add_exchanged_rows(). Returns false if a subgroup is not full.
-bool can_lanes_exchange_rows() {
+/// must then call add_rows(). Returns false if a subgroup is not full.
+bool exchanges_rows() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
-uint get_row_index_in_shared_memory() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+uint shared_row() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` atomically to array[16 row + index]. If can_lanes_exchange_rows()
+/// Adds `amount` atomically to array[16 row + index]. If exchanges_rows()
 /// is true, only stores it in shared memory. The caller must then call
-/// add_exchanged_rows() to add it.
-void add_to_row_component(Floats array, uint row, uint index, float amount) {
-    if (can_lanes_exchange_rows()) shared_rows[get_row_index_in_shared_memory() * kRowPitch + index] = amount;
+/// add_rows() to add it.
+void add_to_row(Floats array, uint row, uint index, float amount) {
+    if (exchanges_rows()) shared_rows[shared_row() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);
 }
 
@@ -38,14 +38,14 @@ void add_to_row_component(Floats array, uint row, uint index, float amount) {
 /// @param target_row row of this lane, or kNoRow if this lane has no row
 /// @param float_mask bit mask with bit k set if float k has a value. Must be equal in all
 /// lanes
-void add_exchanged_rows(Floats array, uint target_row, uint float_mask) {
-    if (!can_lanes_exchange_rows()) return;
-    shared_targets[get_row_index_in_shared_memory()] = target_row;
+void add_rows(Floats array, uint target_row, uint float_mask) {
+    if (!exchanges_rows()) return;
+    shared_targets[shared_row()] = target_row;
     subgroupBarrier();
     // Each lane has stored a row of 16 floats in shared memory. A group of n lanes adds
     // its n rows to `array` one by one. Neighbouring lanes add neighbouring floats.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
-    uint first = get_row_index_in_shared_memory() - lane;
+    uint first = shared_row() - lane;
     for (uint from = first; from < first + n; ++from) {
         uint to = shared_targets[from];
         if (to == kNoRow) continue;

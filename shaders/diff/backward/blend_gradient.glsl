@@ -27,8 +27,8 @@ bool has_gradient(RayGradient gradient) {
 
 /// Returns the derivative of the loss with respect to the blending weight of a hit. Each
 /// blended value (depth, intensity, ...) contributes its gradient times the hit's value.
-float compute_weight_gradient(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
-    vec3 channels = evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+float weight_gradient(TraceScene scene, Ray ray, RayGradient gradient, Hit hit) {
+    vec3 channels = shade_hit(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
 #define RELIDAR_SHADE(name, built, value, input, slope, meaning) \
     if (built) shade += gradient.name * (value);
@@ -46,8 +46,8 @@ void blend_hit_chunk(TraceScene scene, Ray ray, RayGradient gradient, uint hit_c
         float alpha = min(hit.alpha, scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;
         chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = compute_weight_gradient(scene, ray, gradient, hit) - state.shift;
-        add_with_compensation(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
+        chunk_shade[i] = weight_gradient(scene, ray, gradient, hit) - state.shift;
+        kahan_add(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
         state.transmittance *= 1.0 - alpha;
     }
 }

@@ -18,7 +18,7 @@ RELIDAR_PARAMS(GatherParams);
 /// Adds the gradient of a hit to the local sums of this thread.
 /// @param sorted_hit index of the hit in the list of hits sorted by gradient row
 /// @return the instance of the hit
-uint add_hit_gradient_and_get_instance(TraceScene scene, uint sorted_hit, uint gradient_row) {
+uint add_hit(TraceScene scene, uint sorted_hit, uint gradient_row) {
     HitRecord h = params.hits.at[params.slots.at[sorted_hit]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
@@ -26,9 +26,9 @@ uint add_hit_gradient_and_get_instance(TraceScene scene, uint sorted_hit, uint g
     // another ray.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
-    if (LIKELIHOOD != 0u) cache_measured_range(scene, h.ray);
-    HitGradient d = compute_hit_gradient(scene, make_ray(entry), params.upstream.at[h.ray], h.instance,
-                                         gradient_row - m.first_row + m.first_surfel, h.w, h.d_alpha);
+    if (LIKELIHOOD != 0u) cache_range(scene, h.ray);
+    HitGradient d = hit_vjp(scene, make_ray(entry), params.upstream.at[h.ray], h.instance,
+                            gradient_row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];
     if (SH_PER_SURFEL == 0u)
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k)
@@ -40,21 +40,21 @@ uint add_hit_gradient_and_get_instance(TraceScene scene, uint sorted_hit, uint g
 /// blocks, only stores the sum for backward/gather_heads. Two instances may share SH
 /// coefficients; one addition per instance gives a repeatable result, more additions do
 /// not.
-void store_row_sum_of_block(uint block, uint gradient_row, uint instance, bool starts_in_block,
-                            bool continues_in_next_block) {
+void store_row_sum(uint block, uint gradient_row, uint instance, bool starts_in_block,
+                   bool continues_in_next_block) {
     if (starts_in_block && !continues_in_next_block) {
-        add_sums_to_surfel_gradient(gradient_row, instance);
+        add_surfel_sums(gradient_row, instance);
         return;
     }
-    uint part = starts_in_block ? get_index_of_last_row_sum(block) : get_index_of_first_row_sum(block);
+    uint part = starts_in_block ? last_row_sum(block) : first_row_sum(block);
     for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
-    for (uint k = 16u; k < get_floats_per_partial_sum(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
+    for (uint k = 16u; k < floats_per_sum(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];
 }
 
 void main() {
-    uint block = get_thread_index(), first = block * RELIDAR_GATHER_BLOCK;
+    uint block = thread_index(), first = block * RELIDAR_GATHER_BLOCK;
     if (block == 0u) params.most_hits.at[0] = max(params.most_hits.at[0], params.n_hits.at[0]);
-    uint end = get_block_end(block);
+    uint end = block_end(block);
     if (first >= end) return;
     uint row = params.rows.at[first], instance = 0u;
     bool starts_in_block = first == 0u || params.rows.at[first - 1u] != row;
@@ -63,14 +63,14 @@ void main() {
         uint next = params.rows.at[i];
         if (next >= params.n_rows) break;  // slots without a hit are sorted to the end
         if (next != row) {
-            store_row_sum_of_block(block, row, instance, starts_in_block, false);
+            store_row_sum(block, row, instance, starts_in_block, false);
             clear_sums();
             row = next;
             starts_in_block = true;
         }
-        instance = add_hit_gradient_and_get_instance(params.scene, i, row);
+        instance = add_hit(params.scene, i, row);
     }
     if (row < params.n_rows)
-        store_row_sum_of_block(block, row, instance, starts_in_block,
-                               end < count_sorted_hits() && params.rows.at[end] == row);
+        store_row_sum(block, row, instance, starts_in_block,
+                      end < n_sorted_hits() && params.rows.at[end] == row);
 }

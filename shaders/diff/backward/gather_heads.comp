@@ -12,29 +12,28 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-bool has_row_start_in_block(uint block, uint gradient_row) {
+bool has_row_start(uint block, uint gradient_row) {
     uint first = block * RELIDAR_GATHER_BLOCK;
     return params.rows.at[first] != gradient_row || first == 0u || params.rows.at[first - 1u] != gradient_row;
 }
 
-void add_partial_sum_to_local_sums(uint parts_index) {
+void add_partial_sum(uint parts_index) {
     for (uint k = 0u; k < 16u; ++k) sums[k] += params.parts.at[parts_index + k];
-    for (uint k = 16u; k < get_floats_per_partial_sum(); ++k)
-        sh_sums[k - 16u] += params.parts.at[parts_index + k];
+    for (uint k = 16u; k < floats_per_sum(); ++k) sh_sums[k - 16u] += params.parts.at[parts_index + k];
 }
 
 void main() {
-    uint block = get_thread_index(), n = count_sorted_hits();
-    uint end = get_block_end(block);
+    uint block = thread_index(), n = n_sorted_hits();
+    uint end = block_end(block);
     // the last row of this block does not continue
     if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;
     uint row = params.rows.at[end - 1u];
-    if (row >= params.n_rows || params.rows.at[end] != row || !has_row_start_in_block(block, row)) return;
+    if (row >= params.n_rows || params.rows.at[end] != row || !has_row_start(block, row)) return;
     clear_sums();
-    add_partial_sum_to_local_sums(get_index_of_last_row_sum(block));
+    add_partial_sum(last_row_sum(block));
     for (uint later = block + 1u; end < n && params.rows.at[end] == row; ++later) {
-        add_partial_sum_to_local_sums(get_index_of_first_row_sum(later));
-        end = get_block_end(later);
+        add_partial_sum(first_row_sum(later));
+        end = block_end(later);
     }
-    add_sums_to_surfel_gradient(row, params.hits.at[params.slots.at[get_block_end(block) - 1u]].instance);
+    add_surfel_sums(row, params.hits.at[params.slots.at[block_end(block) - 1u]].instance);
 }

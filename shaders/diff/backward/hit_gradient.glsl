@@ -19,22 +19,22 @@ struct HitGradient {
 
 /// The spherical harmonics (SH) of a surfel depend on the ray direction. Returns their
 /// contribution to the gradient of the direction, in the model frame.
-vec3 compute_sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
+vec3 direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
     uint first = surfel * RELIDAR_SH_FLOATS;
     for (uint c = 0u; c < 3u; ++c)
-        for (uint k = 0u; k < count_sh_coefficients(scene.sh_degree); ++k)
+        for (uint k = 0u; k < count_sh(scene.sh_degree); ++k)
             d_basis[k] += d_channel[c] * scene.sh.at[first + c * RELIDAR_SH_COEFFICIENTS + k];
-    return backpropagate_sh_basis(direction, scene.sh_degree, d_basis);
+    return sh_basis_vjp(direction, scene.sh_degree, d_basis);
 }
 
 /// Computes the gradient of a hit.
 /// @param gradient gradients of the ray's blended values
 /// @param weight blending weight of the hit
 /// @param d_alpha derivative of the loss with respect to alpha. 0 if alpha was clamped
-HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient, uint instance, uint surfel,
-                                 float weight, float d_alpha) {
+HitGradient hit_vjp(TraceScene scene, Ray ray, RayGradient gradient, uint instance, uint surfel, float weight,
+                    float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
     enter_instance(scene, ray, instance);
     vec3 origin = entered_origin, direction = entered_direction;
@@ -47,16 +47,16 @@ HitGradient compute_hit_gradient(TraceScene scene, Ray ray, RayGradient gradient
     RELIDAR_BLENDED_VALUES(RELIDAR_SEND)
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
-    SurfelHitGradient d = backpropagate_intersection(record, origin, direction, hit, d_t, d_alpha);
+    SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
     // Stored in elements 7, 11 and 15 of `lanes` below. If spherical harmonics (SH) are
     // evaluated per surfel: gradient of the hit's intensity and two ray-drop logits. If
     // SH are evaluated per hit: gradient of a small rotation of the ray direction.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
-        cache_ray_sh_basis(scene, ray, instance);
+        cache_sh_basis(scene, ray, instance);
         // The forward pass clamps negative intensities to 0, so their gradient is 0.
-        if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
-        vec3 d_sh_direction = compute_sh_direction_gradient(scene, direction, surfel, d_channel);
+        if (!(channel_value(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
+        vec3 d_sh_direction = direction_gradient(scene, direction, surfel, d_channel);
         d.d_direction += d_sh_direction;
         others = cross(direction, d_sh_direction);
     }

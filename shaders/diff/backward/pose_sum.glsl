@@ -13,7 +13,7 @@ shared PoseSum pose_partial[gl_WorkGroupSize.x];  // the size is a power of two
 
 /// Returns the sum over all threads of the workgroup, but only to the first thread. Every
 /// thread of the workgroup must call this function.
-PoseSum add_over_workgroup(PoseSum sum) {
+PoseSum workgroup_sum(PoseSum sum) {
     uint lane = gl_LocalInvocationIndex;
     pose_partial[lane] = sum;
     for (uint n = gl_WorkGroupSize.x / 2u; n > 0u; n /= 2u) {

@@ -16,7 +16,7 @@ RELIDAR_PARAMS(PosesParams);
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
 void main() {
-    uint i = get_workgroup_index();
+    uint i = workgroup_index();
     if (i >= params.n_instances) return;  // for the full workgroup
     PoseSum sum = PoseSum(vec3(0.0), vec3(0.0), vec3(0.0));
     for (uint b = params.first_block.at[i] + gl_LocalInvocationIndex; b < params.first_block.at[i + 1u];
@@ -25,7 +25,7 @@ void main() {
         sum.torque += load_vec3(params.sums, RELIDAR_POSE_SUMS * b + 3u);
         sum.view += load_vec3(params.sums, RELIDAR_POSE_SUMS * b + 6u);
     }
-    sum = add_over_workgroup(sum);
+    sum = workgroup_sum(sum);
     if (gl_LocalInvocationIndex > 0u) return;
     InstanceEntry m = params.instances.at[i];
     vec4 eye = vec4(params.view_origin, 1.0);

@@ -12,7 +12,7 @@ RELIDAR_PARAMS(SensorPoseParams);
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1], array.at[row + 2]); }
 
 void main() {
-    if (get_thread_index() > 0u) return;
+    if (thread_index() > 0u) return;
     vec3 force = vec3(0.0), torque = vec3(0.0);
     for (uint i = 0u; i < params.n_instances; ++i) {
         InstanceEntry m = params.instances.at[i];

@@ -34,16 +34,15 @@ vec3 d_ray_direction;
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient gradient) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
-        if (others || k % 4u != 3u || k == 3u)
-            add_to_row_component(params.d_records, row, k, gradient.lanes[k]);
-    add_exchanged_rows(params.d_records, row, others ? 0xffffu : 0x777fu);
+        if (others || k % 4u != 3u || k == 3u) add_to_row(params.d_records, row, k, gradient.lanes[k]);
+    add_rows(params.d_records, row, others ? 0xffffu : 0x777fu);
     if (SH_PER_SURFEL != 0u) return;
-    uint n = count_sh_coefficients(scene.sh_degree);
+    uint n = count_sh(scene.sh_degree);
     for (uint c = 0u; c < 3u; ++c) {
         uint sh_row = row == kNoRow ? kNoRow : 3u * surfel + c;
         for (uint k = 0u; k < n; ++k)
-            add_to_row_component(params.d_sh, sh_row, k, gradient.d_channel[c] * ray_basis[k]);
-        add_exchanged_rows(params.d_sh, sh_row, (1u << n) - 1u);
+            add_to_row(params.d_sh, sh_row, k, gradient.d_channel[c] * ray_basis[k]);
+        add_rows(params.d_sh, sh_row, (1u << n) - 1u);
     }
 }
 
@@ -62,11 +61,11 @@ struct BlendedHit {
 
 /// Computes the gradient of one hit and adds it to the gradient of the ray. With GATHER,
 /// stores the hit for kernel backward/gather. Otherwise adds the gradient to the surfel.
-/// If can_lanes_exchange_rows(), the caller must add it with add_gradient() instead.
+/// If exchanges_rows(), the caller must add it with add_gradient() instead.
 /// @param hit_gradient output: gradient of the hit
 /// @return row of the surfel in `d_records`, or kNoRow if the hit was stored
-uint add_hit_gradient_and_get_row(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient,
-                                  BlendedHit blended_hit, out HitGradient hit_gradient) {
+uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, BlendedHit blended_hit,
+                      out HitGradient hit_gradient) {
     uint first_surfel = scene.instances.at[blended_hit.instance].first_surfel;
     uint row = blended_hit.surfel - first_surfel + scene.instances.at[blended_hit.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[blended_hit.surfel] = 1u;
@@ -80,48 +79,47 @@ uint add_hit_gradient_and_get_row(TraceScene scene, Ray ray, uint ray_index, Ray
         params.rows.at[blended_hit.slot] = row;
         if (is_null(params.d_rays)) return kNoRow;
     }
-    hit_gradient = compute_hit_gradient(scene, ray, gradient, blended_hit.instance, blended_hit.surfel,
-                                        blended_hit.w, d_alpha);
-    if (!recorded && !can_lanes_exchange_rows()) add_gradient(scene, row, blended_hit.surfel, hit_gradient);
-    d_ray_origin += rotate_vector_to_world(scene, hit_gradient.d_origin);
-    d_ray_direction += rotate_vector_to_world(scene, hit_gradient.d_direction);
+    hit_gradient =
+        hit_vjp(scene, ray, gradient, blended_hit.instance, blended_hit.surfel, blended_hit.w, d_alpha);
+    if (!recorded && !exchanges_rows()) add_gradient(scene, row, blended_hit.surfel, hit_gradient);
+    d_ray_origin += rotate_to_world(scene, hit_gradient.d_origin);
+    d_ray_direction += rotate_to_world(scene, hit_gradient.d_direction);
     return recorded ? kNoRow : row;
 }
 
 void load_kept_hits(uint first, uint count) {
-    uint list = get_thread_index();
-    reset_hits_with_cutoff(0.0);
+    uint list = thread_index();
+    reset_hits(0.0);
     hits_closed = true;
     for (uint i = 0u; i < min(count, CHUNK); ++i)
-        append_hit(params.kept.at[get_index_in_hit_lists(params.n_kept, list, first + i)]);
+        append_hit(params.kept.at[hit_list_index(params.n_kept, list, first + i)]);
 }
 
 /// Adds the gradients of the first `hit_count` hits in the hit buffer, from far to near.
-/// If can_lanes_exchange_rows(), all threads of the subgroup must call this function.
+/// If exchanges_rows(), all threads of the subgroup must call this function.
 /// @param first_record index in `hits` of the record of the first hit
 /// @param sum_behind sum of w * shade (see BlendedHit) over farther hits and background
-void add_gradients_of_buffered_hits(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient,
-                                    uint first_record, uint hit_count, float sum_behind) {
-    for (uint k = can_lanes_exchange_rows() ? subgroupMax(hit_count) : hit_count; k > 0u; --k) {
+void add_buffered_hits(TraceScene scene, Ray ray, uint ray_index, RayGradient gradient, uint first_record,
+                       uint hit_count, float sum_behind) {
+    for (uint k = exchanges_rows() ? subgroupMax(hit_count) : hit_count; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
         HitGradient d;
         if (k <= hit_count) {
             Hit hit = load_hit(i);
             surfel = hit.surfel;
-            row = add_hit_gradient_and_get_row(
-                scene, ray, ray_index, gradient,
-                BlendedHit(first_record + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
-                           chunk_w[i], chunk_shade[i], sum_behind),
-                d);
+            row = add_hit_gradient(scene, ray, ray_index, gradient,
+                                   BlendedHit(first_record + i, hit.instance, hit.surfel, hit.alpha,
+                                              chunk_transmittance[i], chunk_w[i], chunk_shade[i], sum_behind),
+                                   d);
             sum_behind += chunk_w[i] * chunk_shade[i];
         }
-        if (can_lanes_exchange_rows()) add_gradient(scene, row, surfel, d);
+        if (exchanges_rows()) add_gradient(scene, row, surfel, d);
     }
 }
 
 /// Returns the state in which the backward pass starts to blend the hits of a ray again.
 /// `remaining` is the sum of value * dL/d(value) over all blended values of the ray.
-BlendState make_backward_blend_state(RenderedRay rendered, RayGradient gradient) {
+BlendState backward_state(RenderedRay rendered, RayGradient gradient) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +gradient.name* rendered.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
 #undef RELIDAR_REMAINS
@@ -136,26 +134,25 @@ BlendState make_backward_blend_state(RenderedRay rendered, RayGradient gradient)
 
 /// Subtracts dL/dw of the nearest hit from dL/dw of all hits, which reduces rounding
 /// errors. The blending weights w sum to 1, so a common offset changes no gradient.
-void subtract_weight_gradient_of_nearest_hit(TraceScene scene, Ray ray, RenderedRay rendered,
-                                             RayGradient gradient, inout BlendState state) {
-    state.shift = compute_weight_gradient(scene, ray, gradient, load_hit(0u));
-    add_with_compensation(state.remaining, state.lost, -state.shift * rendered.weight);
-    add_with_compensation(state.remaining, state.lost, -state.shift * rendered.transmittance);
+void subtract_nearest(TraceScene scene, Ray ray, RenderedRay rendered, RayGradient gradient,
+                      inout BlendState state) {
+    state.shift = weight_gradient(scene, ray, gradient, load_hit(0u));
+    kahan_add(state.remaining, state.lost, -state.shift * rendered.weight);
+    kahan_add(state.remaining, state.lost, -state.shift * rendered.transmittance);
 }
 
 /// Computes the gradients of all hits of a ray.
 /// @param is_active false if this thread has no ray or the gradient of its ray is zero.
-/// Such a thread must also call this function if can_lanes_exchange_rows() is true
+/// Such a thread must also call this function if exchanges_rows() is true
 /// @return number of hits whose gradients were computed. Less than rendered.n_hits if the
 /// backward pass does not find all hits of the forward pass again
-uint backpropagate_ray_and_count_hits(TraceScene scene, Ray ray, uint ray_index, RenderedRay rendered,
-                                      RayGradient gradient, bool is_active) {
-    BlendState state = make_backward_blend_state(rendered, gradient);
+uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay rendered, RayGradient gradient,
+                       bool is_active) {
+    BlendState state = backward_state(rendered, gradient);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
-    HitKey previous_key = get_search_start_key(scene);
+    HitKey previous_key = search_start_key(scene);
     is_active = is_active && rendered.n_hits > 0u;
-    for (uint pass = 0u;
-         pass < RELIDAR_MAX_PASSES && (can_lanes_exchange_rows() ? subgroupAny(is_active) : is_active);
+    for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && (exchanges_rows() ? subgroupAny(is_active) : is_active);
          ++pass) {
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
@@ -165,11 +162,9 @@ uint backpropagate_ray_and_count_hits(TraceScene scene, Ray ray, uint ray_index,
             // does not change the division into chunks and the rounding errors.
             bool kept = min(blended + CHUNK, rendered.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, rendered.n_hits - blended);
-            else
-                find_next_hits(scene, ray, previous_key,
-                               compute_min_transmittance_of_next_hits(scene, state.transmittance));
+            else find_next_hits(scene, ray, previous_key, transmittance_limit(scene, state.transmittance));
             n = min(n_hits, rendered.n_hits - blended);
-            if (pass == 0u) subtract_weight_gradient_of_nearest_hit(scene, ray, rendered, gradient, state);
+            if (pass == 0u) subtract_nearest(scene, ray, rendered, gradient, state);
             blended += n;
             blend_hit_chunk(scene, ray, gradient, n, state);
             is_active = blended < rendered.n_hits && hits_closed;
@@ -177,22 +172,22 @@ uint backpropagate_ray_and_count_hits(TraceScene scene, Ray ray, uint ray_index,
             behind = is_active ? state.remaining : state.transmittance * (gradient.drop_logit - state.shift);
             if (is_active) previous_key = load_hit_key(n_hits - 1u);
         }
-        add_gradients_of_buffered_hits(scene, ray, ray_index, gradient, slot, n, behind);
+        add_buffered_hits(scene, ray, ray_index, gradient, slot, n, behind);
     }
     return blended;
 }
 
-void clear_hit_records(uint ray_index, uint first, uint count) {
+void clear_records(uint ray_index, uint first, uint count) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + count, params.capacity); ++k)
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
 void main() {
-    uint i = get_traced_ray(params.scene);
+    uint i = traced_ray(params.scene);
     bool inside = i < params.scene.n_rays;
     if (!inside) {
-        if (!can_lanes_exchange_rows()) return;
+        if (!exchanges_rows()) return;
         // All lanes must take part in the exchange of gradients, so a lane without a ray
         // uses ray 0 as a placeholder.
         i = 0u;
@@ -203,11 +198,10 @@ void main() {
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
     RenderedRay final = params.rendered.at[i];
-    if (LIKELIHOOD != 0u) cache_measured_range(params.scene, i);
-    uint blended = backpropagate_ray_and_count_hits(params.scene, make_ray(entry), i, final, g,
-                                                    inside && has_gradient(g));
+    if (LIKELIHOOD != 0u) cache_range(params.scene, i);
+    uint blended = backpropagate_ray(params.scene, make_ray(entry), i, final, g, inside && has_gradient(g));
     if (!inside) return;
-    if (GATHER != 0u) clear_hit_records(i, blended, final.n_hits);
+    if (GATHER != 0u) clear_records(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;
     for (uint c = 0u; c < 3u; ++c) {
         params.d_rays.at[6u * i + c] = d_ray_origin[c];

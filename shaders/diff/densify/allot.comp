@@ -30,7 +30,7 @@ uint divide_64_by_32(uint high, uint low, uint divisor) {
 /// sum of their weights: floor((cumulative_weight * n_new + phase) / total_weight). All
 /// surfels together receive n_new copies. The random `phase` decides between rounding up
 /// and down.
-uint compute_cumulative_copies(uint cumulative_weight) {
+uint cumulative_copies(uint cumulative_weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;
     umulExtended(cumulative_weight, params.n_new, high, low);
@@ -39,11 +39,11 @@ uint compute_cumulative_copies(uint cumulative_weight) {
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
     uint before = params.cumulative.at[i];
-    uint copies = compute_cumulative_copies(before + params.weight.at[i]) - compute_cumulative_copies(before);
+    uint copies = cumulative_copies(before + params.weight.at[i]) - cumulative_copies(before);
     if (action != RELIDAR_DENSIFY_DROP && copies == 0u) params.action.at[i] = RELIDAR_DENSIFY_KEEP;
     params.n_rows.at[i] = action == RELIDAR_DENSIFY_DROP ? 0u : 1u + copies;
 }

@@ -19,20 +19,20 @@ void add_to_counter(uint model, uint counter, uint amount) {
 
 /// Returns the sum of the absolute values of `count` floats. The sum is finite only if
 /// all floats are finite, so a single test is enough.
-float compute_magnitude(Floats array, uint first, uint count) {
+float magnitude(Floats array, uint first, uint count) {
     float sum = 0.0;
     for (uint k = 0u; k < count; ++k) sum += abs(array.at[first + k]);
     return sum;
 }
 
-bool has_third_axis_scale() { return !is_null(params.surfels.log_scale_w); }
+bool has_third_axis() { return !is_null(params.surfels.log_scale_w); }
 
 /// Returns true if all parameters of a surfel are finite and in their valid range.
 /// @param scale standard deviations along three axes; the third is 1 for flat surfels
 bool is_valid_surfel(uint surfel, vec4 quaternion, vec3 scale) {
-    float sum = compute_magnitude(params.surfels.mean, 3 * surfel, 3u) +
-                compute_magnitude(params.surfels.opacity_logit, surfel, 1u);
-    sum += compute_magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * surfel, RELIDAR_SH_FLOATS);
+    float sum =
+        magnitude(params.surfels.mean, 3 * surfel, 3u) + magnitude(params.surfels.opacity_logit, surfel, 1u);
+    sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * surfel, RELIDAR_SH_FLOATS);
     float q_length2 = dot(quaternion, quaternion);
     return !isnan(sum) && !isinf(sum) && q_length2 > 1e-30 && q_length2 < 1e30 &&
            all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
@@ -40,19 +40,18 @@ bool is_valid_surfel(uint surfel, vec4 quaternion, vec3 scale) {
 
 /// Draws two random points from the surfel's Gaussian. Returns true if both points are
 /// outside the box of its model.
-bool is_surfel_outside_actor_box(uint surfel, vec4 quaternion, vec3 scale, vec3 box_half_size) {
+bool is_outside_box(uint surfel, vec4 quaternion, vec3 scale, vec3 box_half_size) {
     if (!(box_half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * surfel], params.surfels.mean.at[3 * surfel + 1],
                      params.surfels.mean.at[3 * surfel + 2]);
-    mat3 r = make_rotation_matrix(quaternion);
+    mat3 r = rotation_matrix(quaternion);
     for (uint draw = 0u; draw < 2u; ++draw) {
-        vec2 z = scale.xy * draw_standard_normal_pair(params.key, surfel, draw);
+        vec2 z = scale.xy * normal_pair(params.key, surfel, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
         // The last argument selects one of the surfel's random numbers. Numbers 0 and 1
         // are used above, 2 and 3 in kernel densify/spawn. Therefore this code uses 4 and
         // 5.
-        if (has_third_axis_scale())
-            p += scale.z * draw_standard_normal_pair(params.key, surfel, 4u + draw).x * r[2];
+        if (has_third_axis()) p += scale.z * normal_pair(params.key, surfel, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), box_half_size))) return false;
     }
     return true;
@@ -60,7 +59,7 @@ bool is_surfel_outside_actor_box(uint surfel, vec4 quaternion, vec3 scale, vec3 
 
 /// Returns how a surfel grows: clone or split if its mean gradient norm exceeds the
 /// threshold, otherwise keep.
-uint choose_growth_action(uint index, float max_scale, float extent_m) {
+uint choose_growth(uint index, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[index];
     if (n_seen == 0u || !(params.gradient_sum.at[index] > params.gradient_threshold * float(n_seen)))
         return RELIDAR_DENSIFY_KEEP;
@@ -69,30 +68,30 @@ uint choose_growth_action(uint index, float max_scale, float extent_m) {
 
 /// Returns RELIDAR_DENSIFY_KEPT if the surfel stays. Otherwise returns the reason for
 /// dropping it, as the index of a counter.
-uint find_drop_reason(uint surfel, uint model, vec4 quaternion, vec3 scale, float opacity, float max_scale) {
+uint drop_reason(uint surfel, uint model, vec4 quaternion, vec3 scale, float opacity, float max_scale) {
     if (!is_valid_surfel(surfel, quaternion, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
     if (max_scale > params.max_extent_share * params.extents.at[model]) return RELIDAR_DENSIFY_LARGE;
-    if (is_surfel_outside_actor_box(surfel, quaternion, scale, params.models.at[model].half_size))
+    if (is_outside_box(surfel, quaternion, scale, params.models.at[model].half_size))
         return RELIDAR_DENSIFY_OUTSIDE;
     return RELIDAR_DENSIFY_KEPT;
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint model = find_model(params.models, params.n_models, i);
     vec4 q = vec4(params.surfels.rotation.at[4 * i], params.surfels.rotation.at[4 * i + 1],
                   params.surfels.rotation.at[4 * i + 2], params.surfels.rotation.at[4 * i + 3]);
     vec3 scale = exp(vec3(params.surfels.log_scale.at[2 * i], params.surfels.log_scale.at[2 * i + 1],
-                          has_third_axis_scale() ? params.surfels.log_scale_w.at[i] : 0.0));
+                          has_third_axis() ? params.surfels.log_scale_w.at[i] : 0.0));
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
-    if (has_third_axis_scale()) max_scale = max(max_scale, scale.z);
-    uint action = choose_growth_action(i, max_scale, params.extents.at[model]);
+    if (has_third_axis()) max_scale = max(max_scale, scale.z);
+    uint action = choose_growth(i, max_scale, params.extents.at[model]);
     // A split divides the scale by 1.6, so the following test uses the smaller scale.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
-    uint why = find_drop_reason(i, model, q, scale, opacity, max_scale);
+    uint why = drop_reason(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;
     if (why != RELIDAR_DENSIFY_KEPT) {
         action = RELIDAR_DENSIFY_DROP;

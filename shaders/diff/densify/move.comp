@@ -10,7 +10,7 @@
 RELIDAR_PARAMS(MoveParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
     bool changed = action == RELIDAR_DENSIFY_SPLIT;

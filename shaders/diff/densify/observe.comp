@@ -14,7 +14,7 @@
 RELIDAR_PARAMS(ObserveParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint word = i * params.n_words + params.frame / 32u;
     uint bit = 1u << (params.frame % 32u);

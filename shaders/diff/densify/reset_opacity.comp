@@ -9,7 +9,7 @@
 RELIDAR_PARAMS(ResetOpacityParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     // This comparison keeps a NaN, so that the next densification can count it.
     if (params.opacity_logit.at[i] > params.max_logit) params.opacity_logit.at[i] = params.max_logit;

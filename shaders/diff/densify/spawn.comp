@@ -11,30 +11,29 @@
 #include "../../scene/gaussian/quaternion.glsl"
 RELIDAR_PARAMS(SpawnParams);
 
-bool has_third_axis_scale() { return !is_null(params.surfels.log_scale_w); }
+bool has_third_axis() { return !is_null(params.surfels.log_scale_w); }
 
-void add_to_log_scales(uint row, float amount) {
+void add_log_scales(uint row, float amount) {
     for (uint k = 0u; k < 2u; ++k) params.surfels.log_scale.at[2 * row + k] += amount;
-    if (has_third_axis_scale()) params.surfels.log_scale_w.at[row] += amount;
+    if (has_third_axis()) params.surfels.log_scale_w.at[row] += amount;
 }
 
 void split_surfel(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
-    mat3 r = make_rotation_matrix(q);
+    mat3 r = rotation_matrix(q);
     // Starts with random number 2, because kernel densify/classify has used 0 and 1.
-    vec2 z = draw_standard_normal_pair(params.key, row, 2u);
+    vec2 z = normal_pair(params.key, row, 2u);
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
-    if (has_third_axis_scale())
-        offset +=
-            draw_standard_normal_pair(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
+    if (has_third_axis())
+        offset += normal_pair(params.key, row, 3u).x * exp(params.surfels.log_scale_w.at[row]) * r[2];
     for (uint k = 0u; k < 3u; ++k) params.surfels.mean.at[3 * row + k] += offset[k];
-    add_to_log_scales(row, -log(1.6));
+    add_log_scales(row, -log(1.6));
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_surfels) return;
     if (params.action.at[i] != RELIDAR_DENSIFY_SPLIT) return;
     for (uint k = 0u; k < params.n_rows.at[i]; ++k) split_surfel(params.starts.at[i] + k);

@@ -9,14 +9,14 @@
 RELIDAR_PARAMS(AppendParams);
 
 void main() {
-    list_index = get_thread_index();
+    list_index = thread_index();
     if (list_index >= params.lists.n) return;
-    uint i = get_traced_ray(params.scene), length = 0u;
+    uint i = traced_ray(params.scene), length = 0u;
     if (i < params.scene.n_rays) {
         DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
         listed = params.lists;
-        find_next_hits(params.scene, make_ray(entry), get_search_start_key(params.scene),
-                       compute_min_transmittance_of_next_hits(params.scene, 1.0));
+        find_next_hits(params.scene, make_ray(entry), search_start_key(params.scene),
+                       transmittance_limit(params.scene, 1.0));
         length = n_hits | (hits_closed ? RELIDAR_LIST_CLOSED : 0u);
         if (n_hits > params.lists.room) {
             length = RELIDAR_LIST_UNFIT;

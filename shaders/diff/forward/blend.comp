@@ -24,38 +24,36 @@ RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
 /// Returns hit `index` of a sorted list, or the last hit if the list is shorter.
-Hit load_hit_or_last_of_list(uint list, uint index, uint hit_count) {
-    return params.lists.hits.at[get_index_in_hit_lists(params.lists.room, list, min(index, hit_count - 1u))];
+Hit load_clamped(uint list, uint index, uint hit_count) {
+    return params.lists.hits.at[hit_list_index(params.lists.room, list, min(index, hit_count - 1u))];
 }
 
 /// Blends the hits of a list with at least one hit. To hide the latency of loads, loads
 /// each hit two iterations before it is blended, and its intensity and logits one
 /// iteration before.
 /// @return true if a hit of the list would reduce the transmittance below the limit
-bool blend_list_until_blocked(uint list, uint hit_count, Ray ray, inout Blended blended) {
-    Hit next = load_hit_or_last_of_list(list, 0u, hit_count),
-        after_next = load_hit_or_last_of_list(list, 1u, hit_count);
-    vec3 next_channels = compute_hit_channels(params.scene, ray, next);
+bool blend_list(uint list, uint hit_count, Ray ray, inout Blended blended) {
+    Hit next = load_clamped(list, 0u, hit_count), after_next = load_clamped(list, 1u, hit_count);
+    vec3 next_channels = hit_channels(params.scene, ray, next);
     HitKey last = HitKey(-1.0, 0u, 0u);
     for (uint k = 0u; k < hit_count; ++k) {
         Hit hit = next;
         vec3 channels = next_channels;
         next = after_next;
-        after_next = load_hit_or_last_of_list(list, k + 2u, hit_count);
-        next_channels = compute_hit_channels(params.scene, ray, next);
+        after_next = load_clamped(list, k + 2u, hit_count);
+        next_channels = hit_channels(params.scene, ray, next);
         HitKey key = HitKey(hit.t, hit.instance, hit.surfel);
         if (key == last) continue;  // skips a hit that the driver reported twice
         last = key;
-        if (is_ray_blocked_before_hit(params.scene, hit, blended.ray.transmittance)) return true;
-        if (params.kept_in_lists == 0u || blended.ray.n_hits != k)
-            store_hit_for_backward_pass(blended.ray.n_hits, hit);
+        if (is_blocked(params.scene, hit, blended.ray.transmittance)) return true;
+        if (params.kept_in_lists == 0u || blended.ray.n_hits != k) store_hit(blended.ray.n_hits, hit);
         blend_hit(params.scene, ray, hit, channels, blended);
     }
     return false;
 }
 
 void main() {
-    uint list = get_thread_index(), i = get_traced_ray(params.scene);
+    uint list = thread_index(), i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
     uint length = params.lists.lengths.at[list];
     if (length == RELIDAR_LIST_UNFIT) return;
@@ -63,7 +61,7 @@ void main() {
     Ray ray = make_ray(entry);
     Blended b = start_blending(params.scene, i);
     uint n = length & ~RELIDAR_LIST_CLOSED;
-    bool ended = n > 0u && blend_list_until_blocked(list, n, ray, b);
+    bool ended = n > 0u && blend_list(list, n, ray, b);
     if ((length & RELIDAR_LIST_CLOSED) != 0u && !ended) params.lists.lengths.at[list] = RELIDAR_LIST_UNFIT;
     else finish_blending(i, b);
 }

@@ -22,34 +22,33 @@ Blended start_blending(TraceScene scene, uint ray_index) {
     b.ray.n_hits = 0u;
     b.ray.instance = RELIDAR_NO_INSTANCE;
     b.normal = vec3(0.0);
-    b.surfaces = make_empty_surfaces();
-    if (LIKELIHOOD != 0u) cache_measured_range(scene, ray_index);
+    b.surfaces = empty_surfaces();
+    if (LIKELIHOOD != 0u) cache_range(scene, ray_index);
     ray_basis_instance = kNoInstance;
     return b;
 }
 
-vec3 compute_hit_channels(TraceScene scene, Ray ray, Hit hit) {
-    return evaluate_hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+vec3 hit_channels(TraceScene scene, Ray ray, Hit hit) {
+    return shade_hit(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
-float compute_transmittance_behind(TraceScene scene, Hit hit, float transmittance_before) {
+float transmittance_behind(TraceScene scene, Hit hit, float transmittance_before) {
     return transmittance_before * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
 /// Returns true if a hit reduces the transmittance below the limit. The ray then ends
 /// before this hit, and the hit is not blended.
-bool is_ray_blocked_before_hit(TraceScene scene, Hit hit, float transmittance_before) {
-    return compute_transmittance_behind(scene, hit, transmittance_before) < scene.transmittance_min;
+bool is_blocked(TraceScene scene, Hit hit, float transmittance_before) {
+    return transmittance_behind(scene, hit, transmittance_before) < scene.transmittance_min;
 }
 
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended blended) {
-    float next = compute_transmittance_behind(scene, hit, blended.ray.transmittance),
+    float next = transmittance_behind(scene, hit, blended.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * blended.ray.transmittance;
-    if (NORMAL != 0u) blended.normal += w * compute_facing_normal(scene, ray, hit.instance, hit.surfel);
-    if (MODE != 0u)
-        add_hit_to_surfaces(hit.t, w, params.surface_gap_m, blended.surfaces);  // docs/method.md, M13
+    if (NORMAL != 0u) blended.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
+    if (MODE != 0u) add_to_surfaces(hit.t, w, params.surface_gap_m, blended.surfaces);  // docs/method.md, M13
 #define RELIDAR_BLEND(name, built, value, input, slope, meaning) \
-    if (built) add_with_compensation(blended.ray.name, blended.lost.name, w*(value));
+    if (built) kahan_add(blended.ray.name, blended.lost.name, w*(value));
     RELIDAR_BLENDED_VALUES(RELIDAR_BLEND)
 #undef RELIDAR_BLEND
     bool crosses = blended.ray.transmittance > 0.5 && next <= 0.5;
@@ -60,17 +59,17 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
 }
 
 /// @param blend_index number of the hit in the order of blending
-void store_hit_for_backward_pass(uint blend_index, Hit hit) {
+void store_hit(uint blend_index, Hit hit) {
     if (blend_index < params.n_kept)
-        params.kept.at[get_index_in_hit_lists(params.n_kept, get_thread_index(), blend_index)] = hit;
+        params.kept.at[hit_list_index(params.n_kept, thread_index(), blend_index)] = hit;
 }
 
 void finish_blending(uint ray_index, inout Blended blended) {
     if (params.n_kept > 0u && blended.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // Blends the background like a hit with the drop logit 1 and all other values 0. Its
     // weight is the remaining transmittance of the ray.
-    add_with_compensation(blended.ray.drop_logit, blended.lost.drop_logit, blended.ray.transmittance);
-    update_heaviest_surface(blended.surfaces);
+    kahan_add(blended.ray.drop_logit, blended.lost.drop_logit, blended.ray.transmittance);
+    keep_heaviest(blended.surfaces);
     if (NORMAL != 0u || MODE != 0u)
         params.surfaces.at[ray_index] = RenderedSurface(blended.normal, blended.surfaces.heaviest_t);
     params.rendered.at[ray_index] = blended.ray;

@@ -5,10 +5,10 @@
 #define RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 RELIDAR_CONSTANT(uint, NORMAL, 0u);
 
-vec3 compute_facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
+vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;
     float side = exact_dot(normal, entered_direction) > 0.0 ? -1.0 : 1.0;
-    return side * rotate_vector_to_world(scene, normal);
+    return side * rotate_to_world(scene, normal);
 }
 #endif

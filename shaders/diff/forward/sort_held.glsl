@@ -13,30 +13,28 @@
 // order, odd blocks in descending order. True if hit h of this lane is in an even block.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
-#define EXCHANGE_BETWEEN_LANES(h)                                                                  \
-    {                                                                                              \
-        float other = subgroupShuffleXor(t[h], apart / HELD);                                      \
-        uint other_place = subgroupShuffleXor(place[h], apart / HELD);                             \
-        bool other_first = other < t[h];                                                           \
-        if (other == t[h])                                                                         \
-            other_first = is_hit_before_at_equal_distance(list, hit_count, other_place, place[h]); \
-        bool takes = other_first == (is_low == IS_UPWARD(h));                                      \
-        t[h] = takes ? other : t[h];                                                               \
-        place[h] = takes ? other_place : place[h];                                                 \
+#define EXCHANGE_BETWEEN_LANES(h)                                                           \
+    {                                                                                       \
+        float other = subgroupShuffleXor(t[h], apart / HELD);                               \
+        uint other_place = subgroupShuffleXor(place[h], apart / HELD);                      \
+        bool other_first = other < t[h];                                                    \
+        if (other == t[h]) other_first = is_before(list, hit_count, other_place, place[h]); \
+        bool takes = other_first == (is_low == IS_UPWARD(h));                               \
+        t[h] = takes ? other : t[h];                                                        \
+        place[h] = takes ? other_place : place[h];                                          \
     }
 
-#define EXCHANGE_WITHIN_LANE(h, by)                                                               \
-    if ((h & by) == 0u) {                                                                         \
-        float low = t[h], high = t[h | by];                                                       \
-        uint low_place = place[h], high_place = place[h | by];                                    \
-        bool high_first = high < low;                                                             \
-        if (high == low)                                                                          \
-            high_first = is_hit_before_at_equal_distance(list, hit_count, high_place, low_place); \
-        bool swaps = high_first == IS_UPWARD(h);                                                  \
-        t[h] = swaps ? high : low;                                                                \
-        t[h | by] = swaps ? low : high;                                                           \
-        place[h] = swaps ? high_place : low_place;                                                \
-        place[h | by] = swaps ? low_place : high_place;                                           \
+#define EXCHANGE_WITHIN_LANE(h, by)                                                      \
+    if ((h & by) == 0u) {                                                                \
+        float low = t[h], high = t[h | by];                                              \
+        uint low_place = place[h], high_place = place[h | by];                           \
+        bool high_first = high < low;                                                    \
+        if (high == low) high_first = is_before(list, hit_count, high_place, low_place); \
+        bool swaps = high_first == IS_UPWARD(h);                                         \
+        t[h] = swaps ? high : low;                                                       \
+        t[h | by] = swaps ? low : high;                                                  \
+        place[h] = swaps ? high_place : low_place;                                       \
+        place[h | by] = swaps ? low_place : high_place;                                  \
     }
 #define EXCHANGE_BY_1(h) EXCHANGE_WITHIN_LANE(h, 1u)
 #define EXCHANGE_BY_2(h) EXCHANGE_WITHIN_LANE(h, 2u)
@@ -47,7 +45,7 @@
     if (lane * HELD + h < hit_count) hits[h] = load_list_hit(list, place[h]);
 #define STORE(h)                     \
     if (lane * HELD + h < hit_count) \
-        params.lists.hits.at[get_index_in_hit_lists(params.lists.room, list, lane * HELD + h)] = hits[h];
+        params.lists.hits.at[hit_list_index(params.lists.room, list, lane * HELD + h)] = hits[h];
 
 void SORT_HITS_OF_LIST(uint list, uint hit_count) {
     uint lane = gl_SubgroupInvocationID, place[HELD];

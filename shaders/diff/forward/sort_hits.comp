@@ -14,14 +14,14 @@ RELIDAR_PARAMS(SortHitsParams);
 RELIDAR_CONSTANT(uint, LANES, 32u);
 
 Hit load_list_hit(uint list, uint place) {
-    return params.lists.hits.at[get_index_in_hit_lists(params.lists.room, list, place)];
+    return params.lists.hits.at[hit_list_index(params.lists.room, list, place)];
 }
 
 /// Compares two hits at the same distance, given by their positions `first_position` and
 /// `second_position` in the list. Returns true if `first_position` comes before
 /// `second_position`, ordered by instance, then surfel, then position. Positions beyond
 /// the end of the list come last.
-bool is_hit_before_at_equal_distance(uint list, uint hit_count, uint first_position, uint second_position) {
+bool is_before(uint list, uint hit_count, uint first_position, uint second_position) {
     if (first_position >= hit_count || second_position >= hit_count) return first_position < second_position;
     Hit hit_a = load_list_hit(list, first_position), hit_b = load_list_hit(list, second_position);
     HitKey key_a = HitKey(hit_a.t, hit_a.instance, hit_a.surfel),
@@ -61,7 +61,7 @@ bool is_hit_before_at_equal_distance(uint list, uint hit_count, uint first_posit
 
 void main() {
     // correct only because all subgroups are full
-    uint list = get_workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
+    uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
     // On lavapipe, a subgroup barrier waits for all subgroups of the workgroup. The sort

@@ -15,19 +15,19 @@ struct Surfaces {
     float heaviest_t;  // mean of t over the surface with the largest weight
 };
 
-Surfaces make_empty_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
+Surfaces empty_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
 /// Keeps the current surface as the result if it has a larger weight than all surfaces
 /// before. With equal weights, the nearer surface is kept.
-void update_heaviest_surface(inout Surfaces surfaces) {
+void keep_heaviest(inout Surfaces surfaces) {
     if (!(surfaces.weight > surfaces.heaviest)) return;
     surfaces.heaviest = surfaces.weight;
     surfaces.heaviest_t = surfaces.start + surfaces.moment / surfaces.weight;
 }
 
-void add_hit_to_surfaces(float hit_t, float hit_weight, float max_gap_m, inout Surfaces surfaces) {
+void add_to_surfaces(float hit_t, float hit_weight, float max_gap_m, inout Surfaces surfaces) {
     if (hit_t - surfaces.last_t > max_gap_m) {
-        update_heaviest_surface(surfaces);
+        keep_heaviest(surfaces);
         surfaces.start = hit_t;
         surfaces.weight = surfaces.moment = 0.0;
     }

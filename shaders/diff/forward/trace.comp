@@ -15,17 +15,16 @@ RELIDAR_PARAMS(ForwardParams);
 
 void render_ray(TraceScene scene, Ray ray, uint ray_index) {
     Blended b = start_blending(scene, ray_index);
-    HitKey previous_key = get_search_start_key(scene);
+    HitKey previous_key = search_start_key(scene);
     bool ended = false;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && !ended; ++pass) {
-        find_next_hits(scene, ray, previous_key,
-                       compute_min_transmittance_of_next_hits(scene, b.ray.transmittance));
+        find_next_hits(scene, ray, previous_key, transmittance_limit(scene, b.ray.transmittance));
         for (uint i = 0u; i < n_hits; ++i) {
             Hit hit = load_hit(i);
-            ended = is_ray_blocked_before_hit(scene, hit, b.ray.transmittance);
+            ended = is_blocked(scene, hit, b.ray.transmittance);
             if (ended) break;
-            store_hit_for_backward_pass(b.ray.n_hits, hit);
-            blend_hit(scene, ray, hit, compute_hit_channels(scene, ray, hit), b);
+            store_hit(b.ray.n_hits, hit);
+            blend_hit(scene, ray, hit, hit_channels(scene, ray, hit), b);
         }
         if (!hits_closed) ended = true;
         else previous_key = load_hit_key(n_hits - 1u);
@@ -35,9 +34,9 @@ void render_ray(TraceScene scene, Ray ray, uint ray_index) {
 }
 
 void main() {
-    uint i = get_traced_ray(params.scene);
+    uint i = traced_ray(params.scene);
     if (i >= params.scene.n_rays) return;
-    if (!is_null(params.lists.lengths) && params.lists.lengths.at[get_thread_index()] != RELIDAR_LIST_UNFIT)
+    if (!is_null(params.lists.lengths) && params.lists.lengths.at[thread_index()] != RELIDAR_LIST_UNFIT)
         return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     render_ray(params.scene, make_ray(entry), i);

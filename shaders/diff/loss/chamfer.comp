@@ -16,7 +16,7 @@
 RELIDAR_PARAMS(ChamferParams);
 
 void main() {
-    uint k = get_thread_index();
+    uint k = thread_index();
     float squares_m2 = 0.0;
     if (k < params.n_rays) {
         uint b = params.nearest_measured.at[k], a = params.nearest_simulated.at[k];
@@ -27,7 +27,7 @@ void main() {
         if (a != RELIDAR_NO_INDEX) {
             vec3 difference = params.simulated.at[a] - params.measured.at[k];
             squares_m2 += dot(difference, difference);
-            atomic_add_fixed_point(
+            add_fixed(
                 params.d_found, a,
                 2.0 * dot(difference, params.rays.at[params.first_ray + a * params.ray_stride].direction));
         }

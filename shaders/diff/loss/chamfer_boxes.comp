@@ -9,7 +9,7 @@
 RELIDAR_PARAMS(ChamferBoxesParams);
 
 void main() {
-    uint tile = get_thread_index();
+    uint tile = thread_index();
     uint tiles_across = (params.columns + params.tile_columns - 1u) / params.tile_columns;
     uint first_row = tile / tiles_across * params.tile_rows,
          first_column = tile % tiles_across * params.tile_columns;

@@ -18,7 +18,7 @@ struct Nearest {
     uint index;
 };
 
-float compute_squared_length(vec3 direction) {
+float squared_length(vec3 direction) {
     precise float sum = direction.x * direction.x;
     precise float y = direction.y * direction.y;
     precise float z = direction.z * direction.z;
@@ -29,13 +29,13 @@ float compute_squared_length(vec3 direction) {
 
 /// Returns the squared distance between a point and a box. For an empty box, whose
 /// corners are RELIDAR_NO_POINT, the square overflows to infinity.
-float compute_squared_distance(vec3 query, vec3 low, vec3 high) {
-    return compute_squared_length(max(max(low - query, query - high), vec3(0.0)));
+float squared_distance(vec3 query, vec3 low, vec3 high) {
+    return squared_length(max(max(low - query, query - high), vec3(0.0)));
 }
 
 void visit_point(uint index, inout Nearest best) {
     vec3 p = params.cloud.points.at[index];
-    float squared = compute_squared_length(best.query - p);
+    float squared = squared_length(best.query - p);
     if (p.x < RELIDAR_NO_POINT && squared < best.squared_m2) {
         best.squared_m2 = squared;
         best.index = index;
@@ -51,7 +51,7 @@ struct Cells {
     uint across;  // number of points or tiles per row of the image
 };
 
-Cells get_cells_of_tile(uint tile, uvec2 grid_size, uint tiles_per_row) {
+Cells tile_cells(uint tile, uvec2 grid_size, uint tiles_per_row) {
     uvec2 tile_size = uvec2(params.tile_rows, params.tile_columns),
           begin = uvec2(tile / tiles_per_row, tile % tiles_per_row) * tile_size;
     return Cells(begin, min(begin + tile_size, grid_size), grid_size.y);
@@ -62,34 +62,34 @@ uvec2 count_tiles(uvec2 grid_size) {
     return (grid_size + tile_size - 1u) / tile_size;
 }
 
-void search_tile_for_nearest_point(uint tile, uvec2 image_size, uint tiles_per_row, inout Nearest best) {
-    if (!(compute_squared_distance(best.query, params.cloud.tile_low.at[tile],
-                                   params.cloud.tile_high.at[tile]) < best.squared_m2))
+void search_tile(uint tile, uvec2 image_size, uint tiles_per_row, inout Nearest best) {
+    if (!(squared_distance(best.query, params.cloud.tile_low.at[tile], params.cloud.tile_high.at[tile]) <
+          best.squared_m2))
         return;
-    Cells c = get_cells_of_tile(tile, image_size, tiles_per_row);
+    Cells c = tile_cells(tile, image_size, tiles_per_row);
     for (uint row = c.begin.x; row < c.end.x; ++row)
         for (uint column = c.begin.y; column < c.end.y; ++column) visit_point(row * c.across + column, best);
 }
 
 void main() {
-    uint k = get_thread_index();
+    uint k = thread_index();
     if (k >= params.rows * params.columns) return;
     Nearest best = Nearest(params.queries.at[k], uintBitsToFloat(0x7f800000u), RELIDAR_NO_INDEX);
     if (best.query.x < RELIDAR_NO_POINT) {
         uvec2 points = uvec2(params.rows, params.columns), tiles = count_tiles(points),
               groups = count_tiles(tiles);
         visit_point(k, best);
-        search_tile_for_nearest_point(
+        search_tile(
             k / params.columns / params.tile_rows * tiles.y + k % params.columns / params.tile_columns,
             points, tiles.y, best);
         for (uint group = 0u; group < groups.x * groups.y; ++group) {
-            if (!(compute_squared_distance(best.query, params.cloud.group_low.at[group],
-                                           params.cloud.group_high.at[group]) < best.squared_m2))
+            if (!(squared_distance(best.query, params.cloud.group_low.at[group],
+                                   params.cloud.group_high.at[group]) < best.squared_m2))
                 continue;
-            Cells c = get_cells_of_tile(group, tiles, groups.y);
+            Cells c = tile_cells(group, tiles, groups.y);
             for (uint row = c.begin.x; row < c.end.x; ++row)
                 for (uint column = c.begin.y; column < c.end.y; ++column)
-                    search_tile_for_nearest_point(row * c.across + column, points, tiles.y, best);
+                    search_tile(row * c.across + column, points, tiles.y, best);
         }
     }
     params.nearest.at[k] = best.index;

@@ -16,13 +16,13 @@ const float kLeastWeight = 0.1;
 
 /// Returns the simulated range of a ray in m. Returns 0 if the range is unreliable, NaN,
 /// or probably not measured (ray drop).
-float get_simulated_range(RenderedRay ray) {
+float simulated_range(RenderedRay ray) {
     if (!(ray.weight > kLeastWeight) || !(ray.drop_logit < ray.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? ray.depth / ray.weight : ray.depth;
 }
 
 void main() {
-    uint k = get_thread_index();
+    uint k = thread_index();
     vec2 is_point = vec2(0.0);
     if (k < params.n_rays) {
         uint i = params.first_ray + k * params.ray_stride;
@@ -30,8 +30,8 @@ void main() {
         DeviceRay ray = params.rays.at[i];
         // subtracts the first ray's origin, to keep float precision
         vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;
-        vec2 range = target.weight > 0.0 ? vec2(get_simulated_range(params.rendered.at[k]), target.range_m)
-                                         : vec2(0.0);
+        vec2 range =
+            target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);
         if (range.x > 0.0) is_point.x = 1.0;
         if (range.y > 0.0) is_point.y = 1.0;
         params.simulated.at[k] = is_point.x > 0.0 ? origin + range.x * ray.direction : vec3(RELIDAR_NO_POINT);

@@ -13,7 +13,7 @@
 RELIDAR_PARAMS(ChamferParams);
 
 void main() {
-    uint k = get_thread_index();
+    uint k = thread_index();
     if (k >= params.n_rays) return;
     uint b = params.nearest_measured.at[k];
     // The gradient is zero if this ray has no simulated point, or if no point was
@@ -22,7 +22,7 @@ void main() {
     vec3 difference = params.simulated.at[k] - params.measured.at[b];
     float asked = 2.0 * dot(difference, params.rays.at[params.first_ray + k * params.ray_stride].direction);
     float d_range = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0) *
-                    (asked + read_fixed_point_sum(params.d_found, k));
+                    (asked + read_fixed(params.d_found, k));
     RenderedRay r = params.rendered.at[k];
     float scale = params.normalised_depth != 0u ? 1.0 / r.weight : 1.0;
     params.upstream.at[k].depth += d_range * scale;

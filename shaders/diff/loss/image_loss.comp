@@ -16,7 +16,7 @@ RELIDAR_PARAMS(ImageLossParams);
 /// Computes the L1 loss of the depth and adds its derivative to the gradient. With
 /// normalised_depth, the blended depth is divided by the sum of the blending weights.
 /// @return value of this loss term
-float compute_depth_loss_and_gradient(RenderedRay ray, float range_m, inout RayGradient gradient) {
+float depth_loss(RenderedRay ray, float range_m, inout RayGradient gradient) {
     float weight = max(ray.weight, 1e-3);
     float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
     float error = ray.depth * scale - range_m;
@@ -30,7 +30,7 @@ float compute_depth_loss_and_gradient(RenderedRay ray, float range_m, inout RayG
 /// Computes the Huber loss of an intensity error e. The loss is e^2 / (2 delta) for |e| <
 /// delta, otherwise |e| - delta / 2. If delta is 0, this is the L1 loss.
 /// @return value of this loss term
-float compute_intensity_loss_and_gradient(float error, inout RayGradient gradient) {
+float intensity_loss(float error, inout RayGradient gradient) {
     float delta = params.intensity_delta, size = abs(error);
     bool squared = size < delta;
     gradient.intensity += params.intensity_weight * (squared ? error / delta : sign(error));
@@ -40,7 +40,7 @@ float compute_intensity_loss_and_gradient(float error, inout RayGradient gradien
 /// Computes the negative log probability of the measured outcome (return or no return).
 /// Evaluates log(1 + exp(x)) without overflow.
 /// @return value of this loss term
-float compute_drop_loss_and_gradient(RenderedRay ray, bool dropped, inout RayGradient gradient) {
+float drop_loss(RenderedRay ray, bool dropped, inout RayGradient gradient) {
     float x = ray.drop_logit - ray.hit_logit;
     float probability = 1.0 / (1.0 + exp(-x));
     float d_x = params.drop_weight * (probability - (dropped ? 1.0 : 0.0));
@@ -50,22 +50,22 @@ float compute_drop_loss_and_gradient(RenderedRay ray, bool dropped, inout RayGra
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
-vec4 compute_loss_terms_and_gradient(RenderedRay ray, DeviceTarget target, inout RayGradient gradient) {
+vec4 loss_terms(RenderedRay ray, DeviceTarget target, inout RayGradient gradient) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);
     if (!dropped) {
-        terms.x = compute_depth_loss_and_gradient(ray, target.range_m, gradient);
-        terms.y = compute_intensity_loss_and_gradient(ray.intensity - target.intensity, gradient);
+        terms.x = depth_loss(ray, target.range_m, gradient);
+        terms.y = intensity_loss(ray.intensity - target.intensity, gradient);
         float missing = 1.0 - ray.weight;
         gradient.weight -= 2.0 * params.opacity_weight * missing;
         terms.w = params.opacity_weight * missing * missing;
     }
-    terms.z = compute_drop_loss_and_gradient(ray, dropped, gradient);
+    terms.z = drop_loss(ray, dropped, gradient);
     return terms;
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     vec4 terms = vec4(0.0);
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
@@ -73,7 +73,7 @@ void main() {
 #define RELIDAR_START(name, built, value, input, slope, meaning) g.name = 0.0;
         RELIDAR_BLENDED_VALUES(RELIDAR_START)
 #undef RELIDAR_START
-        if (target.weight > 0.0) terms = compute_loss_terms_and_gradient(params.rendered.at[i], target, g);
+        if (target.weight > 0.0) terms = loss_terms(params.rendered.at[i], target, g);
         params.upstream.at[i] = g;
     }
     add_to_sum(params.terms, kTerm_depth, terms.x);

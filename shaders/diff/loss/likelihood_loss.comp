@@ -11,7 +11,7 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
-float compute_likelihood_loss_and_gradient(uint ray) {
+float likelihood_loss(uint ray) {
     float explained =
         params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[ray].likelihood;
     params.upstream.at[ray].likelihood += -params.weight * (1.0 - params.likelihood_floor) / explained;
@@ -19,11 +19,11 @@ float compute_likelihood_loss_and_gradient(uint ray) {
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     float term = 0.0;
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
-        if (target.weight > 0.0 && target.range_m > 0.0) term = compute_likelihood_loss_and_gradient(i);
+        if (target.weight > 0.0 && target.range_m > 0.0) term = likelihood_loss(i);
     }
     add_to_sum(params.terms, kTerm_likelihood, term);
 }

@@ -30,17 +30,17 @@ struct Window {
 /// Computes weighted means, variances and the covariance of both images in the window
 /// around a pixel. Subtracts the value of the centre pixel first, because the sums would
 /// otherwise lose precision in flat regions.
-Window compute_window_statistics(uint index) {
+Window window_statistics(uint index) {
     vec2 centre = vec2(params.rendered.at[index].intensity, load_target(index).intensity);
     float sum = 0.0, products = 0.0;
     vec2 values = vec2(0.0), squares = vec2(0.0);
     for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
-            uint j = get_window_pixel(index, row, column);
+            uint j = window_pixel(index, row, column);
             if (j == kNoPixel) continue;
             DeviceTarget t = load_target(j);
-            if (!has_measured_return(t)) continue;
-            float w = get_window_weight(row, column);
+            if (!has_return(t)) continue;
+            float w = window_weight(row, column);
             vec2 v = vec2(params.rendered.at[j].intensity, t.intensity) - centre;
             sum += w;
             values += w * v;
@@ -55,8 +55,8 @@ Window compute_window_statistics(uint index) {
 
 /// Computes the structural similarity (SSIM) loss of a pixel: rendered against measured
 /// intensity. Also writes the derivatives of the loss to `statistics`.
-float compute_ssim_loss_of_pixel(uint pixel) {
-    Window w = compute_window_statistics(pixel);
+float ssim_loss(uint pixel) {
+    Window w = window_statistics(pixel);
     float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;
     float b1 = dot(w.mean, w.mean) + kC1, b2 = w.variance.x + w.variance.y + kC2;
     float s = a1 * a2 / (b1 * b2);
@@ -71,9 +71,7 @@ float compute_ssim_loss_of_pixel(uint pixel) {
 }
 
 void main() {
-    uint i = get_thread_index();
-    float term = i < params.rows * params.columns && has_measured_return(load_target(i))
-                     ? compute_ssim_loss_of_pixel(i)
-                     : 0.0;
+    uint i = thread_index();
+    float term = i < params.rows * params.columns && has_return(load_target(i)) ? ssim_loss(i) : 0.0;
     add_to_sum(params.terms, kTerm_ssim, term);
 }

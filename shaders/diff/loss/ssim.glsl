@@ -9,11 +9,12 @@
 const int kSsimRadius = 5;
 const uint kNoPixel = 0xffffffffu;
 // exp(-d^2 / 4.5)
-const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
+const float kGaussianByDistance[6] =
+    float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
 
 /// Returns the index of the pixel at an offset from pixel `index`. Returns kNoPixel if
 /// this pixel would be outside the image.
-uint get_window_pixel(uint index, int row_offset, int column_offset) {
+uint window_pixel(uint index, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(index / params.columns) + row_offset, column = int(index % params.columns) + column_offset;
     if (params.circular != 0u && columns > 2 * kSsimRadius) column = (column + columns) % columns;
@@ -22,12 +23,12 @@ uint get_window_pixel(uint index, int row_offset, int column_offset) {
                : kNoPixel;
 }
 
-float get_window_weight(int row_offset, int column_offset) {
-    return kGaussian[abs(row_offset)] * kGaussian[abs(column_offset)];
+float window_weight(int row_offset, int column_offset) {
+    return kGaussianByDistance[abs(row_offset)] * kGaussianByDistance[abs(column_offset)];
 }
 
 DeviceTarget load_target(uint index) {
     return params.targets.at[params.first_ray + index * params.ray_stride];
 }
-bool has_measured_return(DeviceTarget target) { return target.weight > 0.0 && target.range_m > 0.0; }
+bool has_return(DeviceTarget target) { return target.weight > 0.0 && target.range_m > 0.0; }
 #endif

@@ -13,15 +13,15 @@ RELIDAR_PARAMS(SsimParams);
 #include "ssim.glsl"
 
 void main() {
-    uint q = get_thread_index();
-    if (q >= params.rows * params.columns || !has_measured_return(load_target(q))) return;
+    uint q = thread_index();
+    if (q >= params.rows * params.columns || !has_return(load_target(q))) return;
     float x = params.rendered.at[q].intensity, y = load_target(q).intensity, sum = 0.0;
     for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
-            uint p = get_window_pixel(q, row, column);
-            if (p == kNoPixel || !has_measured_return(load_target(p))) continue;
+            uint p = window_pixel(q, row, column);
+            if (p == kNoPixel || !has_return(load_target(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
-            sum += get_window_weight(row, column) *
+            sum += window_weight(row, column) *
                    (params.statistics.at[at] +
                     (x - params.statistics.at[at + 3u]) * params.statistics.at[at + 1u] +
                     (y - params.statistics.at[at + 4u]) * params.statistics.at[at + 2u]);

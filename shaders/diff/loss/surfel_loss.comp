@@ -15,8 +15,7 @@ RELIDAR_PARAMS(SurfelLossParams);
 /// Returns the penalty for a standard deviation of a surfel that is too large.
 /// @param max_scale_m largest standard deviation without a penalty, m
 /// @param adds_gradient true: adds the derivative to d_log_scale
-float compute_scale_penalty_and_gradient(Floats log_scale, Floats d_log_scale, uint index, float max_scale_m,
-                                         bool adds_gradient) {
+float scale_penalty(Floats log_scale, Floats d_log_scale, uint index, float max_scale_m, bool adds_gradient) {
     float relative = exp(log_scale.at[index]) / max_scale_m;
     if (!(relative > 1.0)) return 0.0;
     if (adds_gradient) d_log_scale.at[index] += params.box_weight * relative;
@@ -28,7 +27,7 @@ float compute_scale_penalty_and_gradient(Floats log_scale, Floats d_log_scale, u
 /// deviations.
 /// @param adds_gradient true: adds the derivatives to the gradients
 /// @return penalty of the surfel
-float compute_box_loss_and_gradient(uint surfel, ModelEntry model, bool adds_gradient) {
+float box_loss(uint surfel, ModelEntry model, bool adds_gradient) {
     if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // the model has no box
     float term = 0.0, max_scale_m = params.box_scale_share * model.half_diagonal;
     for (uint axis = 0u; axis < 3u; ++axis) {
@@ -42,22 +41,19 @@ float compute_box_loss_and_gradient(uint surfel, ModelEntry model, bool adds_gra
     }
     Floats log_scale = params.surfels.log_scale, d_log_scale = params.d_surfels.log_scale;
     for (uint axis = 0u; axis < 2u; ++axis)
-        term += compute_scale_penalty_and_gradient(log_scale, d_log_scale, 2u * surfel + axis, max_scale_m,
-                                                   adds_gradient);
+        term += scale_penalty(log_scale, d_log_scale, 2u * surfel + axis, max_scale_m, adds_gradient);
     Floats third = params.surfels.log_scale_w;
     if (!is_null(third))
-        term += compute_scale_penalty_and_gradient(third, params.d_surfels.log_scale_w, surfel, max_scale_m,
-                                                   adds_gradient);
+        term += scale_penalty(third, params.d_surfels.log_scale_w, surfel, max_scale_m, adds_gradient);
     return params.box_weight * term;
 }
 
 void main() {
-    uint k = get_thread_index(), i = params.first_surfel + k;
+    uint k = thread_index(), i = params.first_surfel + k;
     bool is_surfel = k < params.n_surfels;
     bool adds_gradient = is_surfel && (is_null(params.touched) || params.touched.at[i] != 0u);
     float box = 0.0;
     if (is_surfel)
-        box = compute_box_loss_and_gradient(
-            i, params.models.at[find_model(params.models, params.n_models, i)], adds_gradient);
+        box = box_loss(i, params.models.at[find_model(params.models, params.n_models, i)], adds_gradient);
     add_to_sum(params.terms, kTerm_box, box);
 }

@@ -15,7 +15,7 @@ RELIDAR_PARAMS(ChannelSumsParams);
 
 /// Returns the first pixel of part number `part` of an image. Each image is divided into
 /// `parts_per_image` parts of nearly equal size.
-uint get_first_pixel_of_image_part(uint part, uint parts_per_image) {
+uint first_pixel(uint part, uint parts_per_image) {
     return params.n_pixels / parts_per_image * part + min(part, params.n_pixels % parts_per_image);
 }
 
@@ -25,36 +25,35 @@ uint get_first_pixel_of_image_part(uint part, uint parts_per_image) {
 /// @param first_dropout_index index of the channel's first pixel in the dropout mask
 /// @param scale_shift,mean_and_inverse_deviation (scale, shift) and (mean, 1 / deviation)
 /// of the channel
-vec2 compute_norm_gradients_of_pixel(uint pixel, uint first_value, uint first_gradient,
-                                     uint first_dropout_index, vec2 scale_shift,
-                                     vec2 mean_and_inverse_deviation) {
+vec2 norm_gradients(uint pixel, uint first_value, uint first_gradient, uint first_dropout_index,
+                    vec2 scale_shift, vec2 mean_and_inverse_deviation) {
     float x = params.from.values.at[first_value + pixel];
-    float passes = compute_relu_dropout_factor(scale_shift.x * x + scale_shift.y, first_dropout_index + pixel,
-                                               params.dropout_key, params.dropout);
+    float passes = relu_dropout(scale_shift.x * x + scale_shift.y, first_dropout_index + pixel,
+                                params.dropout_key, params.dropout);
     float g = params.d_to.values.at[first_gradient + pixel] * passes;
     return vec2(g, g * (x - mean_and_inverse_deviation.x) * mean_and_inverse_deviation.y);
 }
 
 void main() {
-    uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          lane = gl_SubgroupInvocationID;
     uint channel = job % params.n_channels, part = min(job / params.n_channels, params.n_parts - 1u);
     uint parts_per_image = params.n_parts / params.n_images, image = part / parts_per_image;
-    uint begin = get_first_pixel_of_image_part(part % parts_per_image, parts_per_image),
-         end = get_first_pixel_of_image_part(part % parts_per_image + 1u, parts_per_image);
+    uint begin = first_pixel(part % parts_per_image, parts_per_image),
+         end = first_pixel(part % parts_per_image + 1u, parts_per_image);
     uint plane = (image * params.from.channels + params.from.first + channel) * params.n_pixels;
     vec2 sum = vec2(0.0);
-    if (params.kind == kSums_norm_vjp) {
+    if (params.kind == kNormVjpSums) {
         uint d_plane = (image * params.d_to.channels + params.d_to.first + channel) * params.n_pixels;
         uint place = (image * params.n_channels + channel) * params.n_pixels;
         vec2 affine = params.scale_shift.at[channel], moments = params.moments.at[channel];
         for (uint i = begin + lane; i < end; i += LANES)
-            sum += compute_norm_gradients_of_pixel(i, plane, d_plane, place, affine, moments);
+            sum += norm_gradients(i, plane, d_plane, place, affine, moments);
     } else {
         for (uint i = begin + lane; i < end; i += LANES) sum.x += params.from.values.at[plane + i];
     }
     sum = subgroupAdd(sum);
-    if (params.kind == kSums_moments) {
+    if (params.kind == kMomentSums) {
         float mean = sum.x / float(max(end - begin, 1u)), squares = 0.0;
         for (uint i = begin + lane; i < end; i += LANES) {
             float off = params.from.values.at[plane + i] - mean;
@@ -64,7 +63,7 @@ void main() {
     }
     if (lane != 0u || job >= params.n_channels * params.n_parts) return;
     uint at = part * params.n_channels + channel;
-    if (params.kind == kSums_plain) {
+    if (params.kind == kPlainSums) {
         params.partial.at[at] = sum.x;
     } else {
         params.partial.at[2u * at] = sum.x;

@@ -28,84 +28,88 @@ RELIDAR_PARAMS(ConvParams);
 #include "conv.glsl"
 #include "lanes.glsl"
 
-const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
-           kHeld = (kOut + LANES - 1u) / LANES;
+const uint kTileOutChannels = RELIDAR_CONV_OUT, kTileInChannels = RELIDAR_CONV_IN,
+           kWeightRows = TAPS == 1u ? 1u : 3u, kValuesPerLane = (kTileOutChannels + LANES - 1u) / LANES;
 // Number of pixels that a thread loads per row. A 3x3 convolution also needs columns next
 // to the pixels that it computes.
-const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
-shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
+const uint kLoadsPerRow = TAPS == 1u ? PIXELS : PIXELS + 1u;
+shared float tile[kTileInChannels * 9 * kTileOutChannels];  // weights of a tile, indexed [in, tap, out]
 
-/// Copies the weights of kIn input channels (from first_in) and kOut output channels
+/// Copies the weights of kTileInChannels input channels (from first_in) and kTileOutChannels output channels
 /// (from first_out) to shared memory. If fewer channels remain, weights of the last
 /// channel fill the other entries, which are not used.
-void load_weight_tile(uint first_out_channel, uint first_in_channel) {
-    for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
-        uint o = min(first_out_channel + k % kOut, params.n_out - 1u),
-             i = min(first_in_channel + k / (kOut * TAPS), params.n_in - 1u);
-        tile[k] = params.weights.at[get_weight_index(o, i, k / kOut % TAPS)];
+void load_weights(uint first_out_channel, uint first_in_channel) {
+    for (uint k = gl_LocalInvocationIndex; k < kTileInChannels * TAPS * kTileOutChannels;
+         k += gl_WorkGroupSize.x) {
+        uint o = min(first_out_channel + k % kTileOutChannels, params.n_out - 1u),
+             i = min(first_in_channel + k / (kTileOutChannels * TAPS), params.n_in - 1u);
+        tile[k] = params.weights.at[weight_index(o, i, k / kTileOutChannels % TAPS)];
     }
 }
 
-void load_next_weight_tile(uint first_out_channel, uint first_in_channel) {
+void load_next_weights(uint first_out_channel, uint first_in_channel) {
     barrier();
-    load_weight_tile(first_out_channel, first_in_channel);
+    load_weights(first_out_channel, first_in_channel);
     barrier();
 }
 
 /// Loads this lane's part of the weights of one input channel and one position (tap) of
 /// the 3x3 kernel. The lanes exchange their parts later.
-void load_weights_of_lane(uint first_out_channel, uint in_channel, uint tap, out float lane_weights[kHeld]) {
-    [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
+void load_lane_weights(uint first_out_channel, uint in_channel, uint tap,
+                       out float lane_weights[kValuesPerLane]) {
+    [[unroll]] for (uint k = 0u; k < kValuesPerLane; ++k) {
         uint o = min(first_out_channel + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
-        lane_weights[k] = params.weights.at[get_weight_index(o, in_channel, tap)];
+        lane_weights[k] = params.weights.at[weight_index(o, in_channel, tap)];
     }
 }
 
 void main() {
     uint n_pixels = params.rows * params.columns,
          segments = (params.columns + LANES * PIXELS - 1u) / (LANES * PIXELS);
-    uint out_tiles = (params.n_out + kOut - 1u) / kOut, group = get_workgroup_index(),
+    uint out_tiles = (params.n_out + kTileOutChannels - 1u) / kTileOutChannels, group = workgroup_index(),
          lane = gl_SubgroupInvocationID;
     uint segment = group / out_tiles * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          line = segment / segments;
     bool there = line < params.n_images * params.rows;
     line = there ? line : 0u;
-    uint first_out = group % out_tiles * kOut, first_column = segment % segments * (LANES * PIXELS);
+    uint first_out = group % out_tiles * kTileOutChannels,
+         first_column = segment % segments * (LANES * PIXELS);
     uint image = line / params.rows, y = line % params.rows;
 
-    uint column[kLoads], row_at[kLines];
-    bool inside[kLines], is_column_inside[kLoads];
-    [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
-        find_source_column(first_column + v * LANES + lane, is_column_inside[v]);
-    [[unroll]] for (uint k = 0u; k < kLines; ++k) {
+    uint column[kLoadsPerRow], row_at[kWeightRows];
+    bool inside[kWeightRows], is_column_inside[kLoadsPerRow];
+    [[unroll]] for (uint v = 0u; v < kLoadsPerRow; ++v) column[v] =
+        source_column(first_column + v * LANES + lane, is_column_inside[v]);
+    [[unroll]] for (uint k = 0u; k < kWeightRows; ++k) {
         // In row 0, y - 1 wraps to a large unsigned number, so that `inside` is false.
         uint row = TAPS == 1u ? y : y + k - 1u;
         inside[k] = row < params.rows;
         row_at[k] = (image * params.from.channels + params.from.first) * n_pixels +
                     (inside[k] ? row : 0u) * params.columns;
     }
-    float sum[PIXELS * kOut];
-    [[unroll]] for (uint k = 0u; k < PIXELS * kOut; ++k) sum[k] = 0.0;
+    float sum[PIXELS * kTileOutChannels];
+    [[unroll]] for (uint k = 0u; k < PIXELS * kTileOutChannels; ++k) sum[k] = 0.0;
 
     for (uint i = 0u; i < params.n_in; ++i) {
-        if (STAGED && i % kIn == 0u) load_next_weight_tile(first_out, i);
-        [[unroll]] for (uint ky = 0u; ky < kLines; ++ky) {
-            float v[kLoads];
-            [[unroll]] for (uint k = 0u; k < kLoads; ++k) {
+        if (STAGED && i % kTileInChannels == 0u) load_next_weights(first_out, i);
+        [[unroll]] for (uint ky = 0u; ky < kWeightRows; ++ky) {
+            float v[kLoadsPerRow];
+            [[unroll]] for (uint k = 0u; k < kLoadsPerRow; ++k) {
                 float x = params.from.values.at[row_at[ky] + i * n_pixels + column[k]];
                 v[k] = inside[ky] && is_column_inside[k] ? x : 0.0;
             }
-            [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
-                uint tap = ky * kLines + kx;
-                float held[kHeld];
-                if (!STAGED) load_weights_of_lane(first_out, i, tap, held);
+            [[unroll]] for (uint kx = 0u; kx < kWeightRows; ++kx) {
+                uint tap = ky * kWeightRows + kx;
+                float held[kValuesPerLane];
+                if (!STAGED) load_lane_weights(first_out, i, tap, held);
                 float seen[PIXELS];
                 [[unroll]] for (uint p = 0u; p < PIXELS; ++p) seen[p] =
-                    kx == 0u ? v[p] : read_from_lane_at_offset(v[p], v[min(p + 1u, kLoads - 1u)], kx);
-                [[unroll]] for (uint o = 0u; o < kOut; ++o) {
-                    float w = STAGED ? tile[(i % kIn * TAPS + tap) * kOut + o]
+                    kx == 0u ? v[p] : read_lane(v[p], v[min(p + 1u, kLoadsPerRow - 1u)], kx);
+                [[unroll]] for (uint o = 0u; o < kTileOutChannels; ++o) {
+                    float w = STAGED ? tile[(i % kTileInChannels * TAPS + tap) * kTileOutChannels + o]
                                      : subgroupBroadcast(held[o / LANES], o % LANES);
-                    [[unroll]] for (uint p = 0u; p < PIXELS; ++p) sum[p * kOut + o] += w * seen[p];
+                    [[unroll]] for (uint p = 0u; p < PIXELS; ++p) sum[p * kTileOutChannels + o] +=
+                        w * seen[p];
                 }
             }
         }
@@ -115,7 +119,7 @@ void main() {
               first_column + lane;
     [[unroll]] for (uint p = 0u; p < PIXELS; ++p) {
         if (!there || first_column + p * LANES + lane >= params.columns) continue;
-        [[unroll]] for (uint o = 0u; o < kOut; ++o) if (first_out + o < params.n_out)
-            store_output_value(to + o * n_pixels + p * LANES, first_out + o, sum[p * kOut + o]);
+        [[unroll]] for (uint o = 0u; o < kTileOutChannels; ++o) if (first_out + o < params.n_out)
+            store_output(to + o * n_pixels + p * LANES, first_out + o, sum[p * kTileOutChannels + o]);
     }
 }

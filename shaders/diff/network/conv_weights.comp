@@ -20,44 +20,50 @@ RELIDAR_PARAMS(ConvWeightsParams);
 #include "columns.glsl"
 #include "lanes.glsl"
 
-const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
+const uint kTileOutChannels = RELIDAR_CONV_OUT, kTileInChannels = TAPS == 1u ? RELIDAR_CONV_IN : 1u,
+           kWeightRows = TAPS == 1u ? 1u : 3u;
 
-float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
+float sum[kTileOutChannels * kTileInChannels * TAPS];  // partial sums of this lane, indexed [out, in, tap]
 // Input pixels, indexed [input channel, kernel row]. Lane l holds column l of the current
 // block of LANES image columns (`before`) and of the next block (`next`). A 3x3 kernel
 // needs three columns, so a lane reads the next two columns from other lanes.
-float before[kIn * kLines], next[kIn * kLines];
-float d_out[kOut];  // d_to of the lane's column
+float before[kTileInChannels * kWeightRows], next[kTileInChannels * kWeightRows];
+float d_out[kTileOutChannels];  // d_to of the lane's column
 
 /// Each thread processes one column of an image row. Adds the contribution of this column
 /// to `sum`, the thread's partial sums of the weight gradient.
-void add_column_to_weight_gradient() {
-    [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
-        float seen = kx == 0u ? before[k] : read_from_lane_at_offset(before[k], next[k], kx);
-        [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += d_out[o] * seen;
+void add_column() {
+    [[unroll]] for (uint k = 0u; k < kTileInChannels * kWeightRows; ++k)
+        [[unroll]] for (uint kx = 0u; kx < kWeightRows; ++kx) {
+        float seen = kx == 0u ? before[k] : read_lane(before[k], next[k], kx);
+        [[unroll]] for (uint o = 0u; o < kTileOutChannels; ++o)
+            sum[o * kTileInChannels * TAPS + k * kWeightRows + kx] += d_out[o] * seen;
     }
 }
 
 void main() {
-    uint in_tiles = (params.n_in + kIn - 1u) / kIn, out_tiles = (params.n_out + kOut - 1u) / kOut,
+    uint in_tiles = (params.n_in + kTileInChannels - 1u) / kTileInChannels,
+         out_tiles = (params.n_out + kTileOutChannels - 1u) / kTileOutChannels,
          lane = gl_SubgroupInvocationID;
-    uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          part = job / (in_tiles * out_tiles);
-    uint first_in = job % in_tiles * kIn, first_out = job / in_tiles % out_tiles * kOut;
+    uint first_in = job % in_tiles * kTileInChannels,
+         first_out = job / in_tiles % out_tiles * kTileOutChannels;
     uint n_lines = params.n_images * params.rows, n_pixels = params.rows * params.columns;
     uint line = min(part, params.n_parts) * n_lines / params.n_parts,
          end = min(part + 1u, params.n_parts) * n_lines / params.n_parts;
-    [[unroll]] for (uint k = 0u; k < kOut * kIn * TAPS; ++k) sum[k] = 0.0;
+    [[unroll]] for (uint k = 0u; k < kTileOutChannels * kTileInChannels * TAPS; ++k) sum[k] = 0.0;
 
     for (; line < end; ++line) {
-        uint image = line / params.rows, y = line % params.rows, row_at[kIn * kLines];
-        bool inside[kIn * kLines];
+        uint image = line / params.rows, y = line % params.rows, row_at[kTileInChannels * kWeightRows];
+        bool inside[kTileInChannels * kWeightRows];
         bool is_column_inside;
-        uint column = find_source_column(lane, is_column_inside);
-        [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
+        uint column = source_column(lane, is_column_inside);
+        [[unroll]] for (uint k = 0u; k < kTileInChannels * kWeightRows; ++k) {
             // A 3x3 kernel at y = 0 needs row -1, which is zero padding. `row` then wraps
             // to a large unsigned number, so that inside[k] is false.
-            uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
+            uint row = TAPS == 1u ? y : y + k % kWeightRows - 1u,
+                 i = min(first_in + k / kWeightRows, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +
                         (inside[k] ? row : 0u) * params.columns;
@@ -65,26 +71,26 @@ void main() {
             next[k] = inside[k] && is_column_inside ? v : 0.0;
         }
         for (uint x = 0u; x < params.columns; x += LANES) {
-            column = find_source_column(x + LANES + lane, is_column_inside);
-            [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
+            column = source_column(x + LANES + lane, is_column_inside);
+            [[unroll]] for (uint k = 0u; k < kTileInChannels * kWeightRows; ++k) {
                 before[k] = next[k];
                 float v = params.from.values.at[row_at[k] + column];
                 next[k] = inside[k] && is_column_inside ? v : 0.0;
             }
             bool there = x + lane < params.columns;
-            [[unroll]] for (uint o = 0u; o < kOut; ++o) {
+            [[unroll]] for (uint o = 0u; o < kTileOutChannels; ++o) {
                 uint channel = params.d_to.first + min(first_out + o, params.n_out - 1u);
                 uint plane = (image * params.d_to.channels + channel) * n_pixels;
                 float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
                 d_out[o] = there ? d : 0.0;
             }
-            add_column_to_weight_gradient();
+            add_column();
         }
     }
 
-    [[unroll]] for (uint k = 0u; k < kOut * kIn * TAPS; ++k) {
+    [[unroll]] for (uint k = 0u; k < kTileOutChannels * kTileInChannels * TAPS; ++k) {
         float total = subgroupAdd(sum[k]);
-        uint o = first_out + k / (kIn * TAPS), i = first_in + k / TAPS % kIn;
+        uint o = first_out + k / (kTileInChannels * TAPS), i = first_in + k / TAPS % kTileInChannels;
         if (lane == 0u && part < params.n_parts && o < params.n_out && i < params.n_in)
             params.partial.at[((part * params.n_out + o) * params.n_in + i) * TAPS + k % TAPS] = total;
     }

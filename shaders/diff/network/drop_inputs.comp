@@ -11,7 +11,7 @@
 RELIDAR_PARAMS(DropInputsParams);
 
 void main() {
-    uint i = get_thread_index(), n_pixels = params.rows * params.columns;
+    uint i = thread_index(), n_pixels = params.rows * params.columns;
     if (i >= params.n_images * n_pixels) return;
     uint image = i / n_pixels, at = i % n_pixels, x = at % params.columns;
     uint seen = at - x + (x + params.columns - params.turn.at[image] % params.columns) % params.columns,

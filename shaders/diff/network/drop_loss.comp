@@ -16,7 +16,7 @@ RELIDAR_PARAMS(DropLossParams);
 
 /// Returns the cross-entropy of a pixel, and 1 if the prediction (dropped or returned) is
 /// correct, otherwise 0.
-vec2 compute_cross_entropy_and_accuracy(uint pixel, float logit, float probability) {
+vec2 cross_entropy(uint pixel, float logit, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[pixel];
     bool known = target >= 0.0;
     if (!is_null(params.d_logit))
@@ -26,7 +26,7 @@ vec2 compute_cross_entropy_and_accuracy(uint pixel, float logit, float probabili
 }
 
 void main() {
-    uint part = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
+    uint part = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
     if (part >= params.n_parts) return;
     uint begin = params.n / params.n_parts * part + min(part, params.n % params.n_parts);
     uint end = begin + params.n / params.n_parts + (part < params.n % params.n_parts ? 1u : 0u);
@@ -36,7 +36,7 @@ void main() {
         if (!is_null(params.start)) x += params.start.at[i];
         float probability = 1.0 / (1.0 + exp(-x));
         if (!is_null(params.probability)) params.probability.at[i] = probability;
-        sum += compute_cross_entropy_and_accuracy(i, x, probability);
+        sum += cross_entropy(i, x, probability);
     }
     sum = subgroupAdd(sum);
     if (gl_SubgroupInvocationID == 0u) {

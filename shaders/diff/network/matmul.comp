@@ -12,34 +12,34 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(MatmulParams);
 
-const uint kRows = RELIDAR_MATMUL_ROWS, kHeld = (kRows + LANES - 1u) / LANES;
+const uint kTileRows = RELIDAR_MATMUL_ROWS, kValuesPerLane = (kTileRows + LANES - 1u) / LANES;
 
 void main() {
-    uint tiles_x = (params.columns + LANES - 1u) / LANES, tiles_y = (params.rows + kRows - 1u) / kRows,
-         lane = gl_SubgroupInvocationID;
-    uint job = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
+    uint tiles_x = (params.columns + LANES - 1u) / LANES,
+         tiles_y = (params.rows + kTileRows - 1u) / kTileRows, lane = gl_SubgroupInvocationID;
+    uint job = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID,
          matrix = job / (tiles_x * tiles_y);
     bool there = matrix < params.n_batch * params.n_heads;
     matrix = there ? matrix : 0u;
     uint batch = matrix / params.n_heads, head = matrix % params.n_heads;
-    uint first_row = job / tiles_x % tiles_y * kRows, column = job % tiles_x * LANES + lane;
+    uint first_row = job / tiles_x % tiles_y * kTileRows, column = job % tiles_x * LANES + lane;
     uint a = params.a.first + batch * params.a.batch + head * params.a.head;
     uint b = params.b.first + batch * params.b.batch + head * params.b.head +
              min(column, params.columns - 1u) * params.b.column;
-    float sum[kRows];
-    [[unroll]] for (uint r = 0u; r < kRows; ++r) sum[r] = 0.0;
+    float sum[kTileRows];
+    [[unroll]] for (uint r = 0u; r < kTileRows; ++r) sum[r] = 0.0;
     for (uint k = 0u; k < params.inner; ++k) {
-        float held[kHeld];
-        [[unroll]] for (uint h = 0u; h < kHeld; ++h) {
+        float held[kValuesPerLane];
+        [[unroll]] for (uint h = 0u; h < kValuesPerLane; ++h) {
             uint row = min(first_row + h * LANES + lane, params.rows - 1u);
             held[h] = params.a.values.at[a + row * params.a.row + k * params.a.column];
         }
         float v = params.b.values.at[b + k * params.b.row];
-        [[unroll]] for (uint r = 0u; r < kRows; ++r) sum[r] +=
+        [[unroll]] for (uint r = 0u; r < kTileRows; ++r) sum[r] +=
             subgroupBroadcast(held[r / LANES], r % LANES) * v;
     }
     uint c = params.c.first + batch * params.c.batch + head * params.c.head + column * params.c.column;
-    [[unroll]] for (uint r = 0u; r < kRows;
+    [[unroll]] for (uint r = 0u; r < kTileRows;
                     ++r) if (there && column < params.columns && first_row + r < params.rows)
         params.c.values.at[c + (first_row + r) * params.c.row] = params.scale * sum[r];
 }

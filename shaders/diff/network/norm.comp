@@ -10,18 +10,18 @@
 RELIDAR_PARAMS(NormParams);
 
 void main() {
-    uint plane = get_channel_plane_of_workgroup(params.n_pixels);
+    uint plane = workgroup_plane(params.n_pixels);
     if (plane >= params.n_images * params.n_channels) return;
     vec2 affine = params.scale_shift.at[plane % params.n_channels];
-    uint from = get_plane_index(params.from, plane, params.n_channels) * params.n_pixels;
-    uint to = get_plane_index(params.to, plane, params.n_channels) * params.n_pixels,
-         first = get_first_pixel_of_thread(params.n_pixels);
+    uint from = plane_index(params.from, plane, params.n_channels) * params.n_pixels;
+    uint to = plane_index(params.to, plane, params.n_channels) * params.n_pixels,
+         first = thread_pixel(params.n_pixels);
     for (uint k = 0u; k < RELIDAR_NORM_PIXELS; ++k) {
         uint pixel = first + k * gl_WorkGroupSize.x;
         if (pixel >= params.n_pixels) return;
         float normalised = affine.x * params.from.values.at[from + pixel] + affine.y;
-        float passes = compute_relu_dropout_factor(normalised, plane * params.n_pixels + pixel,
-                                                   params.dropout_key, params.dropout);
+        float passes =
+            relu_dropout(normalised, plane * params.n_pixels + pixel, params.dropout_key, params.dropout);
         params.to.values.at[to + pixel] = normalised * passes;
     }
 }

@@ -9,7 +9,7 @@
 /// Returns the factor that ReLU and dropout apply to a normalised value. It is 0 for a
 /// negative or dropped value, otherwise 1 / (1 - dropout).
 /// @param value_index index of the value in the layer
-float compute_relu_dropout_factor(float normalised, uint value_index, uint random_key, float dropout_share) {
+float relu_dropout(float normalised, uint value_index, uint random_key, float dropout_share) {
     if (dropout_share <= 0.0) return normalised > 0.0 ? 1.0 : 0.0;
     float drawn = float(pcg4d(uvec4(random_key, value_index, 0u, 0u)).x >> 8u) * (1.0 / 16777216.0);
     return normalised > 0.0 && drawn >= dropout_share ? 1.0 / (1.0 - dropout_share) : 0.0;
@@ -18,15 +18,15 @@ float compute_relu_dropout_factor(float normalised, uint value_index, uint rando
 // Returns the number of workgroups that process one channel of an image. Each workgroup
 // processes only one channel, so that it computes the channel index only once. Integer
 // divisions are slow on a CPU.
-uint count_workgroups_per_plane(uint pixels_per_plane) {
+uint workgroups_per_plane(uint pixels_per_plane) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
     return (pixels_per_plane + stretch - 1u) / stretch;
 }
-uint get_channel_plane_of_workgroup(uint pixels_per_plane) {
-    return get_workgroup_index() / count_workgroups_per_plane(pixels_per_plane);
+uint workgroup_plane(uint pixels_per_plane) {
+    return workgroup_index() / workgroups_per_plane(pixels_per_plane);
 }
-uint get_first_pixel_of_thread(uint pixels_per_plane) {
-    return get_workgroup_index() % count_workgroups_per_plane(pixels_per_plane) *
+uint thread_pixel(uint pixels_per_plane) {
+    return workgroup_index() % workgroups_per_plane(pixels_per_plane) *
                (gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS) +
            gl_LocalInvocationIndex;
 }
@@ -35,7 +35,7 @@ uint get_first_pixel_of_thread(uint pixels_per_plane) {
 /// number of a plane in a slice (some channels of a tensor) to its number in the full
 /// tensor.
 /// @param n_channels number of channels of the slice
-uint get_plane_index(ImageSlice slice, uint plane, uint n_channels) {
+uint plane_index(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }
 #endif

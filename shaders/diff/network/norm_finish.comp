@@ -10,7 +10,7 @@
 #include "../shared/refine.h"
 RELIDAR_PARAMS(NormFinishParams);
 
-vec2 compute_batch_moments(uint channel) {
+vec2 batch_moments(uint channel) {
     float n = 0.0, mean = 0.0, squares = 0.0;
     uint of_image = params.n_parts / params.n_images;
     for (uint part = 0u; part < params.n_parts; ++part) {
@@ -26,11 +26,11 @@ vec2 compute_batch_moments(uint channel) {
 }
 
 void main() {
-    uint channel = get_thread_index();
+    uint channel = thread_index();
     if (channel >= params.n_channels) return;
     vec2 moments = params.running.at[channel];
     if (params.training != 0u) {
-        vec2 batch = compute_batch_moments(channel);
+        vec2 batch = batch_moments(channel);
         float n = float(params.n_images * params.n_pixels);
         params.running.at[channel] =
             mix(moments, vec2(batch.x, batch.y * n / max(n - 1.0, 1.0)), params.momentum);

@@ -10,15 +10,14 @@ RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
 void main() {
-    uint i = get_thread_index(), n_small = params.small_rows * params.small_columns;
+    uint i = thread_index(), n_small = params.small_rows * params.small_columns;
     if (i >= params.n_images * params.n_channels * n_small) return;
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
-    uint at =
-        get_index_in_large_image(params.from.channels, params.from.first, image, channel, 2u * y, 2u * x);
+    uint at = large_index(params.from.channels, params.from.first, image, channel, 2u * y, 2u * x);
     float upper = max(params.from.values.at[at], params.from.values.at[at + 1u]);
     float lower =
         max(params.from.values.at[at + params.columns], params.from.values.at[at + params.columns + 1u]);
-    params.to.values.at[get_index_in_small_image(params.to.channels, params.to.first, image, channel, y, x)] =
+    params.to.values.at[small_index(params.to.channels, params.to.first, image, channel, y, x)] =
         max(upper, lower);
 }

@@ -11,12 +11,11 @@ RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
 void main() {
-    uint i = get_thread_index(), n_small = params.small_rows * params.small_columns;
+    uint i = thread_index(), n_small = params.small_rows * params.small_columns;
     if (i >= params.n_images * params.n_channels * n_small) return;
     uint x = i % params.small_columns, y = i / params.small_columns % params.small_rows;
     uint channel = i / n_small % params.n_channels, image = i / (n_small * params.n_channels);
-    uint first = get_index_in_large_image(params.pooled.channels, params.pooled.first, image, channel, 2u * y,
-                                          2u * x),
+    uint first = large_index(params.pooled.channels, params.pooled.first, image, channel, 2u * y, 2u * x),
          largest = 0u;
     float value = params.pooled.values.at[first];
     for (uint k = 1u; k < 4u; ++k) {
@@ -25,10 +24,8 @@ void main() {
         largest = v > value ? off : largest;
         value = max(value, v);
     }
-    uint to = get_index_in_large_image(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) +
-              largest;
+    uint to = large_index(params.to.channels, params.to.first, image, channel, 2u * y, 2u * x) + largest;
     float d =
-        params.from.values
-            .at[get_index_in_small_image(params.from.channels, params.from.first, image, channel, y, x)];
+        params.from.values.at[small_index(params.from.channels, params.from.first, image, channel, y, x)];
     params.to.values.at[to] = params.to.values.at[to] + d;
 }

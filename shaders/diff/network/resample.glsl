@@ -7,12 +7,10 @@
 /// Returns the index of a value in an array of images.
 /// @param n_channels number of channels of each image in the array
 /// @param first_channel channel of the array that `channel` = 0 selects
-uint get_index_in_large_image(uint n_channels, uint first_channel, uint image, uint channel, uint row,
-                              uint column) {
+uint large_index(uint n_channels, uint first_channel, uint image, uint channel, uint row, uint column) {
     return ((image * n_channels + first_channel + channel) * params.rows + row) * params.columns + column;
 }
-uint get_index_in_small_image(uint n_channels, uint first_channel, uint image, uint channel, uint row,
-                              uint column) {
+uint small_index(uint n_channels, uint first_channel, uint image, uint channel, uint row, uint column) {
     return ((image * n_channels + first_channel + channel) * params.small_rows + row) * params.small_columns +
            column;
 }
@@ -22,8 +20,8 @@ uint get_index_in_small_image(uint n_channels, uint first_channel, uint image, u
 /// upsampling and its derivative consistent on every device.
 /// @param left_pixel output: the left pixel
 /// @param right_weight output: interpolation weight of the right pixel
-void find_upsampling_neighbours(int large_pixel, uint n_large, uint n_small, out int left_pixel,
-                                out float right_weight) {
+void find_neighbours(int large_pixel, uint n_large, uint n_small, out int left_pixel,
+                     out float right_weight) {
     // position in units of half a large pixel
     int unit = 2 * int(n_large), place = (2 * large_pixel + 1) * int(n_small) - int(n_large);
     left_pixel = place < 0 ? -1 : place / unit;

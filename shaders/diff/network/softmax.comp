@@ -10,7 +10,7 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(SoftmaxParams);
 
-void compute_softmax_row(uint first) {
+void softmax_row(uint first) {
     float largest = -1e30, sum = 0.0;
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
         largest = max(largest, params.values.at[first + k]);
@@ -22,7 +22,7 @@ void compute_softmax_row(uint first) {
         params.values.at[first + k] = exp(params.values.at[first + k] - largest) * scale;
 }
 
-void compute_softmax_gradient_row(uint first) {
+void softmax_vjp_row(uint first) {
     float sum = 0.0;
     for (uint k = gl_SubgroupInvocationID; k < params.n; k += LANES)
         sum += params.values.at[first + k] * params.d_values.at[first + k];
@@ -32,8 +32,8 @@ void compute_softmax_gradient_row(uint first) {
 }
 
 void main() {
-    uint row = get_workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
+    uint row = workgroup_index() * (gl_WorkGroupSize.x / LANES) + gl_SubgroupID;
     if (row >= params.n_rows) return;
-    if (is_null(params.d_values)) compute_softmax_row(row * params.n);
-    else compute_softmax_gradient_row(row * params.n);
+    if (is_null(params.d_values)) softmax_row(row * params.n);
+    else softmax_vjp_row(row * params.n);
 }

@@ -8,7 +8,7 @@
 RELIDAR_PARAMS(SumPartsParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n) return;
     float sum = 0.0;
     for (uint part = 0u; part < params.n_parts; ++part) sum += params.partial.at[part * params.n + i];

@@ -17,8 +17,7 @@ RELIDAR_PARAMS(AdamParams);
 /// example one block per channel.
 /// @param block_begin position of the block's first value in the row
 /// @param index_in_block position of the value in the block
-void update_value_with_adam(uint row, uint block_begin, uint index_in_block, bool has_gradient,
-                            float learning_rate) {
+void update_value(uint row, uint block_begin, uint index_in_block, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block_begin + index_in_block;
     // Loads the gradient even if it is not needed, because on a CPU a load in a branch is
     // slower.
@@ -41,7 +40,7 @@ void update_value_with_adam(uint row, uint block_begin, uint index_in_block, boo
 /// Updates all values of a row with an Adam step. With ONE_THREAD_PER_FLOAT, updates a
 /// single value.
 /// @param row_or_value index of the row; with ONE_THREAD_PER_FLOAT, index of the value
-void update_row_with_adam(uint row_or_value) {
+void update_row(uint row_or_value) {
     uint n_updated = params.n_blocks * params.n_active,
          row = ONE_THREAD_PER_FLOAT ? row_or_value / n_updated : row_or_value;
     if (!is_null(params.rows)) row = params.rows.at[row];
@@ -52,18 +51,18 @@ void update_row_with_adam(uint row_or_value) {
             params.model_scale.at[find_model(params.models, params.n_models, params.first_row + row)];
     if (ONE_THREAD_PER_FLOAT) {
         uint k = row_or_value % n_updated;
-        update_value_with_adam(row, k / params.n_active * params.block, k % params.n_active, has_gradient,
-                               learning_rate);
+        update_value(row, k / params.n_active * params.block, k % params.n_active, has_gradient,
+                     learning_rate);
         return;
     }
     // Uses nested loops instead of integer divisions, which are slow on a CPU.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
-            update_value_with_adam(row, block, within, has_gradient, learning_rate);
+            update_value(row, block, within, has_gradient, learning_rate);
 }
 
 void main() {
     uint n_rows = is_null(params.rows) ? params.n_rows : params.n_listed.at[0];
     uint n = ONE_THREAD_PER_FLOAT ? n_rows * params.n_blocks * params.n_active : n_rows;
-    for (uint i = get_thread_index(); i < n; i += get_thread_count()) update_row_with_adam(i);
+    for (uint i = thread_index(); i < n; i += thread_count()) update_row(i);
 }

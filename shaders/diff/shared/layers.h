@@ -57,11 +57,11 @@ struct SumPartsParams {
 
 struct ChannelSumsParams {
     ImageSlice from;  // input
-    ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of network/norm
-    // Output [n_parts, channels, 2], or [n_parts, channels] for kSums_plain.
+    ImageSlice d_to;  // input, for kNormVjpSums: gradient of the output of network/norm
+    // Output [n_parts, channels, 2], or [n_parts, channels] for kPlainSums.
     RELIDAR_OF(Floats, PartSums) partial;
-    RELIDAR_OF(Vec2s, ScaleShift) scale_shift;  // input [channels], for kSums_norm_vjp
-    RELIDAR_OF(Vec2s, NormMoments) moments;     // input [channels], for kSums_norm_vjp
+    RELIDAR_OF(Vec2s, ScaleShift) scale_shift;  // input [channels], for kNormVjpSums
+    RELIDAR_OF(Vec2s, NormMoments) moments;     // input [channels], for kNormVjpSums
     uint kind;
     uint n_images;
     uint n_pixels;  // pixels per image
@@ -73,17 +73,17 @@ struct ChannelSumsParams {
     float dropout;
 };
 #ifdef __cplusplus
-// Values of ChannelSumsParams::kind. kSums_moments selects, for batch normalisation, the
+// Values of ChannelSumsParams::kind. kMomentSums selects, for batch normalisation, the
 // mean and the sum of squared deviations of the pixels in each part of an image.
-constexpr uint kSums_moments = 0;
-constexpr uint kSums_norm_vjp = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
-constexpr uint kSums_plain = 2;     // selects plain sums, which are the gradient of a bias
+constexpr uint kMomentSums = 0;
+constexpr uint kNormVjpSums = 1;  // selects the gradients dL/d(beta), dL/d(gamma)
+constexpr uint kPlainSums = 2;    // selects plain sums, which are the gradient of a bias
 #else
-const uint kSums_moments = 0u, kSums_norm_vjp = 1u, kSums_plain = 2u;
+const uint kMomentSums = 0u, kNormVjpSums = 1u, kPlainSums = 2u;
 #endif
 
 struct NormFinishParams {
-    RELIDAR_OF(Floats, PartSums) partial;     // input [n_parts, channels, 2] of kSums_moments
+    RELIDAR_OF(Floats, PartSums) partial;     // input [n_parts, channels, 2] of kMomentSums
     RELIDAR_OF(Vec2s, BetaGamma) beta_gamma;  // input [channels]
     // In-place array [channels]: running mean and variance of each channel. Each training
     // batch updates them. Evaluation (`training` is 0) normalises with them.

@@ -7,8 +7,7 @@
 void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
     for (uint instance = 0u; instance < scene.n_instances; ++instance) {
         uint count = scene.instances.at[instance].n_surfels;
-        for (uint i = 0u; i < count; ++i)
-            intersect_instance_surfel_and_insert_hit(scene, ray, previous_key, instance, i);
+        for (uint i = 0u; i < count; ++i) test_instance_surfel(scene, ray, previous_key, instance, i);
     }
 }
 #endif

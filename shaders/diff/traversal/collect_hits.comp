@@ -8,11 +8,11 @@
 RELIDAR_PARAMS(CollectHitsParams);
 
 void main() {
-    uint ray_index = get_traced_ray(params.scene);
+    uint ray_index = traced_ray(params.scene);
     if (ray_index >= params.scene.n_rays) return;
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + ray_index * params.scene.ray_stride];
     Ray ray = make_ray(entry);
-    HitKey previous_key = get_search_start_key(params.scene);
+    HitKey previous_key = search_start_key(params.scene);
     uint count = 0u;
     bool more = true;
     for (uint pass = 0u; pass < RELIDAR_MAX_PASSES && more; ++pass) {

@@ -12,7 +12,7 @@ RELIDAR_CONSTANT(uint, CHUNK, 16u);
 // The search for an insertion point starts at the farthest hit, because hits arrive
 // roughly from near to far. If the new hit is nearer than the latest inserted hit, the
 // search starts at the latest hit, because hits arrive in clusters.
-const float kFar = 1e38;
+const float kFarAway_m = 1e38;
 float placed_t[SLOTS];
 uint next_nearer[SLOTS];  // index of the next nearer hit
 float placed_alpha[SLOTS];
@@ -24,7 +24,7 @@ uint n_places;  // number of entries used so far
 // list, and new hits reuse them. CHUNK means that the list is empty.
 uint free_place;
 uint latest;       // index of the hit that was inserted last
-float latest_t;    // Distance of the hit that was inserted last. It is -kFar if that hit was removed.
+float latest_t;    // Distance of the hit that was inserted last. It is -kFarAway_m if that hit was removed.
 float farthest_t;  // distance of the farthest hit, valid if hits_closed is true
 // True if hits behind the farthest stored hit can be ignored. This is the case if the
 // buffer is full, or if the ray ends at the farthest stored hit.
@@ -62,7 +62,7 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
-void sort_hit_indices() {
+void sort_hits() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {
         hit_place[i - 1u] = place;
@@ -73,30 +73,30 @@ void sort_hit_indices() {
 /// Removes the farthest hit from the buffer.
 /// @param remaining_transmittance product of 1 - alpha over the remaining hits
 /// @return index of the entry that is free now
-uint remove_farthest_hit_and_get_entry(float remaining_transmittance) {
+uint remove_farthest(float remaining_transmittance) {
     uint place = next_nearer[CHUNK];
     next_nearer[CHUNK] = next_nearer[place];
     hits_transmittance = remaining_transmittance;
-    if (place == latest) latest_t = -kFar;
+    if (place == latest) latest_t = -kFarAway_m;
     --n_hits;
     return place;
 }
 
 /// Returns the transmittance of the ray just before its farthest stored hit.
-float compute_transmittance_before_farthest_hit(float alpha_max) {
+float last_transmittance(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
 
 /// Removes far hits that cannot contribute, because nearer hits reduce the transmittance
 /// below the limit.
-void drop_invisible_hits(float alpha_max) {
+void drop_invisible(float alpha_max) {
     // Usually no hit must be removed, so this line returns. Without it, a CPU would
     // execute the first iteration of the loop below, even if no thread needs the loop.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
-        float left = compute_transmittance_before_farthest_hit(alpha_max);
+        float left = last_transmittance(alpha_max);
         if (!(left < least_transmittance)) return;
-        uint place = remove_farthest_hit_and_get_entry(left);
+        uint place = remove_farthest(left);
         next_nearer[place] = free_place;
         free_place = place;
         hits_closed = true;
@@ -105,9 +105,8 @@ void drop_invisible_hits(float alpha_max) {
 
 /// Returns the buffer entry for a new hit: a free entry, or the entry of the farthest hit
 /// if the buffer is full.
-uint allocate_hit_entry(float alpha_max) {
-    if (n_hits == CHUNK)
-        return remove_farthest_hit_and_get_entry(compute_transmittance_before_farthest_hit(alpha_max));
+uint allocate_hit(float alpha_max) {
+    if (n_hits == CHUNK) return remove_farthest(last_transmittance(alpha_max));
     uint place = free_place;
     if (place == CHUNK) return n_places++;
     free_place = next_nearer[place];
@@ -132,7 +131,7 @@ void insert_hit(HitKey key, float alpha, float alpha_max) {
         farther = nearer;
         nearer = next_nearer[nearer];
     }
-    uint slot = allocate_hit_entry(alpha_max);
+    uint slot = allocate_hit(alpha_max);
     // `farther` is the entry behind the new hit. If the buffer was full, this entry may
     // just have been freed for the new hit. Then the new hit is the farthest one, and
     // `farther` becomes CHUNK, the sentinel entry of the list.
@@ -145,29 +144,29 @@ void insert_hit(HitKey key, float alpha, float alpha_max) {
     ++n_hits;
     hits_transmittance *= 1.0 - min(alpha, alpha_max);
     if (n_hits == CHUNK) hits_closed = true;
-    drop_invisible_hits(alpha_max);
+    drop_invisible(alpha_max);
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
 /// Returns the distance of the farthest stored hit. Valid only if hits_closed is true,
 /// which means that the search ignores hits behind this distance.
-float get_last_hit_t() { return farthest_t; }
+float last_hit_t() { return farthest_t; }
 
 /// Returns true if a hit is not needed because it is behind the farthest needed hit.
-bool is_behind_last_needed_hit(HitKey key) {
+bool is_behind_last(HitKey key) {
     if (!hits_closed || key.t < farthest_t) return false;
     return key.t > farthest_t || !is_key_before(key, load_sorted_key(next_nearer[CHUNK]));
 }
 
 /// Removes all hits. Hits are not needed if the transmittance before them is below
 /// `cutoff_transmittance`. 0 means that all hits are needed.
-void reset_hits_with_cutoff(float cutoff_transmittance) {
+void reset_hits(float cutoff_transmittance) {
     n_hits = 0u;
     n_places = 0u;
     free_place = CHUNK;
-    placed_t[CHUNK] = -kFar;  // sentinel, nearer than any hit
+    placed_t[CHUNK] = -kFarAway_m;  // sentinel, nearer than any hit
     next_nearer[CHUNK] = CHUNK;
-    latest_t = -kFar;
+    latest_t = -kFarAway_m;
     hits_closed = false;
     hits_transmittance = 1.0;
     least_transmittance = cutoff_transmittance;

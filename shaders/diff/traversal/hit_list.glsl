@@ -28,18 +28,18 @@ float farthest_t;  // Distance of the farthest hit since end_t was last set.
 /// Returns the distance `end_t` at which insert_hit() has ended the ray. Farther hits
 /// cannot contribute. Valid only if hits_closed is true, otherwise the ray has no end
 /// yet.
-float get_last_hit_t() { return end_t; }
+float last_hit_t() { return end_t; }
 
 /// Returns true if a hit is behind the end of the ray, so that it cannot contribute.
-bool is_behind_last_needed_hit(HitKey key) { return hits_closed && key.t > end_t; }
+bool is_behind_last(HitKey key) { return hits_closed && key.t > end_t; }
 
 /// Returns the factor by which set_transmittance is multiplied when a hit is reported. It
 /// is 1 - alpha, unless the driver reports each hit twice.
-float compute_transmittance_factor(float alpha) {
+float transmittance_factor(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
     // The driver reports a hit on an icosahedron twice: where the ray enters and where it
     // leaves. The product of two factors sqrt(1 - alpha) is 1 - alpha.
-    if (get_triangles_per_proxy() == kProxy_icosahedron) return sqrt(1.0 - alpha);
+    if (proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;
 }
@@ -51,10 +51,10 @@ void insert_hit(HitKey key, float alpha, float alpha_max) {
         end_t = 0.0;
         return;
     }
-    listed.hits.at[get_index_in_hit_lists(listed.room, list_index, slot)] =
+    listed.hits.at[hit_list_index(listed.room, list_index, slot)] =
         Hit(key.t, alpha, key.instance, key.surfel);
     farthest_t = max(farthest_t, key.t);
-    set_transmittance *= compute_transmittance_factor(min(alpha, alpha_max));
+    set_transmittance *= transmittance_factor(min(alpha, alpha_max));
     if (set_transmittance < least_transmittance) {
         hits_closed = true;
         end_t = farthest_t;
@@ -64,9 +64,9 @@ void insert_hit(HitKey key, float alpha, float alpha_max) {
 }
 
 /// Does nothing, because kernel forward/sort_hits sorts the list later.
-void sort_hit_indices() {}
+void sort_hits() {}
 
-void reset_hits_with_cutoff(float cutoff_transmittance) {
+void reset_hits(float cutoff_transmittance) {
     n_hits = 0u;
     hits_closed = false;
     end_t = 0.0;

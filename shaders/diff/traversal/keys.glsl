@@ -18,7 +18,7 @@ bool is_key_before(HitKey first, HitKey second) {
 /// Returns the array index of hit number `hit` of a ray's hit list, which has the number
 /// `list`. The hits of RELIDAR_SIDE_BY_SIDE (2) lists alternate in memory, for speed.
 /// @param hits_per_list maximum number of hits in a list
-uint get_index_in_hit_lists(uint hits_per_list, uint list, uint hit) {
+uint hit_list_index(uint hits_per_list, uint list, uint hit) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * hits_per_list + hit) * RELIDAR_SIDE_BY_SIDE +
            list % RELIDAR_SIDE_BY_SIDE;
 }

@@ -10,7 +10,7 @@ RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
-void cache_measured_range(TraceScene scene, uint ray_index) {
+void cache_range(TraceScene scene, uint ray_index) {
     measured_range = 0.0;
     if (is_null(scene.targets)) return;
     DeviceTarget target = scene.targets.at[scene.first_ray + ray_index * scene.ray_stride];
@@ -21,16 +21,16 @@ void cache_measured_range(TraceScene scene, uint ray_index) {
 /// Returns the likelihood of the measured range z if the surface is at distance t:
 /// 1 / (1 + ((t - z) / s)^2), with the noise scale s. Returns 0 without a measurement.
 /// @param surface_t distance t of the surface along the ray, m
-float evaluate_range_likelihood(float surface_t) {
+float range_likelihood(float surface_t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (surface_t - measured_range) * measured_per_scale;
     return 1.0 / (1.0 + d * d);
 }
 
-/// Returns the derivative of evaluate_range_likelihood() with respect to
+/// Returns the derivative of range_likelihood() with respect to
 /// `surface_t`.
-float differentiate_range_likelihood(float surface_t) {
-    float k = evaluate_range_likelihood(surface_t);
+float range_likelihood_vjp(float surface_t) {
+    float k = range_likelihood(surface_t);
     return -2.0 * (surface_t - measured_range) * measured_per_scale * measured_per_scale * k * k;
 }
 #endif

@@ -16,7 +16,7 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
-bool is_ray_near_model_origin(float radius_m) {
+bool is_near_origin(float radius_m) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
     float reached = 1.00001 * radius_m + 1e-5 * length(entered_origin);
@@ -33,8 +33,7 @@ struct RayQueryParams {
 
 /// Writes the parameters of a ray query for one moving instance to `query_params`.
 /// @return false if the ray cannot hit the instance
-bool prepare_moving_instance_query(TraceScene scene, Ray ray, MovingInstance moving,
-                                   out RayQueryParams query_params) {
+bool prepare_query(TraceScene scene, Ray ray, MovingInstance moving, out RayQueryParams query_params) {
     enter_instance(scene, ray, moving.instance);
     InstanceEntry m = scene.instances.at[moving.instance];
     vec3 from_model = entered_origin - vec3(m.row0.w, m.row1.w, m.row2.w);
@@ -43,24 +42,22 @@ bool prepare_moving_instance_query(TraceScene scene, Ray ray, MovingInstance mov
                              m.row2.xyz * entered_direction.z;
     query_params.mask = moving.mask;
     query_params.instance = moving.instance;
-    return is_ray_near_model_origin(scene.model_radii.at[moving.model]);
+    return is_near_origin(scene.model_radii.at[moving.model]);
 }
 
 void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
-    float start = compute_search_start_distance(previous_key);
-    float reach =
-        BOXES == 0u && get_triangles_per_proxy() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
+    float start = search_start_t(previous_key);
+    float reach = BOXES == 0u && proxy_triangles() == kProxy_icosahedron ? scene.proxy_reach.at[0] : 0.0;
     rayQueryEXT query;
     for (uint k = 0u; k <= scene.n_moving; ++k) {
         RayQueryParams query_params =
             RayQueryParams(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
-        if (k > 0u && !prepare_moving_instance_query(scene, ray, scene.moving.at[k - 1u], query_params))
-            continue;
+        if (k > 0u && !prepare_query(scene, ray, scene.moving.at[k - 1u], query_params)) continue;
         float end = 1e30;  // distance at which the query stops
-        // If hits_closed is true, hits behind get_last_hit_t() are not needed, so the
+        // If hits_closed is true, hits behind last_hit_t() are not needed, so the
         // query may stop there. The margins are for rounding errors and for icosahedra
         // around Gaussians, which the query may find up to `reach` behind the hit.
-        if (hits_closed) end = max(get_last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * get_last_hit_t()) + reach;
+        if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               query_params.mask, query_params.origin + start * query_params.direction, 0.0,
                               query_params.direction, end);
@@ -69,12 +66,11 @@ void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
             // Skips other instances that have the same cull mask.
             if (query_params.instance != RELIDAR_NO_INSTANCE && instance != query_params.instance) continue;
-            intersect_instance_surfel_and_insert_hit(
-                scene, ray, previous_key, instance,
-                BOXES != 0u ? primitive : primitive / get_triangles_per_proxy());
+            test_instance_surfel(scene, ray, previous_key, instance,
+                                 BOXES != 0u ? primitive : primitive / proxy_triangles());
             if (!hits_closed) continue;
-            float bound = max(get_last_hit_t() - start, 0.0);
-            bound += 1e-4 + 1e-5 * get_last_hit_t();
+            float bound = max(last_hit_t() - start, 0.0);
+            bound += 1e-4 + 1e-5 * last_hit_t();
             if (BOXES != 0u) {
                 if (bound < end) {
                     rayQueryGenerateIntersectionEXT(query, bound);

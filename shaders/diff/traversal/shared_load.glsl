@@ -32,32 +32,32 @@ SharedWords load_words(Uints source, uint first, uint count) {
 }
 
 /// Returns word `index` of a struct. `index` must be equal in all lanes of the subgroup.
-uint get_word(SharedWords words, uint index) {
+uint broadcast_word(SharedWords words, uint index) {
     uint part = words.part[0];
     [[unroll]] for (uint p = 1u; p < kMostParts; ++p) if (index >= p * gl_SubgroupSize) part = words.part[p];
     return subgroupShuffle(part, index % gl_SubgroupSize);
 }
 
 vec3 get_vec3(SharedWords words, uint index) {
-    return uintBitsToFloat(
-        uvec3(get_word(words, index), get_word(words, index + 1u), get_word(words, index + 2u)));
+    return uintBitsToFloat(uvec3(broadcast_word(words, index), broadcast_word(words, index + 1u),
+                                 broadcast_word(words, index + 2u)));
 }
 
 BvhNode load_node(BvhNodes nodes, uint index) {
     SharedWords words = load_words(Uints(uvec2(nodes)), index * kNodeWords, kNodeWords);
     BvhNode node;
     node.origin = get_vec3(words, 0u);
-    node.exponents = get_word(words, 3u);
-    node.first_child = get_word(words, 4u);
-    node.first_leaf = get_word(words, 5u);
+    node.exponents = broadcast_word(words, 3u);
+    node.first_child = broadcast_word(words, 4u);
+    node.first_leaf = broadcast_word(words, 5u);
     [[unroll]] for (uint k = 0u; k < 2u; ++k) {
-        node.leaves[k] = get_word(words, 6u + k);
-        node.low_x[k] = get_word(words, 8u + k);
-        node.low_y[k] = get_word(words, 10u + k);
-        node.low_z[k] = get_word(words, 12u + k);
-        node.high_x[k] = get_word(words, 14u + k);
-        node.high_y[k] = get_word(words, 16u + k);
-        node.high_z[k] = get_word(words, 18u + k);
+        node.leaves[k] = broadcast_word(words, 6u + k);
+        node.low_x[k] = broadcast_word(words, 8u + k);
+        node.low_y[k] = broadcast_word(words, 10u + k);
+        node.low_z[k] = broadcast_word(words, 12u + k);
+        node.high_x[k] = broadcast_word(words, 14u + k);
+        node.high_y[k] = broadcast_word(words, 16u + k);
+        node.high_z[k] = broadcast_word(words, 18u + k);
     }
     return node;
 }
@@ -68,7 +68,7 @@ SurfelRecord load_record(Records records, uint surfel) {
     SharedWords words = load_words(Uints(uvec2(records)), surfel * kRecordWords, kRecordWords);
     SurfelRecord record;
     record.mean = get_vec3(words, 0u);
-    record.opacity = uintBitsToFloat(get_word(words, 3u));
+    record.opacity = uintBitsToFloat(broadcast_word(words, 3u));
     record.axis_u = get_vec3(words, 4u);
     record.axis_v = get_vec3(words, 8u);
     record.normal = get_vec3(words, 12u);

@@ -5,7 +5,7 @@
 // surfel), each surfel at most once. In kernels with RELIDAR_APPENDS_HITS,
 // find_next_hits() writes all hits that can contribute to the ray's hit list, unordered.
 //
-// A traversal method only calls intersect_instance_surfel_and_insert_hit() with the
+// A traversal method only calls test_instance_surfel() with the
 // surfels that a ray may hit. This file and hit_buffer.glsl or hit_list.glsl intersect
 // the surfels, sort the hits and remove duplicates. Therefore all methods give the same
 // hits.
@@ -29,36 +29,34 @@ const uint SLOTS = 65u;
 /// Intersects the ray with a surfel that the traversal has found. Stores the hit, if
 /// there is one.
 /// @param surfel index in the scene. The surfel must belong to the current instance
-void intersect_record_and_insert_hit(TraceScene scene, HitKey previous_key, uint instance, uint surfel,
-                                     SurfelRecord record) {
+void test_record(TraceScene scene, HitKey previous_key, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
     if (!intersect(record, entered_origin, entered_direction, hit)) return;
     if (!(hit.alpha >= scene.alpha_min)) return;
     HitKey key = HitKey(hit.t, instance, surfel);
     if (!is_key_before(previous_key, key)) return;
-    if (is_behind_last_needed_hit(key)) return;
+    if (is_behind_last(key)) return;
     insert_hit(key, hit.alpha, scene.alpha_max);
 }
 
-void intersect_surfel_and_insert_hit(TraceScene scene, HitKey previous_key, uint instance, uint surfel) {
-    intersect_record_and_insert_hit(scene, previous_key, instance, surfel, scene.records.at[surfel]);
+void test_surfel(TraceScene scene, HitKey previous_key, uint instance, uint surfel) {
+    test_record(scene, previous_key, instance, surfel, scene.records.at[surfel]);
 }
 
 /// Loads a surfel that the traversal has found, and tests it against the ray.
 /// @param local_surfel index relative to the first surfel of the instance
-void intersect_instance_surfel_and_insert_hit(TraceScene scene, Ray ray, HitKey previous_key, uint instance,
-                                              uint local_surfel) {
+void test_instance_surfel(TraceScene scene, Ray ray, HitKey previous_key, uint instance, uint local_surfel) {
     enter_instance(scene, ray, instance);
-    intersect_surfel_and_insert_hit(scene, previous_key, instance, entered_first_surfel + local_surfel);
+    test_surfel(scene, previous_key, instance, entered_first_surfel + local_surfel);
 }
 
 /// Returns the sort key (t, instance, surfel) after which the search for hits starts.
 /// Hits at t <= near_m are skipped, because they are too close to the sensor.
-HitKey get_search_start_key(TraceScene scene) { return HitKey(scene.near_m, 0xffffffffu, 0xffffffffu); }
+HitKey search_start_key(TraceScene scene) { return HitKey(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
 /// Returns the distance at which the search for the hits behind a known hit starts. It is
 /// slightly nearer than the known hit because of rounding errors.
-float compute_search_start_distance(HitKey previous_key) {
+float search_start_t(HitKey previous_key) {
     return max(previous_key.t - (1e-4 + 1e-5 * previous_key.t), 0.0);
 }
 
@@ -66,7 +64,7 @@ float compute_search_start_distance(HitKey previous_key) {
 /// below the limit, the total transmittance is below transmittance_min, and the ray ends.
 /// The factor 0.99 allows for rounding errors.
 /// @param transmittance_before transmittance of the ray before these hits
-float compute_min_transmittance_of_next_hits(TraceScene scene, float transmittance_before) {
+float transmittance_limit(TraceScene scene, float transmittance_before) {
     return 0.99 * scene.transmittance_min / transmittance_before;
 }
 
@@ -79,8 +77,8 @@ float compute_min_transmittance_of_next_hits(TraceScene scene, float transmittan
 #endif
 
 void find_next_hits(TraceScene scene, Ray ray, HitKey previous_key, float min_transmittance) {
-    reset_hits_with_cutoff(min_transmittance);
+    reset_hits(min_transmittance);
     find_hits(scene, ray, previous_key);
-    sort_hit_indices();
+    sort_hits();
 }
 #endif

@@ -71,7 +71,7 @@ struct CheckSubgroupsParams {
 };
 
 /// Returns the test value of a thread in kernel check_subgroups: a hash below 65536.
-RELIDAR_FUNCTION uint compute_thread_test_value(uint thread_index) {
+RELIDAR_FUNCTION uint test_value(uint thread_index) {
     uint x = thread_index * 747796405u + 2891336453u;
     return (x ^ (x >> 15u)) >> 16u;
 }

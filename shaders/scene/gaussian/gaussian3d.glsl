@@ -10,13 +10,13 @@
 // hit.
 //
 // Exact arithmetic gives q . b = 0, so any component of q along b is a rounding error and
-// is removed. The removed part is at most kTolerance_m along the ray, which is half of
+// is removed. The removed part is at most kMaxRounding_m along the ray, which is half of
 // the margin of the proxies. At 50 m, the rounding error is about 3e-6 m. Without this
 // correction, it would add noise to the opacity of Gaussians thinner than 1e-4 m.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 
-const float kTolerance_m = 5e-5;
+const float kMaxRounding_m = 5e-5;
 
 /// Divides the components of a vector along the Gaussian's axes by their standard
 /// deviations.
@@ -29,14 +29,14 @@ vec3 whiten_vector(SurfelRecord record, vec3 vector) {
 /// @param origin  origin of the ray, model frame, m
 /// @param direction  direction of the ray, model frame, unit length
 /// @return false if a value is not finite
-bool intersect_gaussian(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
+bool hit_gaussian(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = record.mean - origin;
     vec3 b = whiten_vector(record, direction);
     float length2 = exact_dot(b, b);
     precise float t = exact_dot(whiten_vector(record, to_mean), b) / length2;
     precise vec3 p = t * direction - to_mean;
     vec3 q = whiten_vector(record, p);
-    precise float off = clamp(exact_dot(q, b) / length2, -kTolerance_m, kTolerance_m);
+    precise float off = clamp(exact_dot(q, b) / length2, -kMaxRounding_m, kMaxRounding_m);
     precise vec3 at_rest = q - off * b;
     hit.t = t;
     hit.u = at_rest.x;
@@ -47,14 +47,14 @@ bool intersect_gaussian(SurfelRecord record, vec3 origin, vec3 direction, out Su
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Derivative of intersect_gaussian(). The top of this file defines a, b, q and G. alpha
+/// Derivative of hit_gaussian(). The top of this file defines a, b, q and G. alpha
 /// = sigma G, where sigma is the opacity. Because q is perpendicular to b, |q|^2 does not
 /// depend on t:
 ///   dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
 /// @param d_t dL/dt at fixed alpha
 /// @param d_alpha dL/d(alpha). Must be 0 if alpha was clamped
-SurfelHitGradient backpropagate_gaussian_intersection(SurfelRecord record, vec3 origin, vec3 direction,
-                                                      SurfelHit hit, float d_t, float d_alpha) {
+SurfelHitGradient gaussian_vjp(SurfelRecord record, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
+                               float d_alpha) {
     SurfelHitGradient g;
     vec3 q = vec3(hit.u, hit.v, hit.w);
     vec3 p = hit.t * direction - (record.mean - origin);

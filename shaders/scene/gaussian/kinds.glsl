@@ -14,7 +14,7 @@ RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)
 
 const uint kProxy_rectangle = 2u, kProxy_icosahedron = 20u;  // number of triangles of each proxy
 
-bool has_third_axis_scale() {
+bool has_third_axis() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     if (PRIMITIVE == number) return third_scale;
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)
@@ -22,7 +22,7 @@ bool has_third_axis_scale() {
     return false;
 }
 
-uint get_triangles_per_proxy() {
+uint proxy_triangles() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     if (PRIMITIVE == number) return kProxy_##proxy;
     RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)

@@ -6,7 +6,7 @@
 
 /// Returns the rotation matrix of `quaternion` / |quaternion|. Its columns are the
 /// surfel's axes a_u and a_v, and its normal.
-mat3 make_rotation_matrix(vec4 quaternion) {
+mat3 rotation_matrix(vec4 quaternion) {
     quaternion = normalize(quaternion);
     float w = quaternion.x, x = quaternion.y, y = quaternion.z, z = quaternion.w;
     return mat3(vec3(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
@@ -16,7 +16,7 @@ mat3 make_rotation_matrix(vec4 quaternion) {
 
 /// Returns dL/dq from dL/dR. Column j of `d_matrix` is the gradient of column j of the
 /// rotation matrix R.
-vec4 backpropagate_rotation_matrix(vec4 quaternion, mat3 d_matrix) {
+vec4 rotation_vjp(vec4 quaternion, mat3 d_matrix) {
     float inverse_length = inversesqrt(dot(quaternion, quaternion));
     vec4 unit = quaternion * inverse_length;
     float w = unit.x, x = unit.y, y = unit.z, z = unit.w;

@@ -12,11 +12,11 @@ const float kSh2[5] = float[](1.0925484305920792, -1.0925484305920792, 0.3153915
 const float kSh3[7] = float[](-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154,
                               -0.4570457994644658, 1.445305721320277, -0.5900435899266435);
 
-uint count_sh_coefficients(uint degree) { return (degree + 1u) * (degree + 1u); }
+uint count_sh(uint degree) { return (degree + 1u) * (degree + 1u); }
 
 /// Computes the SH basis functions for a unit direction. Functions above the given degree
 /// are set to 0.
-void evaluate_sh_basis(vec3 direction, uint degree, out float basis[16]) {
+void sh_basis(vec3 direction, uint degree, out float basis[16]) {
     for (int k = 0; k < 16; ++k) basis[k] = 0.0;
     basis[0] = kSh0;
     if (degree < 1u) return;
@@ -43,7 +43,7 @@ void evaluate_sh_basis(vec3 direction, uint degree, out float basis[16]) {
 
 /// Returns dL/d(direction) from dL/d(basis). Treats the direction as an independent
 /// vector. The caller must apply the derivative of its normalisation.
-vec3 backpropagate_sh_basis(vec3 direction, uint degree, float d_basis[16]) {
+vec3 sh_basis_vjp(vec3 direction, uint degree, float d_basis[16]) {
     vec3 g = vec3(0.0);
     if (degree < 1u) return g;
     float x = direction.x, y = direction.y, z = direction.z;

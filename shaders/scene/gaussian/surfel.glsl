@@ -24,7 +24,7 @@ float exact_dot(vec3 a, vec3 b) {
 /// @param direction  direction of the ray, model frame
 /// @return false if the ray is parallel to the surfel's plane (n . d = 0) or a value is
 /// not finite
-bool intersect_surfel(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
+bool hit_surfel(SurfelRecord record, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = record.mean - origin;
     precise float facing = exact_dot(record.normal, direction);
     precise float t = exact_dot(record.normal, to_mean) / facing;
@@ -50,11 +50,11 @@ struct SurfelHitGradient {
     vec3 d_direction;
 };
 
-/// Derivative of intersect_surfel(): gradients of the surfel record and of the ray.
+/// Derivative of hit_surfel(): gradients of the surfel record and of the ray.
 /// @param d_t dL/dt at fixed u, v
 /// @param d_alpha dL/d(hit.alpha). Must be 0 if the caller has clamped alpha
-SurfelHitGradient backpropagate_surfel_intersection(SurfelRecord record, vec3 origin, vec3 direction,
-                                                    SurfelHit hit, float d_t, float d_alpha) {
+SurfelHitGradient surfel_vjp(SurfelRecord record, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
+                             float d_alpha) {
     SurfelHitGradient g;
     vec3 p = hit.t * direction - (record.mean - origin);
     float d_u = -d_alpha * hit.alpha * hit.u;

@@ -11,7 +11,7 @@ RELIDAR_PARAMS(DropChannelsParams);
 // Minimum probability of a return and of a drop. It limits the logits to +-9.2.
 const float kLeastProbability = 1e-4;
 
-float get_channel_value(uint index, uint channel) {
+float read_channel(uint index, uint channel) {
     MeasuredRay m = params.measured.at[index];
     if (channel == RELIDAR_DROP_LOG_RANGE) return log(1.0 + max(m.median_range_m, 0.0));
     if (channel == RELIDAR_DROP_INTENSITY) return m.intensity;
@@ -27,8 +27,8 @@ float get_channel_value(uint index, uint channel) {
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_rays) return;
     for (uint c = 0u; c < params.n_channels; ++c)
-        params.samples.at[c * params.n_rays + i] = get_channel_value(i, params.channels.at[c]);
+        params.samples.at[c * params.n_rays + i] = read_channel(i, params.channels.at[c]);
 }

@@ -8,11 +8,11 @@
 RELIDAR_PARAMS(FireRaysParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_rays) return;
     SensorRay ray = params.rays.at[i];
-    SensorPose pose = find_pose_before(params.poses, params.n_poses, ray.time_offset_s);
-    vec3 direction = to_world_direction(pose, ray.time_offset_s, ray.direction);
-    params.fired.at[i] = DeviceRay(transform_sensor_point_to_world(pose, ray.time_offset_s, ray.origin),
-                                   normalize(direction), ray.time_offset_s);
+    SensorPose pose = find_pose(params.poses, params.n_poses, ray.time_offset_s);
+    vec3 direction = to_world(pose, ray.time_offset_s, ray.direction);
+    params.fired.at[i] =
+        DeviceRay(place_point(pose, ray.time_offset_s, ray.origin), normalize(direction), ray.time_offset_s);
 }

@@ -12,22 +12,21 @@ RELIDAR_PARAMS(GatherPointsParams);
 /// The host requests the ranges of n_requested evenly spaced rays. Returns the index of
 /// one of these rays: floor(index * n_rays / n_requested). Computes quotient and
 /// remainder of n_rays / n_requested separately to avoid an overflow of 32 bits.
-uint get_requested_ray(uint index) {
+uint requested_ray(uint index) {
     return index * (params.n_rays / params.n_requested) +
            index * (params.n_rays % params.n_requested) / params.n_requested;
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_rays) return;
-    if (i < params.n_requested) params.asked.at[i] = params.measured.at[get_requested_ray(i)].median_range_m;
+    if (i < params.n_requested) params.asked.at[i] = params.measured.at[requested_ray(i)].median_range_m;
     if (params.marks.at[i] == 0u) return;
     SensorRay ray = params.rays.at[i];
     MeasuredRay m = params.measured.at[i];
-    SensorPose pose = find_pose_before(params.poses, params.n_poses, ray.time_offset_s);
+    SensorPose pose = find_pose(params.poses, params.n_poses, ray.time_offset_s);
     vec3 seen =
         compute_ray_end(ray.origin, ray.direction, params.of_image != 0u ? m.range_m : m.median_range_m);
-    params.points.at[params.places.at[i]] =
-        ReturnedPoint(transform_sensor_point_to_world(pose, ray.time_offset_s, seen), m.intensity,
-                      ray.time_offset_s, ray.channel, m.instance);
+    params.points.at[params.places.at[i]] = ReturnedPoint(
+        place_point(pose, ray.time_offset_s, seen), m.intensity, ray.time_offset_s, ray.channel, m.instance);
 }

@@ -10,7 +10,7 @@
 RELIDAR_PARAMS(MarkReturnsParams);
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_rays) return;
     MeasuredRay m = params.measured.at[i];
     float drop_prob = params.refined != 0u && m.drop_prob < 1.0 ? params.drop_prob.at[i] : m.drop_prob;

@@ -15,11 +15,11 @@
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
 
-const uint kBackground = 0u;  // instance of the background
+const uint kBackgroundInstance = 0u;  // instance of the background
 
 /// Returns the factor of the intensity at a range, interpolated linearly in the response
 /// table. Outside the table, returns its first or last factor.
-float interpolate_falloff(float range_m) {
+float falloff_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
     if (range_m < before.x) return before.y;
@@ -35,7 +35,7 @@ float interpolate_falloff(float range_m) {
 /// computed. The range offset of the beam is added later.
 /// @param heaviest_surface_m range of the surface with the largest weight, m
 /// @param normalised_depth_m blended depth / blended weight (D / W), m
-float select_ray_range(RenderedRay ray, float heaviest_surface_m, float normalised_depth_m) {
+float select_range(RenderedRay ray, float heaviest_surface_m, float normalised_depth_m) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return ray.depth;
     if (ray.weight < params.min_weight) return 0.0;
     if (params.range_kind == RELIDAR_RANGE_MODE) return heaviest_surface_m;
@@ -43,7 +43,7 @@ float select_ray_range(RenderedRay ray, float heaviest_surface_m, float normalis
                                                                                : normalised_depth_m;
 }
 
-float to_measured_range(float surface_m, SensorBeam beam) {
+float measured_range(float surface_m, SensorBeam beam) {
     return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
 }
 /// Returns true if a range is within the limits of the sensor. Must give the same result
@@ -54,13 +54,13 @@ bool is_within_limits(float range_m) {
 
 /// Returns the cosine of the incidence angle between a ray and the blended normal.
 /// Returns 0 if the normal is zero.
-float compute_incidence(vec3 normal, vec3 direction) {
+float incidence(vec3 normal, vec3 direction) {
     float size = length(normal);
     return size > 0.0 ? clamp(-dot(normal, direction) / size, 0.0, 1.0) : 0.0;
 }
 
 void main() {
-    uint i = get_thread_index();
+    uint i = thread_index();
     if (i >= params.n_rays) return;
     RenderedRay r = params.rendered.at[i];
     RenderedSurface surface = params.surfaces.at[min(i, params.n_surfaces - 1u)];
@@ -69,21 +69,21 @@ void main() {
     if (channel < params.n_beams) beam = params.beams.at[channel];
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
     float normalised_depth_m = r.depth / r.weight,
-          chosen_m = select_ray_range(r, surface.mode, normalised_depth_m);
+          chosen_m = select_range(r, surface.mode, normalised_depth_m);
     float surface_m = dominated ? r.median_depth : chosen_m;
     MeasuredRay m;
-    m.range_m = to_measured_range(chosen_m, beam);
-    m.median_range_m = to_measured_range(surface_m, beam);
-    m.mean_range_m = to_measured_range(dominated ? normalised_depth_m : surface_m, beam);
-    m.intensity = clamp(
-        beam.intensity_gain * interpolate_falloff(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
+    m.range_m = measured_range(chosen_m, beam);
+    m.median_range_m = measured_range(surface_m, beam);
+    m.mean_range_m = measured_range(dominated ? normalised_depth_m : surface_m, beam);
+    m.intensity =
+        clamp(beam.intensity_gain * falloff_at(surface_m) * r.intensity + beam.intensity_offset, 0.0, 1.0);
     float returns = params.rays.at[i].sees * (1.0 - 1.0 / (1.0 + exp(r.hit_logit - r.drop_logit)));
-    bool can_return = dominated || (is_met && r.instance == kBackground);
+    bool can_return = dominated || (is_met && r.instance == kBackgroundInstance);
     m.drop_prob =
         1.0 -
         (can_return && is_within_limits(m.range_m) && is_within_limits(m.median_range_m) ? returns : 0.0);
     m.weight = r.weight;
-    m.incidence = is_met ? compute_incidence(surface.normal, params.fired.at[i].direction) : 0.0;
+    m.incidence = is_met ? incidence(surface.normal, params.fired.at[i].direction) : 0.0;
     m.instance = is_met ? r.instance : RELIDAR_NO_INSTANCE;
     params.measured.at[i] = m;
 }

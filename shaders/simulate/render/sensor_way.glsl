@@ -7,7 +7,7 @@
 /// Returns the last sensor pose before a time. Before the first pose, returns the first
 /// pose. After the last pose, returns the second to last pose, so that the motion between
 /// the last two poses continues.
-SensorPose find_pose_before(SensorPoses poses, uint n_poses, float time_offset_s) {
+SensorPose find_pose(SensorPoses poses, uint n_poses, float time_offset_s) {
     uint k = 0u, end = max(n_poses, 2u) - 1u;  // binary search, because a client may send many poses
     while (end - k > 1u) {
         uint middle = (k + end) / 2u;

@@ -21,21 +21,20 @@ RELIDAR_FUNCTION vec3 compute_ray_end(vec3 origin, vec3 direction, float range_m
 
 /// Returns the fraction of the way from this sensor pose to the next pose at a firing
 /// time: 0 at this pose, 1 at the next pose.
-RELIDAR_FUNCTION float compute_motion_fraction(SensorPose pose, float time_offset_s) {
+RELIDAR_FUNCTION float motion_fraction(SensorPose pose, float time_offset_s) {
     RELIDAR_EXACT float share = (time_offset_s - pose.time_offset_s) * pose.per_s;
     return share;
 }
 
-RELIDAR_FUNCTION vec3 to_world_direction(SensorPose pose, float time_offset_s, vec3 direction) {
+RELIDAR_FUNCTION vec3 to_world(SensorPose pose, float time_offset_s, vec3 direction) {
     RELIDAR_EXACT vec3 rotated = direction.x * pose.x + direction.y * pose.y + direction.z * pose.z;
-    RELIDAR_EXACT vec3 turn = compute_motion_fraction(pose, time_offset_s) * pose.turn;
+    RELIDAR_EXACT vec3 turn = motion_fraction(pose, time_offset_s) * pose.turn;
     return rotate_point(turn, rotated);
 }
 
-RELIDAR_FUNCTION vec3 transform_sensor_point_to_world(SensorPose pose, float time_offset_s,
-                                                      vec3 sensor_point) {
-    RELIDAR_EXACT vec3 moved = pose.position_rest + compute_motion_fraction(pose, time_offset_s) * pose.way;
-    vec3 rotated = to_world_direction(pose, time_offset_s, sensor_point);
+RELIDAR_FUNCTION vec3 place_point(SensorPose pose, float time_offset_s, vec3 sensor_point) {
+    RELIDAR_EXACT vec3 moved = pose.position_rest + motion_fraction(pose, time_offset_s) * pose.way;
+    vec3 rotated = to_world(pose, time_offset_s, sensor_point);
     RELIDAR_EXACT vec3 result = pose.position + (moved + rotated);
     return result;
 }

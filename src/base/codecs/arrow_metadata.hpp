@@ -32,9 +32,7 @@ struct ArrowField {
     std::optional<Dictionary> dictionary;
 
     /// Numbers: validity and values. Text: validity, offsets and characters.
-    std::size_t get_buffers_per_record_batch() const {
-        return type.kind == ArrowValueKind::text && !dictionary ? 3 : 2;
-    }
+    std::size_t buffer_count() const { return type.kind == ArrowValueKind::text && !dictionary ? 3 : 2; }
 };
 
 struct ArrowFileBlock {
@@ -69,8 +67,8 @@ struct RecordBatch {
 };
 
 /// @throws DataError with the reason, without the file name
-Footer parse_arrow_footer(std::string_view footer_bytes);
+Footer parse_footer(std::string_view footer_bytes);
 /// @throws DataError with the reason, without the file name
-RecordBatch parse_record_batch_message(std::string_view message_bytes);
+RecordBatch parse_batch(std::string_view message_bytes);
 
 }  // namespace relidar::codecs

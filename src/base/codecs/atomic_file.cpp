@@ -23,9 +23,9 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using codecs::get_system_error_message;
+using codecs::errno_text;
 
-[[noreturn]] void throw_write_error(const fs::path& path, std::string why) {
+[[noreturn]] void fail_write(const fs::path& path, std::string why) {
     // Messages of libraries may have several lines.
     std::replace(why.begin(), why.end(), '\n', ' ');
     fail("cannot write '{}': {}", path.string(), why);
@@ -42,91 +42,86 @@ struct TemporaryFile {
 };
 
 /// Follows a symbolic link, so that writing does not replace the link.
-fs::path follow_link_and_require_regular_file(const fs::path& path) {
-    if (!path.has_filename()) throw_write_error(path, "the path has no file name");
+fs::path resolve_target(const fs::path& path) {
+    if (!path.has_filename()) fail_write(path, "the path has no file name");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
     if (fs::exists(status)) {
         if (!fs::is_regular_file(status))
-            throw_write_error(path, "something that is not a regular file already has this name");
+            fail_write(path, "something that is not a regular file already has this name");
         return fs::canonical(path);
     }
     const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
     const fs::file_status parent = fs::status(folder, error);
     if (!fs::exists(parent))
-        throw_write_error(path, fmt::format("folder '{}': {}", folder.string(),
-                                            get_system_error_message(error ? error.value() : ENOENT)));
-    if (!fs::is_directory(parent))
-        throw_write_error(path, fmt::format("'{}' is not a folder", folder.string()));
+        fail_write(path, fmt::format("folder '{}': {}", folder.string(),
+                                     errno_text(error ? error.value() : ENOENT)));
+    if (!fs::is_directory(parent)) fail_write(path, fmt::format("'{}' is not a folder", folder.string()));
     return folder / path.filename();
 }
 
-void write_temporary_file(const fs::path& path_for_errors, const fs::path& temporary_path,
-                          const std::function<void(const fs::path&)>& write_content) {
+void write_temp(const fs::path& path_for_errors, const fs::path& temporary_path,
+                const std::function<void(const fs::path&)>& write_content) {
     try {
         write_content(temporary_path);
     } catch (const Error& error) {
         // For example, a GPU failure during a download is not a file error.
         if (error.code() != ExitCode::data) throw;
-        throw_write_error(path_for_errors, error.what());
+        fail_write(path_for_errors, error.what());
     } catch (const std::bad_alloc&) {
         throw;
     } catch (const std::exception& error) {
-        throw_write_error(path_for_errors, error.what());
+        fail_write(path_for_errors, error.what());
     }
 }
 
-void flush_file_to_disk(const fs::path& path_for_errors, const fs::path& temporary_path) {
+void flush_file(const fs::path& path_for_errors, const fs::path& temporary_path) {
     const int file = ::open(temporary_path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0)
-        throw_write_error(path_for_errors,
-                          "cannot reopen the written file: " + get_system_error_message(errno));
+    if (file < 0) fail_write(path_for_errors, "cannot reopen the written file: " + errno_text(errno));
     const int result = ::fsync(file), error = errno;
     ::close(file);
-    if (result != 0)
-        throw_write_error(path_for_errors,
-                          "cannot flush the file to disk: " + get_system_error_message(error));
+    if (result != 0) fail_write(path_for_errors, "cannot flush the file to disk: " + errno_text(error));
 }
 
 /// The new file name then survives a power failure. Ignores failures, because some file
 /// systems cannot flush folders.
-void flush_parent_folder_to_disk(const fs::path& file_path) {
+void flush_folder(const fs::path& file_path) {
     const int folder = ::open(file_path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;
     const int result = ::fsync(folder), error = errno;
     ::close(folder);
     if (result != 0 && error != EINVAL && error != ENOTSUP && error != EROFS)
-        throw_write_error(file_path, "cannot flush its folder to disk: " + get_system_error_message(error));
+        fail_write(file_path, "cannot flush its folder to disk: " + errno_text(error));
 }
 
 }  // namespace
 
-fs::path make_unique_temporary_path(const fs::path& final_path) {
+fs::path make_temp_path(const fs::path& final_path) {
     // Makes temporary names unique, because two threads may write the same file.
     static std::atomic<unsigned> count{0};
     return final_path.parent_path() /
            fmt::format(".{}.tmp-{}-{}", final_path.filename().string(), ::getpid(), count++);
 }
 
-void write_file_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write_content) {
-    const fs::path target = follow_link_and_require_regular_file(path);
-    TemporaryFile temporary{make_unique_temporary_path(target)};
-    write_temporary_file(path, temporary.path, write_content);
-    flush_file_to_disk(path, temporary.path);
+void write_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write_content) {
+    const fs::path target = resolve_target(path);
+    TemporaryFile temporary{make_temp_path(target)};
+    write_temp(path, temporary.path, write_content);
+    flush_file(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
-        throw_write_error(path, "cannot rename the temporary file: " + get_system_error_message(errno));
+        fail_write(path, "cannot rename the temporary file: " + errno_text(errno));
     temporary.renamed = true;
-    flush_parent_folder_to_disk(target);
+    flush_folder(target);
 }
 
-void remove_temporary_files(const fs::path& folder) {
-    static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
+void remove_temp(const fs::path& folder) {
+    static const std::regex kTemporaryInfix(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
     std::vector<fs::path> temporary_paths;
     for (const auto& entry : fs::directory_iterator(folder, failed)) {
         const bool is_ours =
             entry.is_regular_file(failed) || (entry.is_directory(failed) && !entry.is_symlink(failed));
-        if (is_ours && std::regex_match(entry.path().filename().string(), kTemporary))
+        if (is_ours && std::regex_match(entry.path().filename().string(), kTemporaryInfix))
             temporary_paths.push_back(entry.path());
     }
     for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);

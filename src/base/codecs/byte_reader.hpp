@@ -25,7 +25,7 @@ public:
     explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
 
     template <class T>
-    T read_little_endian_number() {
+    T read_number() {
         T value;
         std::memcpy(&value, read_bytes(sizeof value).data(), sizeof value);
         return value;
@@ -37,12 +37,10 @@ public:
         at_ += std::size_t(n_bytes);
         return part;
     }
-    std::string_view read_length_prefixed_string() {
-        return read_bytes(read_little_endian_number<std::uint32_t>());
-    }
-    std::size_t get_byte_position() const { return at_; }
-    std::size_t count_remaining_bytes() const { return bytes_.size() - at_; }
-    std::string_view read_remaining_bytes() { return read_bytes(count_remaining_bytes()); }
+    std::string_view read_string() { return read_bytes(read_number<std::uint32_t>()); }
+    std::size_t position() const { return at_; }
+    std::size_t remaining() const { return bytes_.size() - at_; }
+    std::string_view read_rest() { return read_bytes(remaining()); }
 
 private:
     std::string_view bytes_;

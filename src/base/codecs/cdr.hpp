@@ -14,27 +14,27 @@ namespace relidar::codecs {
 class CdrWriter {
 public:
     template <class T>
-    CdrWriter& append_aligned_number(T value) {
-        while ((bytes_.size() - kHead) % sizeof(T) != 0) bytes_ += '\0';
-        append_binary_value(bytes_, value);
+    CdrWriter& add_number(T value) {
+        while ((bytes_.size() - kHeaderBytes) % sizeof(T) != 0) bytes_ += '\0';
+        append_raw(bytes_, value);
         return *this;
     }
     CdrWriter& append_string(std::string_view text) {
-        append_aligned_number(std::uint32_t(text.size() + 1));
+        add_number(std::uint32_t(text.size() + 1));
         bytes_ += text;
         bytes_ += '\0';
         return *this;
     }
-    CdrWriter& append_byte_sequence(std::string_view bytes) {
-        append_aligned_number(std::uint32_t(bytes.size()));
+    CdrWriter& add_bytes(std::string_view bytes) {
+        add_number(std::uint32_t(bytes.size()));
         bytes_ += bytes;
         return *this;
     }
-    std::string take_encoded_message() { return std::move(bytes_); }
+    std::string take_message() { return std::move(bytes_); }
 
 private:
-    static constexpr std::size_t kHead = 4;
-    std::string bytes_ = std::string("\0\1\0\0", kHead);
+    static constexpr std::size_t kHeaderBytes = 4;
+    std::string bytes_ = std::string("\0\1\0\0", kHeaderBytes);
 };
 
 }  // namespace relidar::codecs

@@ -20,7 +20,7 @@ namespace {
 
 using Colour = std::array<std::uint8_t, 3>;
 
-constexpr std::array<Colour, 16> kTurbo{{
+constexpr std::array<Colour, 16> kTurboColours{{
     {38, 24, 84},
     {54, 50, 148},
     {62, 84, 204},
@@ -38,15 +38,15 @@ constexpr std::array<Colour, 16> kTurbo{{
     {216, 64, 16},
     {132, 12, 8},
 }};
-constexpr std::array<Colour, 2> kGray{{{0, 0, 0}, {255, 255, 255}}};
-constexpr std::array<Colour, 4> kHeat{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
-constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a value.
-constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
+constexpr std::array<Colour, 2> kGrayColours{{{0, 0, 0}, {255, 255, 255}}};
+constexpr std::array<Colour, 4> kHeatColours{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
+constexpr Colour kNoValue{44, 44, 48};        // Dark gray for pixels without a value.
+constexpr std::uint8_t kSeparatorGray = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
 /// @param stops evenly spaced
 /// @param fraction in [0, 1]
-Colour interpolate_colour(std::span<const Colour> stops, double fraction) {
+Colour colour_at(std::span<const Colour> stops, double fraction) {
     const double position = fraction * double(stops.size() - 1);
     const std::size_t low = std::min(std::size_t(position), stops.size() - 2);
     const double share = position - double(low);
@@ -56,11 +56,10 @@ Colour interpolate_colour(std::span<const Colour> stops, double fraction) {
     return colour;
 }
 
-void require_pixel_value_count(const char* array_name_for_errors, std::size_t count,
-                               std::size_t expected_count) {
+void check_pixels(const char* array_name, std::size_t count, std::size_t expected_count) {
     if (count != expected_count)
-        fail("cannot colour an image: {} has {} values, expected {} values, one for each pixel",
-             array_name_for_errors, count, expected_count);
+        fail("cannot colour an image: {} has {} values, expected {} values, one for each pixel", array_name,
+             count, expected_count);
 }
 
 }  // namespace
@@ -69,15 +68,15 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
                        float max_value, const std::string& colour_map_name,
                        const std::vector<float>& valid_pixel_mask) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
-    require_pixel_value_count("the image", values.size(), n);
-    if (!valid_pixel_mask.empty()) require_pixel_value_count("the mask", valid_pixel_mask.size(), n);
+    check_pixels("the image", values.size(), n);
+    if (!valid_pixel_mask.empty()) check_pixels("the mask", valid_pixel_mask.size(), n);
     if (!std::isfinite(min_value) || !std::isfinite(max_value))
         fail("cannot colour an image: the colour scale goes from {} to {}, expected finite limits", min_value,
              max_value);
     std::span<const Colour> stops;
-    if (colour_map_name == "turbo") stops = kTurbo;
-    else if (colour_map_name == "gray") stops = kGray;
-    else if (colour_map_name == "heat") stops = kHeat;
+    if (colour_map_name == "turbo") stops = kTurboColours;
+    else if (colour_map_name == "gray") stops = kGrayColours;
+    else if (colour_map_name == "heat") stops = kHeatColours;
     else fail<UsageError>("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name);
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = max_value > min_value ? double(max_value) - double(min_value) : 1.0;
@@ -88,15 +87,14 @@ Image apply_colour_map(const std::vector<float>& values, int rows, int columns, 
         const bool shown =
             !std::isnan(values[i]) && (valid_pixel_mask.empty() || valid_pixel_mask[i] != 0.0f);
         const Colour colour =
-            shown ? interpolate_colour(stops,
-                                       std::clamp((double(values[i]) - double(min_value)) / span, 0.0, 1.0))
+            shown ? colour_at(stops, std::clamp((double(values[i]) - double(min_value)) / span, 0.0, 1.0))
                   : kNoValue;
         image.rgb.insert(image.rgb.end(), colour.begin(), colour.end());
     }
     return image;
 }
 
-Image stack_images_vertically(const std::vector<Image>& images, int vertical_scale) {
+Image stack_images(const std::vector<Image>& images, int vertical_scale) {
     if (vertical_scale < 1)
         fail<UsageError>("cannot stack images: found the vertical scale {}, expected at least 1",
                          vertical_scale);
@@ -107,9 +105,9 @@ Image stack_images_vertically(const std::vector<Image>& images, int vertical_sca
             fail("cannot stack images: found the widths {} and {}, expected the same width", result.columns,
                  image.columns);
         const std::size_t width = std::size_t(image.columns) * 3;
-        require_pixel_value_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
+        check_pixels("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
         if (&image != &images.front()) {
-            result.rgb.insert(result.rgb.end(), width * kSeparatorRows, kSeparator);
+            result.rgb.insert(result.rgb.end(), width * kSeparatorRows, kSeparatorGray);
             result.rows += kSeparatorRows;
         }
         for (std::size_t row = 0; row < std::size_t(image.rows); ++row)

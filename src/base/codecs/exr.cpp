@@ -43,8 +43,7 @@ private:
     std::size_t position_ = 0;
 };
 
-void require_channels_of_image_size(int rows, int columns,
-                                    const std::map<std::string, std::vector<float>>& channels) {
+void check_channels(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
         fail("cannot write an EXR image with {} x {} pixels and {} channels, expected at least one of each",
              rows, columns, channels.size());
@@ -60,7 +59,7 @@ void require_channels_of_image_size(int rows, int columns,
 void write_exr(const std::filesystem::path& path, int rows, int columns,
                const std::map<std::string, std::vector<float>>& channels, const FileMetadata& metadata) {
     namespace imf = OPENEXR_IMF_NAMESPACE;
-    require_channels_of_image_size(rows, columns, channels);
+    check_channels(rows, columns, channels);
     ExrMemoryWriter stream;
     try {
         imf::Header header(columns, rows);

@@ -52,7 +52,7 @@ public:
         at_ += n_bytes;
         return std::string_view(file_).substr(at_ - n_bytes, n_bytes);
     }
-    std::string read_zero_terminated_name() {
+    std::string read_name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
             fail("the header is truncated, or it contains a name that is longer than 255 bytes");
@@ -77,7 +77,7 @@ struct ImageHeader {
     std::map<std::string, std::string> notes;
 };
 
-void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_header) {
+void parse_window(std::string_view attribute_bytes, ImageHeader& image_header) {
     if (attribute_bytes.size() != 16)
         fail("attribute 'dataWindow' has {} bytes, expected 16", attribute_bytes.size());
     std::int32_t corner[4];
@@ -85,13 +85,14 @@ void parse_data_window(std::string_view attribute_bytes, ImageHeader& image_head
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
     // Larger values could overflow OpenEXR's 32-bit integers.
-    constexpr std::int32_t kFarthest = 1 << 29;
+    constexpr std::int32_t kMaxCoordinate = 1 << 29;
     for (const std::int32_t c : corner)
-        if (c < -kFarthest || c > kFarthest)
-            fail("attribute 'dataWindow' has the coordinate {}, expected {} to {}", c, -kFarthest, kFarthest);
+        if (c < -kMaxCoordinate || c > kMaxCoordinate)
+            fail("attribute 'dataWindow' has the coordinate {}, expected {} to {}", c, -kMaxCoordinate,
+                 kMaxCoordinate);
 }
 
-void parse_compression_method(std::string_view attribute_bytes, ImageHeader& image_header) {
+void parse_compression(std::string_view attribute_bytes, ImageHeader& image_header) {
     const std::size_t kind = attribute_bytes.empty()
                                  ? std::size(kRowsAtOnce)
                                  : std::size_t(static_cast<unsigned char>(attribute_bytes[0]));
@@ -99,19 +100,18 @@ void parse_compression_method(std::string_view attribute_bytes, ImageHeader& ima
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
-void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_header) {
+void parse_channels(std::string_view attribute_bytes, ImageHeader& image_header) {
     const std::string list(attribute_bytes);
     ExrHeaderReader items(list);
-    for (std::string name = items.read_zero_terminated_name(); !name.empty();
-         name = items.read_zero_terminated_name()) {
+    for (std::string name = items.read_name(); !name.empty(); name = items.read_name()) {
         items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
         const std::int32_t x = items.read_int32(), y = items.read_int32();
         if (x != 1 || y != 1)
-            fail("channel '{}' is subsampled by {} x {}, expected a value for every pixel",
-                 shorten_for_error_message(name), x, y);
+            fail("channel '{}' is subsampled by {} x {}, expected a value for every pixel", quote(name), x,
+                 y);
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
-            fail("channel '{}' occurs twice, expected it once", shorten_for_error_message(name));
+            fail("channel '{}' occurs twice, expected it once", quote(name));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
             fail("the image has too many channels, expected at most {}", kMostChannels);
@@ -121,41 +121,38 @@ void parse_channel_list(std::string_view attribute_bytes, ImageHeader& image_hea
 }
 
 /// OpenEXR ignores the stored size, so a wrong size would make it read unchecked data.
-void require_attribute_size_of_type(const std::string& attribute_name, const std::string& attribute_type,
-                                    std::string_view attribute_bytes) {
-    static const std::map<std::string, std::size_t> kSizes = [] {
+void check_attribute(const std::string& attribute_name, const std::string& attribute_type,
+                     std::string_view attribute_bytes) {
+    static const std::map<std::string, std::size_t> kAttributeBytes = [] {
         std::istringstream text(
             "box2i 16 box2f 16 chromaticities 32 compression 1 deepImageState 1 double 8 envmap 1 float 4 "
-            "int 4 "
-            "keycode 28 lineOrder 1 m33d 72 m33f 36 m44d 128 m44f 64 rational 8 tiledesc 9 timecode 8 v2d 16 "
-            "v2f 8 v2i 8 v3d 24 v3f 12 v3i 12");
+            "int 4 keycode 28 lineOrder 1 m33d 72 m33f 36 m44d 128 m44f 64 rational 8 tiledesc 9 timecode 8 "
+            "v2d 16 v2f 8 v2i 8 v3d 24 v3f 12 v3i 12");
         std::map<std::string, std::size_t> sizes;
         std::string type;
         for (std::size_t size; text >> type >> size;) sizes[type] = size;
         return sizes;
     }();
-    if (const auto size_entry = kSizes.find(attribute_type);
-        size_entry != kSizes.end() && size_entry->second != attribute_bytes.size())
-        fail("attribute '{}' of type '{}' has {} bytes, expected {}",
-             shorten_for_error_message(attribute_name), attribute_type, attribute_bytes.size(),
-             size_entry->second);
+    if (const auto size_entry = kAttributeBytes.find(attribute_type);
+        size_entry != kAttributeBytes.end() && size_entry->second != attribute_bytes.size())
+        fail("attribute '{}' of type '{}' has {} bytes, expected {}", quote(attribute_name), attribute_type,
+             attribute_bytes.size(), size_entry->second);
     if (attribute_type == "chlist") {
         ImageHeader of_others;
-        parse_channel_list(attribute_bytes, of_others);
+        parse_channels(attribute_bytes, of_others);
     }
     if (attribute_type == "stringvector") {
         const std::string list(attribute_bytes);
         for (ExrHeaderReader items(list); !items.is_at_end();) {
             const std::int32_t size = items.read_int32();
             if (size < 0)
-                fail("attribute '{}' has an invalid text length of {} bytes",
-                     shorten_for_error_message(attribute_name), size);
+                fail("attribute '{}' has an invalid text length of {} bytes", quote(attribute_name), size);
             items.read_bytes(std::size_t(size));
         }
     }
 }
 
-void read_and_require_magic_and_version(ExrHeaderReader& header_reader) {
+void check_magic(ExrHeaderReader& header_reader) {
     if (header_reader.read_int32() != std::int32_t(kExrMagic))
         throw DataError("the file does not begin like an OpenEXR file, expected the format OpenEXR");
     const auto version = std::uint32_t(header_reader.read_int32());
@@ -169,26 +166,23 @@ void read_and_require_magic_and_version(ExrHeaderReader& header_reader) {
 
 ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
     ExrHeaderReader header(exr_file_bytes);
-    read_and_require_magic_and_version(header);
+    check_magic(header);
     ImageHeader image_header;
     std::set<std::string> attribute_names;
-    for (std::string name = header.read_zero_terminated_name(); !name.empty();
-         name = header.read_zero_terminated_name()) {
-        const std::string type = header.read_zero_terminated_name();
+    for (std::string name = header.read_name(); !name.empty(); name = header.read_name()) {
+        const std::string type = header.read_name();
         const std::int32_t size = header.read_int32();
-        if (size < 0)
-            fail("attribute '{}' has an invalid size of {} bytes", shorten_for_error_message(name), size);
+        if (size < 0) fail("attribute '{}' has an invalid size of {} bytes", quote(name), size);
         const std::string_view bytes = header.read_bytes(std::size_t(size));
         if (!attribute_names.insert(name).second)
-            fail("attribute '{}' occurs twice, expected it once", shorten_for_error_message(name));
+            fail("attribute '{}' occurs twice, expected it once", quote(name));
         // Nothing checks the inner sizes of these attributes.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
-            fail("attribute '{}' has the type '{}', which is not supported", shorten_for_error_message(name),
-                 type);
-        require_attribute_size_of_type(name, type, bytes);
-        if (name == "dataWindow") parse_data_window(bytes, image_header);
-        if (name == "compression") parse_compression_method(bytes, image_header);
-        if (name == "channels") parse_channel_list(bytes, image_header);
+            fail("attribute '{}' has the type '{}', which is not supported", quote(name), type);
+        check_attribute(name, type, bytes);
+        if (name == "dataWindow") parse_window(bytes, image_header);
+        if (name == "compression") parse_compression(bytes, image_header);
+        if (name == "channels") parse_channels(bytes, image_header);
         if (type == "string" && bytes.size() <= kLongestNote) image_header.notes[name] = bytes;
     }
     if (!attribute_names.contains("dataWindow") || !attribute_names.contains("channels"))
@@ -196,7 +190,7 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
     return image_header;
 }
 
-void require_file_large_enough_for_image(const ImageHeader& image_header, std::size_t file_size_bytes) {
+void check_file_size(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
         fail("the image has {} x {} pixels and {} channels, expected at least one of each", rows, columns,
@@ -232,9 +226,9 @@ private:
     std::size_t position_ = 0;
 };
 
-ExrImage decode_exr_image(const std::string& exr_file_bytes) {
+ExrImage decode_exr(const std::string& exr_file_bytes) {
     ImageHeader image_header = parse_exr_header(exr_file_bytes);
-    require_file_large_enough_for_image(image_header, exr_file_bytes.size());
+    check_file_size(image_header, exr_file_bytes.size());
     ExrMemoryReader stream(exr_file_bytes);
     imf::InputFile input(stream);
     if (!input.isComplete()) throw DataError("the image file is truncated");
@@ -256,13 +250,13 @@ ExrImage decode_exr_image(const std::string& exr_file_bytes) {
 
 ExrImage read_exr(const std::filesystem::path& path) {
     try {
-        return decode_exr_image(read_file(path));
+        return decode_exr(read_file(path));
     } catch (const DataError& error) {
         const std::string message = error.what();
         throw DataError(message.starts_with(path.string()) ? message
                                                            : fmt::format("{}: {}", path.string(), message));
     } catch (const std::exception& error) {  // OpenEXR throws its own exceptions.
-        fail("{}: {}", path.string(), shorten_for_error_message(error.what()));
+        fail("{}: {}", path.string(), quote(error.what()));
     }
 }
 

@@ -24,20 +24,20 @@ using codecs::ArrowField;
 using codecs::ArrowValueKind;
 using Batch = Feather::Batch;
 
-constexpr std::string_view kMagic = "ARROW1";
+constexpr std::string_view kArrowMagic = "ARROW1";
 // Per byte of the file: rows of a table and bytes of text of a column.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
-constexpr std::size_t kPadding = 64;  // Maximum number of padding bytes at the end of a buffer.
+constexpr std::size_t kMaxPaddingBytes = 64;  // Maximum number of padding bytes at the end of a buffer.
 
 template <class T>
-T read_little_endian(std::string_view bytes, std::size_t byte_offset) {
+T read_at(std::string_view bytes, std::size_t byte_offset) {
     T value;
     std::memcpy(&value, bytes.data() + byte_offset, sizeof value);
     return value;
 }
 
-std::string_view get_byte_range_or_throw(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
-                                         const char* name_for_errors) {
+std::string_view checked_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
+                               const char* name_for_errors) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n_bytes) > bytes.size() - std::uint64_t(offset))
         fail("{} should be at byte {} with {} bytes, but the file has only {} bytes", name_for_errors, offset,
@@ -45,50 +45,47 @@ std::string_view get_byte_range_or_throw(std::string_view bytes, std::int64_t of
     return bytes.substr(std::size_t(offset), std::size_t(n_bytes));
 }
 
-std::string_view find_arrow_footer(std::string_view file_bytes) {
-    constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kMagic.size();
-    if (file_bytes.size() < kHeaderBytes + kTrailerBytes || !file_bytes.starts_with(kMagic))
+std::string_view find_footer(std::string_view file_bytes) {
+    constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kArrowMagic.size();
+    if (file_bytes.size() < kHeaderBytes + kTrailerBytes || !file_bytes.starts_with(kArrowMagic))
         fail("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file",
              file_bytes.size());
-    if (!file_bytes.ends_with(kMagic))
+    if (!file_bytes.ends_with(kArrowMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
     const std::int64_t end = std::int64_t(file_bytes.size() - kTrailerBytes),
-                       n = read_little_endian<std::int32_t>(file_bytes, file_bytes.size() - kTrailerBytes);
-    return get_byte_range_or_throw(file_bytes, end - n, n, "a footer");
+                       n = read_at<std::int32_t>(file_bytes, file_bytes.size() - kTrailerBytes);
+    return checked_range(file_bytes, end - n, n, "a footer");
 }
 
 /// The message begins with 0xFFFFFFFF and the length of the flatbuffer.
-Batch read_record_batch(std::string_view file_bytes, const codecs::ArrowFileBlock& block) {
-    constexpr std::int64_t kPrefix = 8;
+Batch read_batch(std::string_view file_bytes, const codecs::ArrowFileBlock& block) {
+    constexpr std::int64_t kPrefixBytes = 8;
     const std::string_view message =
-        get_byte_range_or_throw(file_bytes, block.offset, block.metadata_bytes, "a message");
-    if (std::int64_t(message.size()) < kPrefix ||
-        read_little_endian<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
+        checked_range(file_bytes, block.offset, block.metadata_bytes, "a message");
+    if (std::int64_t(message.size()) < kPrefixBytes || read_at<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         fail("found no record batch at byte {}, expected a Feather file of Arrow 0.15 or later",
              block.offset);
-    const auto n = read_little_endian<std::int32_t>(message, 4);
-    return {codecs::parse_record_batch_message(get_byte_range_or_throw(message, kPrefix, n, "a message")),
-            get_byte_range_or_throw(file_bytes, block.offset + block.metadata_bytes, block.body_bytes,
-                                    "a record batch")};
+    const auto n = read_at<std::int32_t>(message, 4);
+    return {
+        codecs::parse_batch(checked_range(message, kPrefixBytes, n, "a message")),
+        checked_range(file_bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
 /// The result may have padding behind n_expected_bytes.
-std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_index,
-                                       std::size_t n_expected_bytes) {
+std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t n_expected_bytes) {
     const codecs::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
-    std::string_view stored =
-        get_byte_range_or_throw(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
+    std::string_view stored = checked_range(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
     bool compressed = batch.layout.codec != ArrowCompression::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
         if (stored.size() < 8)
             fail("a block of compressed values has {} bytes, expected at least 8", stored.size());
-        n = read_little_endian<std::int64_t>(stored, 0);
+        n = read_at<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
         if (!compressed) n = std::int64_t(stored.size());
     }
-    if (n < std::int64_t(n_expected_bytes) || n > std::int64_t(n_expected_bytes + kPadding))
+    if (n < std::int64_t(n_expected_bytes) || n > std::int64_t(n_expected_bytes + kMaxPaddingBytes))
         fail("found a buffer of {} bytes, expected {} bytes", n, n_expected_bytes);
     if (!compressed) return std::string(stored.substr(0, n_expected_bytes));
     std::string bytes(std::size_t(n), '\0');
@@ -97,8 +94,7 @@ std::string decompress_buffer_of_batch(const Batch& batch, std::size_t buffer_in
     return bytes;
 }
 
-std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t node_index,
-                                               std::size_t last_buffer_index) {
+std::size_t rows_without_nulls(const Batch& batch, std::size_t node_index, std::size_t last_buffer_index) {
     if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
              batch.layout.nodes.size(), batch.layout.buffers.size());
@@ -112,24 +108,24 @@ std::size_t require_no_nulls_and_get_row_count(const Batch& batch, std::size_t n
 }
 
 template <class Stored, class T, class Convert>
-void append_values_of_column_converted(std::vector<T>& values, const Batch& batch,
-                                       const Feather::Column& column, const Convert& convert_stored_value) {
-    const std::size_t n = require_no_nulls_and_get_row_count(batch, column.node, column.buffer + 1);
-    const std::string bytes = decompress_buffer_of_batch(batch, column.buffer + 1, n * sizeof(Stored));
+void append_converted(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                      const Convert& convert_stored_value) {
+    const std::size_t n = rows_without_nulls(batch, column.node, column.buffer + 1);
+    const std::string bytes = decompress(batch, column.buffer + 1, n * sizeof(Stored));
     for (std::size_t i = 0; i < n; ++i)
-        values.push_back(convert_stored_value(read_little_endian<Stored>(bytes, i * sizeof(Stored))));
+        values.push_back(convert_stored_value(read_at<Stored>(bytes, i * sizeof(Stored))));
 }
 
 template <class T>
-void append_integer_column(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-                           const ArrowField::Type& integer_type) {
+void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
+                     const ArrowField::Type& integer_type) {
     const auto convert = [](auto value) {
         if (!std::in_range<std::int64_t>(value)) fail("the integer {} has more than 63 bits", value);
         return T(value);
     };
     const auto append = [&]<class Signed, class Unsigned>(Signed, Unsigned) {
-        if (integer_type.is_signed) append_values_of_column_converted<Signed>(values, batch, column, convert);
-        else append_values_of_column_converted<Unsigned>(values, batch, column, convert);
+        if (integer_type.is_signed) append_converted<Signed>(values, batch, column, convert);
+        else append_converted<Unsigned>(values, batch, column, convert);
     };
     if (integer_type.bits == 8) append(std::int8_t(), std::uint8_t());
     else if (integer_type.bits == 16) append(std::int16_t(), std::uint16_t());
@@ -137,25 +133,24 @@ void append_integer_column(std::vector<T>& values, const Batch& batch, const Fea
     else append(std::int64_t(), std::uint64_t());
 }
 
-void append_float_column(std::vector<double>& values, const Batch& batch, const Feather::Column& column,
-                         int bits_per_value) {
+void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column,
+                   int bits_per_value) {
     const auto as = [](auto value) { return double(value); };
-    if (bits_per_value == 64) append_values_of_column_converted<double>(values, batch, column, as);
-    else if (bits_per_value == 32) append_values_of_column_converted<float>(values, batch, column, as);
+    if (bits_per_value == 64) append_converted<double>(values, batch, column, as);
+    else if (bits_per_value == 32) append_converted<float>(values, batch, column, as);
     else
-        append_values_of_column_converted<std::uint16_t>(
-            values, batch, column, [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
+        append_converted<std::uint16_t>(values, batch, column,
+                                        [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
 /// Text i is stored between the offsets i and i + 1.
-void append_text_column(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
-                        std::size_t first_buffer_index, std::size_t max_text_bytes) {
-    const std::size_t n = require_no_nulls_and_get_row_count(batch, node_index, first_buffer_index + 2);
+void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
+                  std::size_t first_buffer_index, std::size_t max_text_bytes) {
+    const std::size_t n = rows_without_nulls(batch, node_index, first_buffer_index + 2);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
-    const std::string offsets =
-        decompress_buffer_of_batch(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));
+    const std::string offsets = decompress(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
-        return read_little_endian<std::int32_t>(offsets, index * sizeof(std::int32_t));
+        return read_at<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
@@ -163,13 +158,12 @@ void append_text_column(std::vector<std::string>& values, const Batch& batch, st
                  offset(i + 1));
     if (std::size_t(offset(n)) > max_text_bytes)
         fail("found {} bytes of text, expected at most {}", offset(n), max_text_bytes);
-    const std::string characters =
-        decompress_buffer_of_batch(batch, first_buffer_index + 2, std::size_t(offset(n)));
+    const std::string characters = decompress(batch, first_buffer_index + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
-std::size_t count_rows_of_batches(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
+std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
@@ -188,27 +182,28 @@ Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), rea
 Feather::Feather(std::string name_for_errors, std::string file_bytes)
     : name_(std::move(name_for_errors)), bytes_(std::move(file_bytes)) {
     try {
-        codecs::Footer footer = codecs::parse_arrow_footer(find_arrow_footer(bytes_));
+        codecs::Footer footer = codecs::parse_footer(find_footer(bytes_));
         Column at;
         for (ArrowField& field : footer.fields) {
-            const std::size_t n_buffers = field.get_buffers_per_record_batch();
+            const std::size_t n_buffers = field.buffer_count();
             columns_.push_back({std::move(field), at.node, at.buffer});
             at.node += 1;
             at.buffer += n_buffers;
         }
         // Blocks do not overlap.
         std::int64_t left = std::int64_t(bytes_.size());
-        const auto read = [&](const std::vector<codecs::ArrowFileBlock>& blocks, std::vector<Batch>& batches) {
+        const auto read = [&](const std::vector<codecs::ArrowFileBlock>& blocks,
+                              std::vector<Batch>& batches) {
             for (const codecs::ArrowFileBlock& block : blocks) {
-                batches.push_back(read_record_batch(bytes_, block));
+                batches.push_back(read_batch(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
                 if (left < 0) fail("the record batches have more bytes than the file");
             }
         };
         read(footer.dictionaries, dictionaries_);
         read(footer.batches, batches_);
-        count_rows_of_batches(dictionaries_, kMostRows * bytes_.size());
-        rows_ = count_rows_of_batches(batches_, kMostRows * bytes_.size());
+        total_rows(dictionaries_, kMostRows * bytes_.size());
+        rows_ = total_rows(batches_, kMostRows * bytes_.size());
     } catch (const DataError& error) {
         throw DataError(name_ + ": " + error.what());
     }
@@ -220,11 +215,11 @@ const Feather::Column& Feather::find_column(const std::string& column_name) cons
         if (column.field.name == column_name) return column;
         names += (names.empty() ? "" : ", ") + column.field.name;
     }
-    fail("the file has no such column, expected one of '{}'", shorten_for_error_message(names));
+    fail("the file has no such column, expected one of '{}'", quote(names));
 }
 
 template <class Task>
-auto Feather::run_column_task_with_error_location(const std::string& column_name, const Task& task) const {
+auto Feather::with_location(const std::string& column_name, const Task& task) const {
     try {
         return task(find_column(column_name));
     } catch (const DataError& error) {
@@ -232,15 +227,15 @@ auto Feather::run_column_task_with_error_location(const std::string& column_name
     }
 }
 
-std::vector<double> Feather::read_number_column(const std::string& column_name) const {
-    return run_column_task_with_error_location(column_name, [&](const Column& column) {
+std::vector<double> Feather::read_numbers(const std::string& column_name) const {
+    return with_location(column_name, [&](const Column& column) {
         const ArrowField::Type& type = column.field.type;
         if (type.kind == ArrowValueKind::text || column.field.dictionary)
             throw DataError("found text, expected numbers");
         std::vector<double> values;
         for (const Batch& batch : batches_) {
-            if (type.kind == ArrowValueKind::integer) append_integer_column(values, batch, column, type);
-            else append_float_column(values, batch, column, type.bits);
+            if (type.kind == ArrowValueKind::integer) append_integers(values, batch, column, type);
+            else append_floats(values, batch, column, type.bits);
         }
         for (std::size_t i = 0; i < values.size(); ++i)
             if (!std::isfinite(values[i])) fail("row {} is {}, expected a finite number", i, values[i]);
@@ -248,33 +243,32 @@ std::vector<double> Feather::read_number_column(const std::string& column_name) 
     });
 }
 
-std::vector<std::int64_t> Feather::read_integer_column(const std::string& column_name) const {
-    return run_column_task_with_error_location(column_name, [&](const Column& column) {
+std::vector<std::int64_t> Feather::read_integers(const std::string& column_name) const {
+    return with_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::integer || column.field.dictionary)
             throw DataError("found values that are not integers, expected integers");
         std::vector<std::int64_t> values;
-        for (const Batch& batch : batches_) append_integer_column(values, batch, column, column.field.type);
+        for (const Batch& batch : batches_) append_integers(values, batch, column, column.field.type);
         return values;
     });
 }
 
-std::vector<std::string> Feather::read_text_column(const std::string& column_name) const {
-    return run_column_task_with_error_location(column_name, [&](const Column& column) {
+std::vector<std::string> Feather::read_texts(const std::string& column_name) const {
+    return with_location(column_name, [&](const Column& column) {
         if (column.field.type.kind != ArrowValueKind::text) throw DataError("found numbers, expected text");
         const std::size_t most = kMostText * bytes_.size();
         std::vector<std::string> values;
         if (!column.field.dictionary) {
-            for (const Batch& batch : batches_)
-                append_text_column(values, batch, column.node, column.buffer, most);
+            for (const Batch& batch : batches_) append_texts(values, batch, column.node, column.buffer, most);
             return values;
         }
         std::vector<std::string> words;
         for (const Batch& batch : dictionaries_)
             if (batch.layout.dictionary == column.field.dictionary->id)
-                append_text_column(words, batch, 0, 0, most);
+                append_texts(words, batch, 0, 0, most);
         std::vector<std::int64_t> indices;
         for (const Batch& batch : batches_)
-            append_integer_column(indices, batch, column, column.field.dictionary->index);
+            append_integers(indices, batch, column, column.field.dictionary->index);
         std::size_t length = 0;
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())

@@ -25,16 +25,16 @@ public:
     Feather& operator=(const Feather&) = delete;
 
     const std::string& name() const { return name_; }
-    std::size_t get_row_count() const { return rows_; }
+    std::size_t row_count() const { return rows_; }
 
     /// All returned values are finite.
     /// @throws DataError with file and column if the column is missing, damaged or has
     /// another type (also the functions below)
-    std::vector<double> read_number_column(const std::string& column_name) const;
+    std::vector<double> read_numbers(const std::string& column_name) const;
     /// The integers may have any width.
-    std::vector<std::int64_t> read_integer_column(const std::string& column_name) const;
+    std::vector<std::int64_t> read_integers(const std::string& column_name) const;
     /// The column may be dictionary-encoded.
-    std::vector<std::string> read_text_column(const std::string& column_name) const;
+    std::vector<std::string> read_texts(const std::string& column_name) const;
 
     struct Batch {
         codecs::RecordBatch layout;
@@ -55,7 +55,7 @@ private:
     const Column& find_column(const std::string& column_name) const;
     /// Adds the names of file and column to a DataError of the task.
     template <class Task>
-    auto run_column_task_with_error_location(const std::string& column_name, const Task& task) const;
+    auto with_location(const std::string& column_name, const Task& task) const;
 };
 
 }  // namespace relidar

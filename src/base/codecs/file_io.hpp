@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes and reads the bytes of files. Detects every failure, for example short writes,
 // failed flushes and files that shrink while they are read. Error messages contain only
-// the failed operation. write_file_atomically() and the readers add the path. Private to
+// the failed operation. write_atomically() and the readers add the path. Private to
 // base/codecs.
 #pragma once
 
@@ -42,9 +42,9 @@ void write_file(const std::filesystem::path& path, std::string_view bytes);
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
 /// One line for a file header.
-std::string format_metadata_line(const std::pair<std::string, std::string>& key_and_value);
+std::string metadata_line(const std::pair<std::string, std::string>& key_and_value);
 
 /// Like strerror.
-std::string get_system_error_message(int error_number);
+std::string errno_text(int error_number);
 
 }  // namespace relidar::codecs

@@ -26,13 +26,13 @@ constexpr McapRecordCode kHeader = 1, kFooter = 2, kSchema = 3, kChannel = 4, kM
                          kMetadataIndex = 13, kSummaryOffset = 14, kDataEnd = 15;
 
 void append_value(std::string& bytes, std::string_view text) {
-    append_binary_value(bytes, std::uint32_t(text.size()));
+    append_raw(bytes, std::uint32_t(text.size()));
     bytes += text;
 }
 
 template <class T>
 requires std::is_arithmetic_v<T>
-void append_value(std::string& bytes, T number) { append_binary_value(bytes, number); }
+void append_value(std::string& bytes, T number) { append_raw(bytes, number); }
 
 /// Returns the bytes of numbers, and of texts with their length before them.
 template <class... T>
@@ -42,13 +42,13 @@ std::string encode(const T&... values) {
     return bytes;
 }
 
-std::string encode_key_value_pairs(const McapWriter::McapMetadataMap& values) {
+std::string encode_map(const McapWriter::McapMetadataMap& values) {
     std::string pairs;
     for (const auto& [key, value] : values) pairs += encode(key, value);
     return pairs;
 }
 
-std::string encode_mcap_record(McapRecordCode record_code, std::string_view body) {
+std::string encode_record(McapRecordCode record_code, std::string_view body) {
     return encode(record_code, std::uint64_t(body.size())).append(body);
 }
 
@@ -56,11 +56,11 @@ std::string encode_mcap_record(McapRecordCode record_code, std::string_view body
 
 McapWriter::McapWriter(std::filesystem::path path, std::string_view profile)
     : path_(std::move(path)), file_(path_, std::ios::binary) {
-    append_to_mcap_file(kMagic);
-    append_to_mcap_file(encode_mcap_record(kHeader, encode(profile, "relidar " RELIDAR_VERSION)));
+    append(kMagic);
+    append(encode_record(kHeader, encode(profile, "relidar " RELIDAR_VERSION)));
 }
 
-void McapWriter::append_to_mcap_file(std::string_view bytes) {
+void McapWriter::append(std::string_view bytes) {
     errno = 0;
     file_.write(bytes.data(), std::streamsize(bytes.size()));
     if (!file_) fail("cannot write '{}': {}", path_.string(), errno ? std::strerror(errno) : "unknown error");
@@ -70,9 +70,9 @@ void McapWriter::append_to_mcap_file(std::string_view bytes) {
 std::uint16_t McapWriter::add_schema(std::string_view schema_name, std::string_view encoding,
                                      std::string_view definition) {
     const std::string schema =
-        encode_mcap_record(kSchema, encode(++n_schemas_, schema_name, encoding, definition));
+        encode_record(kSchema, encode(++n_schemas_, schema_name, encoding, definition));
     schemas_ += schema;
-    append_to_mcap_file(schema);
+    append(schema);
     return n_schemas_;
 }
 
@@ -81,19 +81,18 @@ std::uint16_t McapWriter::add_channel(std::uint16_t schema, std::string_view top
     const auto id = std::uint16_t(n_messages_.size() + 1);
     n_messages_[id] = 0;
     const std::string channel =
-        encode_mcap_record(kChannel, encode(id, schema, topic, encoding, encode_key_value_pairs(metadata)));
+        encode_record(kChannel, encode(id, schema, topic, encoding, encode_map(metadata)));
     channels_ += channel;
-    append_to_mcap_file(channel);
+    append(channel);
     return id;
 }
 
 void McapWriter::add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values) {
-    const std::string metadata =
-        encode_mcap_record(kMetadata, encode(metadata_name, encode_key_value_pairs(metadata_values)));
+    const std::string metadata = encode_record(kMetadata, encode(metadata_name, encode_map(metadata_values)));
     metadata_indices_ +=
-        encode_mcap_record(kMetadataIndex, encode(written_, std::uint64_t(metadata.size()), metadata_name));
+        encode_record(kMetadataIndex, encode(written_, std::uint64_t(metadata.size()), metadata_name));
     ++n_metadata_;
-    append_to_mcap_file(metadata);
+    append(metadata);
 }
 
 void McapWriter::add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message) {
@@ -101,18 +100,18 @@ void McapWriter::add_message(std::uint16_t channel_id, std::uint64_t time_ns, st
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns);
     chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     // A message has a log time and a publish time. Both get the same value.
-    chunk_ += encode_mcap_record(
+    chunk_ += encode_record(
         kMessageRecord,
         encode(channel_id, std::uint32_t(n_messages_.at(channel_id)++), time_ns, time_ns).append(message));
 }
 
-void McapWriter::write_pending_chunk() {
+void McapWriter::write_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t begin = written_, n_bytes = chunk_.size();
     const auto crc = std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(n_bytes)));
     // The empty name means no compression: the floats of a scan compress poorly.
-    append_to_mcap_file(encode_mcap_record(
-        kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
+    append(
+        encode_record(kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
     const std::uint64_t end = written_;
 
     // Channel ids with the file positions of their message indices, for the chunk index.
@@ -121,11 +120,11 @@ void McapWriter::write_pending_chunk() {
         index_positions += encode(channel, written_);
         std::string entries;
         for (const MessageIndexEntry& message : messages) entries += encode(message.time_ns, message.offset);
-        append_to_mcap_file(encode_mcap_record(kMessageIndex, encode(channel, entries)));
+        append(encode_record(kMessageIndex, encode(channel, entries)));
     }
     chunk_indices_ +=
-        encode_mcap_record(kChunkIndex, encode(chunk_first_ns_, chunk_last_ns_, begin, end - begin,
-                                               index_positions, written_ - end, "", n_bytes, n_bytes));
+        encode_record(kChunkIndex, encode(chunk_first_ns_, chunk_last_ns_, begin, end - begin,
+                                          index_positions, written_ - end, "", n_bytes, n_bytes));
     ++n_chunks_;
     first_ns_ = std::min(first_ns_, chunk_first_ns_);
     last_ns_ = std::max(last_ns_, chunk_last_ns_);
@@ -135,7 +134,7 @@ void McapWriter::write_pending_chunk() {
     chunk_last_ns_ = 0;
 }
 
-std::string McapWriter::encode_statistics_record() const {
+std::string McapWriter::encode_statistics() const {
     std::string counts;
     std::uint64_t n_messages = 0;
     for (const auto& [channel, n] : n_messages_) {
@@ -143,15 +142,14 @@ std::string McapWriter::encode_statistics_record() const {
         n_messages += n;
     }
     const std::uint32_t n_attachments = 0;
-    return encode_mcap_record(
-        kStatistics,
-        encode(n_messages, n_schemas_, std::uint32_t(n_messages_.size()), n_attachments, n_metadata_,
-               n_chunks_, n_messages ? first_ns_ : std::uint64_t(0), last_ns_, counts));
+    return encode_record(kStatistics, encode(n_messages, n_schemas_, std::uint32_t(n_messages_.size()),
+                                             n_attachments, n_metadata_, n_chunks_,
+                                             n_messages ? first_ns_ : std::uint64_t(0), last_ns_, counts));
 }
 
 /// The section at the end of the file. Records with the same code form a group.
 /// @param record_groups receives the position of each group
-std::string McapWriter::encode_summary_and_list_groups(std::vector<SummaryRecordGroup>& record_groups) const {
+std::string McapWriter::encode_summary(std::vector<SummaryRecordGroup>& record_groups) const {
     std::string bytes;
     const auto add = [&](McapRecordCode code, const std::string& records) {
         if (!records.empty()) record_groups.push_back({code, written_ + bytes.size(), records.size()});
@@ -159,26 +157,25 @@ std::string McapWriter::encode_summary_and_list_groups(std::vector<SummaryRecord
     };
     add(kSchema, schemas_);
     add(kChannel, channels_);
-    add(kStatistics, encode_statistics_record());
+    add(kStatistics, encode_statistics());
     add(kChunkIndex, chunk_indices_);
     add(kMetadataIndex, metadata_indices_);
     return bytes;
 }
 
-void McapWriter::write_summary_and_close() {
-    write_pending_chunk();
+void McapWriter::finish() {
+    write_chunk();
     // Checksum 0 means that the file has no checksum. Each chunk has one instead.
     const std::uint32_t no_checksum = 0;
-    append_to_mcap_file(encode_mcap_record(kDataEnd, encode(no_checksum)));
+    append(encode_record(kDataEnd, encode(no_checksum)));
     const std::uint64_t begin = written_;
     std::vector<SummaryRecordGroup> groups;
-    append_to_mcap_file(encode_summary_and_list_groups(groups));
+    append(encode_summary(groups));
     const std::uint64_t offsets = written_;
     for (const SummaryRecordGroup& group : groups)
-        append_to_mcap_file(
-            encode_mcap_record(kSummaryOffset, encode(group.code, group.begin, group.n_bytes)));
-    append_to_mcap_file(encode_mcap_record(kFooter, encode(begin, offsets, no_checksum)));
-    append_to_mcap_file(kMagic);
+        append(encode_record(kSummaryOffset, encode(group.code, group.begin, group.n_bytes)));
+    append(encode_record(kFooter, encode(begin, offsets, no_checksum)));
+    append(kMagic);
     file_.close();
     if (!file_) fail("cannot write '{}': the disk is probably full", path_.string());
 }

@@ -30,9 +30,9 @@ public:
     void add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values);
     void add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message);
     /// Writes all messages since the last call as one chunk, which readers load at once.
-    void write_pending_chunk();
+    void write_chunk();
     /// Writes the summary and the footer, which readers read first.
-    void write_summary_and_close();
+    void finish();
 
 private:
     struct MessageIndexEntry {
@@ -56,9 +56,9 @@ private:
     std::map<std::uint16_t, std::vector<MessageIndexEntry>> chunk_index_;
     std::uint64_t chunk_first_ns_ = UINT64_MAX, chunk_last_ns_ = 0;
 
-    void append_to_mcap_file(std::string_view bytes);
-    std::string encode_statistics_record() const;
-    std::string encode_summary_and_list_groups(std::vector<SummaryRecordGroup>& record_groups) const;
+    void append(std::string_view bytes);
+    std::string encode_statistics() const;
+    std::string encode_summary(std::vector<SummaryRecordGroup>& record_groups) const;
 };
 
 }  // namespace relidar::codecs

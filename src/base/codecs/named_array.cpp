@@ -19,12 +19,12 @@ namespace relidar {
 namespace {
 
 template <class T>
-NamedArray make_typed_array(std::string name, std::vector<std::size_t> shape, const char* dtype,
-                            const T* values, std::size_t count) {
+NamedArray typed_array(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values,
+                       std::size_t count) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
-    if (array.count_array_elements() != count)
+    if (array.element_count() != count)
         fail("array '{}' has {} values, expected {} for the shape [{}]", array.name, count,
-             array.count_array_elements(), fmt::join(array.shape, ", "));
+             array.element_count(), fmt::join(array.shape, ", "));
     array.bytes.resize(count * sizeof(T));
     if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
     return array;
@@ -60,7 +60,7 @@ template <class Out>
 using Converter = std::vector<Out> (*)(const NamedArray&);
 
 template <class Out>
-Converter<Out> find_element_converter(std::string_view dtype) {
+Converter<Out> find_converter(std::string_view dtype) {
     static constexpr std::array<std::pair<std::string_view, Converter<Out>>, 12> kConverters{{
         {"f2", convert_elements<Out, Half>},
         {"f4", convert_elements<Out, float>},
@@ -81,9 +81,9 @@ Converter<Out> find_element_converter(std::string_view dtype) {
 }
 
 template <class Out>
-std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
-    codecs::require_valid_array_type_and_size(array);
-    const Converter<Out> function = find_element_converter<Out>(array.dtype);
+std::vector<Out> convert_numeric(const NamedArray& array) {
+    codecs::check_array(array);
+    const Converter<Out> function = find_converter<Out>(array.dtype);
     if (!function)
         fail("array '{}' has values of the type '{}', expected numbers such as 'f4' or 'i4'", array.name,
              array.dtype);
@@ -91,7 +91,7 @@ std::vector<Out> require_numeric_and_convert_elements(const NamedArray& array) {
 }
 
 /// Returns 4 if the byte cannot begin a sequence.
-std::size_t count_utf8_continuation_bytes(unsigned char first) {
+std::size_t utf8_tail_size(unsigned char first) {
     if (first < 0x80) return 0;
     if (first >> 5 == 6) return 1;
     if (first >> 4 == 14) return 2;
@@ -99,22 +99,22 @@ std::size_t count_utf8_continuation_bytes(unsigned char first) {
 }
 
 /// Replaces each invalid byte with U+FFFD.
-std::u32string decode_utf8_code_points(std::string_view utf8) {
-    // kLeast by length: a longer sequence for a smaller code point is invalid.
-    constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
+std::u32string decode_utf8(std::string_view utf8) {
+    // kMinCodePoint by length: a longer sequence for a smaller code point is invalid.
+    constexpr char32_t kReplacementCharacter = 0xFFFD, kMinCodePoint[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {
         const auto first = static_cast<unsigned char>(utf8[i]);
-        const std::size_t more = count_utf8_continuation_bytes(first);
+        const std::size_t more = utf8_tail_size(first);
         char32_t point = more == 0 ? first : first & (0x3Fu >> more);
         std::size_t n = 1;
         for (; more < 4 && n <= more && i + n < utf8.size() &&
                (static_cast<unsigned char>(utf8[i + n]) & 0xC0) == 0x80;
              ++n)
             point = point << 6 | (static_cast<unsigned char>(utf8[i + n]) & 0x3F);
-        const bool valid = more < 4 && n == more + 1 && point >= kLeast[more] && point <= 0x10FFFF &&
+        const bool valid = more < 4 && n == more + 1 && point >= kMinCodePoint[more] && point <= 0x10FFFF &&
                            (point < 0xD800 || point > 0xDFFF);
-        points.push_back(valid ? point : kReplacement);
+        points.push_back(valid ? point : kReplacementCharacter);
         i += valid ? n : 1;
     }
     return points;
@@ -124,7 +124,7 @@ std::u32string decode_utf8_code_points(std::string_view utf8) {
 
 namespace codecs {
 
-std::size_t get_element_size_bytes(std::string_view numpy_type) {
+std::size_t element_bytes(std::string_view numpy_type) {
     if (numpy_type.starts_with('S') || numpy_type.starts_with('U')) {
         std::uint32_t length = 0;
         const auto [end, error] =
@@ -132,12 +132,12 @@ std::size_t get_element_size_bytes(std::string_view numpy_type) {
         if (error != std::errc() || end != numpy_type.data() + numpy_type.size()) return 0;
         return length * (numpy_type[0] == 'U' ? sizeof(char32_t) : 1);
     }
-    if (!find_element_converter<float>(numpy_type)) return 0;
+    if (!find_converter<float>(numpy_type)) return 0;
     return std::size_t(numpy_type[1] - '0');
 }
 
-std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_t>& shape,
-                                                    std::size_t element_size_bytes) {
+std::optional<std::size_t> array_bytes(const std::vector<std::size_t>& shape,
+                                       std::size_t element_size_bytes) {
     std::size_t product = element_size_bytes;
     bool overflow = false, empty = false;
     for (std::size_t extent : shape) {
@@ -149,11 +149,11 @@ std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_
     return product;
 }
 
-void require_valid_array_type_and_size(const NamedArray& array) {
+void check_array(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
-    const std::size_t size = get_element_size_bytes(array.dtype);
+    const std::size_t size = element_bytes(array.dtype);
     if (size == 0) fail("array '{}' has the type '{}', which is not supported", array.name, array.dtype);
-    const auto expected = compute_array_size_bytes(array.shape, size);
+    const auto expected = array_bytes(array.shape, size);
     if (!expected || *expected != array.bytes.size())
         fail("array '{}' has {} bytes, which do not fit the shape [{}] and the type {}", array.name,
              array.bytes.size(), fmt::join(array.shape, ", "), array.dtype);
@@ -161,8 +161,8 @@ void require_valid_array_type_and_size(const NamedArray& array) {
 
 }  // namespace codecs
 
-std::size_t NamedArray::count_array_elements() const {
-    const auto n = codecs::compute_array_size_bytes(shape, 1);
+std::size_t NamedArray::element_count() const {
+    const auto n = codecs::array_bytes(shape, 1);
     if (!n) fail("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", "));
     return *n;
 }
@@ -172,32 +172,28 @@ const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_
     return match == arrays.end() ? nullptr : &*match;
 }
 
-std::vector<float> NamedArray::convert_to_floats() const {
-    return require_numeric_and_convert_elements<float>(*this);
-}
-std::vector<double> NamedArray::convert_to_doubles() const {
-    return require_numeric_and_convert_elements<double>(*this);
-}
+std::vector<float> NamedArray::to_floats() const { return convert_numeric<float>(*this); }
+std::vector<double> NamedArray::to_doubles() const { return convert_numeric<double>(*this); }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
                       std::size_t count) {
-    return make_typed_array(std::move(name), std::move(shape), "f4", values, count);
+    return typed_array(std::move(name), std::move(shape), "f4", values, count);
 }
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
                       std::size_t count) {
-    return make_typed_array(std::move(name), std::move(shape), "f8", values, count);
+    return typed_array(std::move(name), std::move(shape), "f8", values, count);
 }
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
                       std::size_t count) {
-    return make_typed_array(std::move(name), std::move(shape), "i4", values, count);
+    return typed_array(std::move(name), std::move(shape), "i4", values, count);
 }
 
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
                       std::size_t count) {
-    return make_typed_array(std::move(name), std::move(shape), "u2", values, count);
+    return typed_array(std::move(name), std::move(shape), "u2", values, count);
 }
 
-NamedArray make_single_text_array(std::string name, const std::string& text) {
+NamedArray single_text(std::string name, const std::string& text) {
     NamedArray array = make_text_array(std::move(name), {text});
     array.shape = {};
     return array;
@@ -207,7 +203,7 @@ NamedArray make_text_array(std::string name, const std::vector<std::string>& tex
     std::vector<std::u32string> letters;
     std::size_t length = 1;
     for (const std::string& text : texts)
-        length = std::max(length, letters.emplace_back(decode_utf8_code_points(text)).size());
+        length = std::max(length, letters.emplace_back(decode_utf8(text)).size());
     const std::size_t size = length * sizeof(char32_t);
     NamedArray array{std::move(name),
                      fmt::format("U{}", length),

@@ -12,14 +12,13 @@
 namespace relidar::codecs {
 
 /// Returns 0 if NamedArray does not support the type.
-std::size_t get_element_size_bytes(std::string_view numpy_type);
+std::size_t element_bytes(std::string_view numpy_type);
 
 /// Returns nullopt if the size does not fit into std::size_t.
-std::optional<std::size_t> compute_array_size_bytes(const std::vector<std::size_t>& shape,
-                                                    std::size_t element_size_bytes);
+std::optional<std::size_t> array_bytes(const std::vector<std::size_t>& shape, std::size_t element_size_bytes);
 
 /// @throws DataError if the array has no name, an unknown type, or a number of bytes that
 /// does not match its shape
-void require_valid_array_type_and_size(const NamedArray& array);
+void check_array(const NamedArray& array);
 
 }  // namespace relidar::codecs

@@ -22,7 +22,7 @@ namespace relidar::codecs {
 namespace {
 
 constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
-constexpr std::size_t kAlignment = 64;
+constexpr std::size_t kNpyAlignment = 64;
 
 /// Parses the header of a .npy file, which is a Python dict, from left to right.
 class NpyHeaderParser {
@@ -30,22 +30,20 @@ public:
     explicit NpyHeaderParser(std::string_view text) : text_(text) {}
 
     void parse_header() {
-        skip_required_character('{');
-        while (!skip_spaces_and_character_if_next('}')) {
-            const std::string key = parse_quoted_string();
-            skip_required_character(':');
+        expect_character('{');
+        while (!accept_character('}')) {
+            const std::string key = parse_string();
+            expect_character(':');
             if (key == "descr") {
-                if (skip_spaces_and_test_next_character('['))
-                    throw_header_error("contains a struct type, expected a plain number type");
-                descr = parse_quoted_string();
+                if (next_is('[')) fail_header("contains a struct type, expected a plain number type");
+                descr = parse_string();
             } else if (key == "fortran_order") fortran_order = parse_boolean();
-            else if (key == "shape") shape = parse_integer_tuple();
-            else throw_header_error("has the unknown key '" + key + "'");
-            if (!skip_spaces_and_character_if_next(',') && !skip_spaces_and_test_next_character('}'))
-                throw_header_error("is malformed");
+            else if (key == "shape") shape = parse_tuple();
+            else fail_header("has the unknown key '" + key + "'");
+            if (!accept_character(',') && !next_is('}')) fail_header("is malformed");
         }
         if (!descr || !fortran_order || !shape)
-            throw_header_error("has no descr, fortran_order or shape, expected all of them");
+            fail_header("has no descr, fortran_order or shape, expected all of them");
     }
 
     std::optional<std::string> descr;
@@ -53,60 +51,58 @@ public:
     std::optional<std::vector<std::size_t>> shape;
 
 private:
-    [[noreturn]] static void throw_header_error(const std::string& reason) {
+    [[noreturn]] static void fail_header(const std::string& reason) {
         throw DataError("the npy header " + reason);
     }
 
-    bool skip_spaces_and_test_next_character(char character) {
+    bool next_is(char character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n' || text_[0] == '\t'))
             text_.remove_prefix(1);
         return !text_.empty() && text_[0] == character;
     }
-    bool skip_spaces_and_character_if_next(char character) {
-        if (!skip_spaces_and_test_next_character(character)) return false;
+    bool accept_character(char character) {
+        if (!next_is(character)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void skip_required_character(char character) {
-        if (!skip_spaces_and_character_if_next(character)) throw_header_error("is malformed");
+    void expect_character(char character) {
+        if (!accept_character(character)) fail_header("is malformed");
     }
-    bool skip_word_if_next(std::string_view word) {
-        skip_spaces_and_test_next_character(' ');
+    bool accept_word(std::string_view word) {
+        next_is(' ');
         if (!text_.starts_with(word)) return false;
         text_.remove_prefix(word.size());
         return true;
     }
-    std::string parse_quoted_string() {
-        const char quote = skip_spaces_and_test_next_character('"') ? '"' : '\'';
-        skip_required_character(quote);
+    std::string parse_string() {
+        const char quote = next_is('"') ? '"' : '\'';
+        expect_character(quote);
         const std::size_t end = text_.find(quote);
-        if (end == std::string_view::npos) throw_header_error("is malformed");
+        if (end == std::string_view::npos) fail_header("is malformed");
         std::string result(text_.substr(0, end));
         text_.remove_prefix(end + 1);
         return result;
     }
     bool parse_boolean() {
-        if (skip_word_if_next("True")) return true;
-        if (skip_word_if_next("False")) return false;
-        throw_header_error("is malformed");
+        if (accept_word("True")) return true;
+        if (accept_word("False")) return false;
+        fail_header("is malformed");
     }
     std::size_t parse_integer() {
-        skip_spaces_and_test_next_character(' ');
+        next_is(' ');
         std::size_t value = 0;
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
-        if (error != std::errc()) throw_header_error("contains an invalid shape, expected whole numbers");
+        if (error != std::errc()) fail_header("contains an invalid shape, expected whole numbers");
         text_.remove_prefix(std::size_t(end - text_.data()));
-        skip_spaces_and_character_if_next(
-            'L');  // Accepts the suffix L, which Python 2 writes after long integers.
+        accept_character('L');  // Accepts the suffix L, which Python 2 writes after long integers.
         return value;
     }
-    std::vector<std::size_t> parse_integer_tuple() {
+    std::vector<std::size_t> parse_tuple() {
         std::vector<std::size_t> result;
-        skip_required_character('(');
-        while (!skip_spaces_and_character_if_next(')')) {
+        expect_character('(');
+        while (!accept_character(')')) {
             result.push_back(parse_integer());
-            if (!skip_spaces_and_character_if_next(',') && !skip_spaces_and_test_next_character(')'))
-                throw_header_error("is malformed");
+            if (!accept_character(',') && !next_is(')')) fail_header("is malformed");
         }
         return result;
     }
@@ -114,11 +110,11 @@ private:
     std::string_view text_;
 };
 
-std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_byte_order) {
+std::string parse_dtype(const std::string& numpy_type_with_byte_order) {
     const std::string_view type =
         std::string_view(numpy_type_with_byte_order).substr(numpy_type_with_byte_order.empty() ? 0 : 1);
     const char order = numpy_type_with_byte_order.empty() ? '?' : numpy_type_with_byte_order[0];
-    const std::size_t size = get_element_size_bytes(type);
+    const std::size_t size = element_bytes(type);
     if (size == 0) fail("type '{}' is not supported", numpy_type_with_byte_order);
     if (order != '<' && !(order == '|' && (size == 1 || type.starts_with('S'))))
         fail("type '{}' is big-endian, expected little-endian", numpy_type_with_byte_order);
@@ -126,8 +122,8 @@ std::string parse_little_endian_numpy_type(const std::string& numpy_type_with_by
 }
 
 /// In Fortran order, the first index varies fastest.
-void convert_to_row_major_order(NamedArray& array) {
-    const std::size_t size = get_element_size_bytes(array.dtype), n_dimensions = array.shape.size();
+void make_row_major(NamedArray& array) {
+    const std::size_t size = element_bytes(array.dtype), n_dimensions = array.shape.size();
     const std::vector<std::byte> column_major = array.bytes;
     std::vector<std::size_t> index(n_dimensions, 0);
     for (std::size_t to = 0; to < array.bytes.size(); to += size) {
@@ -141,7 +137,7 @@ void convert_to_row_major_order(NamedArray& array) {
 }  // namespace
 
 std::string make_npy_header(const NamedArray& array) {
-    const char order = get_element_size_bytes(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
+    const char order = element_bytes(array.dtype) == 1 || array.dtype.starts_with('S') ? '|' : '<';
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
@@ -149,9 +145,10 @@ std::string make_npy_header(const NamedArray& array) {
     if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);
-    constexpr std::size_t kPrefix = 10;  // Number of bytes of magic, version and length.
-    const std::size_t total = (kPrefix + dict.size() + 1 + kAlignment - 1) / kAlignment * kAlignment;
-    dict.resize(total - kPrefix - 1, ' ');
+    constexpr std::size_t kPrefixBytes = 10;  // Number of bytes of magic, version and length.
+    const std::size_t total =
+        (kPrefixBytes + dict.size() + 1 + kNpyAlignment - 1) / kNpyAlignment * kNpyAlignment;
+    dict.resize(total - kPrefixBytes - 1, ' ');
     dict += '\n';
     if (dict.size() > 0xFFFF)
         fail("array '{}' has {} dimensions, which are more than an npy file can store", array.name,
@@ -174,13 +171,13 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
 
     NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse_header();
-    NamedArray array{array_name, parse_little_endian_numpy_type(*header.descr), *header.shape, {}};
-    const auto n_expected_bytes = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
+    NamedArray array{array_name, parse_dtype(*header.descr), *header.shape, {}};
+    const auto n_expected_bytes = array_bytes(array.shape, element_bytes(array.dtype));
     const std::size_t n_value_bytes = bytes.size() - start - length;
     if (!n_expected_bytes || *n_expected_bytes != n_value_bytes)
         fail("the {} bytes of values do not fit the shape of the array", n_value_bytes);
     array.bytes.assign(bytes.end() - std::ptrdiff_t(n_value_bytes), bytes.end());
-    if (*header.fortran_order) convert_to_row_major_order(array);
+    if (*header.fortran_order) make_row_major(array);
     return array;
 }
 

@@ -34,9 +34,9 @@ ZipArchive open_zip(const std::vector<std::byte>& bytes) {
 }
 
 NamedArray read_zip_entry(zip_t* archive, const zip_stat_t& entry) {
-    constexpr std::string_view kSuffix = ".npy";
+    constexpr std::string_view kNpySuffix = ".npy";
     std::string name = entry.name;
-    if (name.size() <= kSuffix.size() || !name.ends_with(kSuffix))
+    if (name.size() <= kNpySuffix.size() || !name.ends_with(kNpySuffix))
         fail("the name of the entry does not end in .npy, expected an array of NumPy");
     if (entry.size / kMaxExpansion > entry.comp_size)
         fail("{} bytes of compressed data cannot unpack to {} bytes", entry.comp_size, entry.size);
@@ -49,7 +49,7 @@ NamedArray read_zip_entry(zip_t* archive, const zip_stat_t& entry) {
     std::byte more;
     if (n_read != zip_int64_t(bytes.size()) || zip_fread(file.get(), &more, 1) != 0)
         fail("found {} of {} bytes: {}", n_read, bytes.size(), zip_file_strerror(file.get()));
-    name.resize(name.size() - kSuffix.size());
+    name.resize(name.size() - kNpySuffix.size());
     return codecs::parse_npy(name, bytes);
 }
 

@@ -26,7 +26,7 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     if (arrays.empty()) fail("found no array, expected at least one");
     std::set<std::string> names;
     for (const NamedArray& array : arrays) {
-        codecs::require_valid_array_type_and_size(array);
+        codecs::check_array(array);
         if (!names.insert(array.name).second) fail("array name '{}' is used twice", array.name);
     }
 }
@@ -67,7 +67,7 @@ zip_source_t* make_zip(const std::vector<NamedArray>& arrays) {
 }  // namespace
 
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays) {
-    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
         check_arrays(arrays);
         const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> zip(make_zip(arrays),
                                                                             zip_source_free);

@@ -20,21 +20,20 @@ namespace relidar {
 
 namespace {
 
-void append_big_endian_uint32(std::string& bytes, std::uint32_t value) {
+void append_be32(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
 /// An uncompressed iTXt chunk, because the simplified interface of libpng writes no text.
-std::string make_png_text_chunk(const std::string& keyword, const std::string& text) {
+std::string make_text_chunk(const std::string& keyword, const std::string& text) {
     // The zero bytes: end of the name, not compressed, method 0, no language, no
     // translation.
     const std::string body = "iTXt" + keyword + std::string(5, '\0') + text;
     std::string chunk;
-    append_big_endian_uint32(chunk, static_cast<std::uint32_t>(body.size() - 4));
+    append_be32(chunk, static_cast<std::uint32_t>(body.size() - 4));
     chunk += body;
-    append_big_endian_uint32(
-        chunk, static_cast<std::uint32_t>(
-                   crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()))));
+    append_be32(chunk, static_cast<std::uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(body.data()),
+                                                        static_cast<uInt>(body.size()))));
     return chunk;
 }
 
@@ -62,7 +61,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileMetadata& met
     if (!done) throw DataError("cannot encode a PNG image: " + message);
     bytes.resize(size);
     std::string chunks;
-    for (const auto& [name, text] : metadata) chunks += make_png_text_chunk(name, text);
+    for (const auto& [name, text] : metadata) chunks += make_text_chunk(name, text);
     bytes.insert(bytes.begin() + kAfterHeader, chunks.begin(), chunks.end());
     return bytes;
 }

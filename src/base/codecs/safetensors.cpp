@@ -25,15 +25,15 @@ namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
-using codecs::compute_array_size_bytes;
-using codecs::get_element_size_bytes;
+using codecs::array_bytes;
+using codecs::element_bytes;
 
 // Bytes. The format allows 100 MB, but a parsed header needs 24 times as much memory.
 constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
-constexpr const char* kMetadata = "__metadata__";
+constexpr const char* kMetadataKey = "__metadata__";
 
-constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
+constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypeNames{{
     {"BOOL", "b1"},
     {"U8", "u1"},
     {"I8", "i1"},
@@ -49,36 +49,34 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 }};
 
 /// @throws DataError if safetensors has no such type, for example text
-std::string convert_numpy_to_safetensors_type(const std::string& numpy_type) {
-    const auto it = std::find_if(kTypes.begin(), kTypes.end(),
+std::string to_safetensors(const std::string& numpy_type) {
+    const auto it = std::find_if(kTypeNames.begin(), kTypeNames.end(),
                                  [&](const auto& type) { return type.second == numpy_type; });
-    if (it == kTypes.end()) fail("the type '{}' is not supported by safetensors", numpy_type);
+    if (it == kTypeNames.end()) fail("the type '{}' is not supported by safetensors", numpy_type);
     return std::string(it->first);
 }
 
-std::string convert_safetensors_to_numpy_type(const std::string& array_name_for_errors,
-                                              const std::string& safetensors_type) {
-    const auto it = std::find_if(kTypes.begin(), kTypes.end(),
+std::string to_numpy(const std::string& array_name_for_errors, const std::string& safetensors_type) {
+    const auto it = std::find_if(kTypeNames.begin(), kTypeNames.end(),
                                  [&](const auto& known) { return known.first == safetensors_type; });
-    if (it == kTypes.end())
+    if (it == kTypeNames.end())
         fail("array '{}' has the type '{}', which is not supported", array_name_for_errors,
-             shorten_for_error_message(safetensors_type));
+             quote(safetensors_type));
     return std::string(it->second);
 }
 
-std::string make_safetensors_header(const std::vector<NamedArray>& arrays,
-                                    const std::map<std::string, std::string>& metadata) {
+std::string make_header(const std::vector<NamedArray>& arrays,
+                        const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
-    if (!metadata.empty()) header[kMetadata] = metadata;
+    if (!metadata.empty()) header[kMetadataKey] = metadata;
     std::size_t offset = 0;
     for (const NamedArray& array : arrays) {
-        codecs::require_valid_array_type_and_size(array);
-        if (array.name == kMetadata || header.contains(array.name))
+        codecs::check_array(array);
+        if (array.name == kMetadataKey || header.contains(array.name))
             fail("array name '{}' is reserved or used twice", array.name);
         const std::size_t end = offset + array.bytes.size();
-        header[array.name] = {{"dtype", convert_numpy_to_safetensors_type(array.dtype)},
-                              {"shape", array.shape},
-                              {"data_offsets", {offset, end}}};
+        header[array.name] = {
+            {"dtype", to_safetensors(array.dtype)}, {"shape", array.shape}, {"data_offsets", {offset, end}}};
         offset = end;
     }
     std::string text = header.dump();
@@ -97,7 +95,7 @@ struct SafetensorsHeader {
     std::size_t data_start = 0;
 };
 
-SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_bytes) {
+SafetensorsHeader parse_header(const std::vector<std::byte>& file_bytes) {
     SafetensorsHeader header;
     std::uint64_t size = 0;
     if (file_bytes.size() < sizeof size)
@@ -124,14 +122,14 @@ SafetensorsHeader parse_safetensors_header(const std::vector<std::byte>& file_by
         throw DataError("the header contains an array twice, expected each array once");
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
-            fail("the name of array '{}' has {} bytes, expected at most {}", shorten_for_error_message(name),
-                 name.size(), kMaxName);
+            fail("the name of array '{}' has {} bytes, expected at most {}", quote(name), name.size(),
+                 kMaxName);
     }
     return header;
 }
 
-std::vector<std::size_t> parse_integer_list(const std::string& array_name_for_errors, const Json& array_json,
-                                            const char* member_name) {
+std::vector<std::size_t> parse_integers(const std::string& array_name_for_errors, const Json& array_json,
+                                        const char* member_name) {
     if (!array_json.is_object() || !array_json.contains(member_name) || !array_json[member_name].is_array())
         fail("array '{}': the header has no list of integers '{}'", array_name_for_errors, member_name);
     if (array_json[member_name].size() > kMaxDimensions)
@@ -151,46 +149,44 @@ struct DataByteRange {
     std::size_t begin = 0, end = 0;
 };
 
-std::pair<NamedArray, DataByteRange> parse_array_description(const std::string& array_name,
-                                                             const Json& array_json,
-                                                             std::size_t n_data_bytes) {
+std::pair<NamedArray, DataByteRange> parse_array(const std::string& array_name, const Json& array_json,
+                                                 std::size_t n_data_bytes) {
     if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
         fail("array '{}': the header has no dtype, expected a data type such as 'F32'", array_name);
     NamedArray array{array_name,
-                     convert_safetensors_to_numpy_type(array_name, array_json["dtype"].get<std::string>()),
-                     parse_integer_list(array_name, array_json, "shape"),
+                     to_numpy(array_name, array_json["dtype"].get<std::string>()),
+                     parse_integers(array_name, array_json, "shape"),
                      {}};
-    const std::vector<std::size_t> offsets = parse_integer_list(array_name, array_json, "data_offsets");
+    const std::vector<std::size_t> offsets = parse_integers(array_name, array_json, "data_offsets");
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data_bytes)
         fail("array '{}': data_offsets [{}] are outside the {} bytes of data", array_name,
              fmt::join(offsets, ", "), n_data_bytes);
-    const auto expected = compute_array_size_bytes(array.shape, get_element_size_bytes(array.dtype));
+    const auto expected = array_bytes(array.shape, element_bytes(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
         fail("array '{}' has {} bytes, which do not fit its shape", array_name, offsets[1] - offsets[0]);
     return {std::move(array), DataByteRange{offsets[0], offsets[1]}};
 }
 
-std::map<std::string, std::string> parse_safetensors_metadata(const Json& metadata_json) {
+std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
     std::map<std::string, std::string> result;
     if (!metadata_json.is_object()) throw DataError("the header key __metadata__ is not a JSON object");
     for (const auto& [key, value] : metadata_json.items()) {
-        if (!value.is_string())
-            fail("the value of '{}' in __metadata__ is not a text", shorten_for_error_message(key));
+        if (!value.is_string()) fail("the value of '{}' in __metadata__ is not a text", quote(key));
         result[key] = value.get<std::string>();
     }
     return result;
 }
 
-std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& file_bytes,
-                                               std::map<std::string, std::string>* metadata) {
-    const SafetensorsHeader header = parse_safetensors_header(file_bytes);
+std::vector<NamedArray> parse_file(const std::vector<std::byte>& file_bytes,
+                                   std::map<std::string, std::string>* metadata) {
+    const SafetensorsHeader header = parse_header(file_bytes);
     const std::size_t n_data = file_bytes.size() - header.data_start;
     std::vector<std::pair<NamedArray, DataByteRange>> entries;
     std::map<std::string, std::string> file_metadata;
     for (const std::string& name : header.names) {
         const Json& entry = header.json.at(name);
-        if (name == kMetadata) file_metadata = parse_safetensors_metadata(entry);
-        else entries.push_back(parse_array_description(name, entry, n_data));
+        if (name == kMetadataKey) file_metadata = parse_metadata(entry);
+        else entries.push_back(parse_array(name, entry, n_data));
     }
     std::stable_sort(entries.begin(), entries.end(), [](const auto& first, const auto& second) {
         return std::pair(first.second.begin, first.second.end) <
@@ -217,8 +213,8 @@ std::vector<NamedArray> parse_safetensors_file(const std::vector<std::byte>& fil
 
 void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const std::map<std::string, std::string>& metadata) {
-    write_file_atomically(path, [&](const std::filesystem::path& temporary) {
-        const std::string header = make_safetensors_header(arrays, metadata);
+    write_atomically(path, [&](const std::filesystem::path& temporary) {
+        const std::string header = make_header(arrays, metadata);
         const std::uint64_t size = header.size();
         codecs::OutputFile file(temporary);
         file.write(&size, sizeof size);
@@ -232,7 +228,7 @@ std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata) {
     const std::vector<std::byte> file = codecs::read_file(path);
     try {
-        return parse_safetensors_file(file, metadata);
+        return parse_file(file, metadata);
     } catch (const std::exception& error) {
         fail("cannot read safetensors '{}': {}", path.string(), error.what());
     }

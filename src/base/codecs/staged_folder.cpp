@@ -23,33 +23,33 @@ namespace {
 namespace fs = std::filesystem;
 
 // File in each temporary folder. Its process locks it. Other programs have no such file.
-constexpr const char* kMarker = ".relidar_staged";
-constexpr std::string_view kTemporary = ".tmp-";
+constexpr const char* kMarkerFile = ".relidar_staged";
+constexpr std::string_view kTemporaryInfix = ".tmp-";
 
 /// True for a temporary folder (.NAME.tmp-PID) whose process no longer exists. A process
 /// on another machine may have the same folder, so its lock counts, too.
 /// @param own_prefix ".NAME.tmp-"; such folders are abandoned even without a marker
-bool is_abandoned_folder(const fs::path& path, const std::string& own_prefix) {
+bool is_abandoned(const fs::path& path, const std::string& own_prefix) {
     const std::string name = path.filename().string();
-    const std::size_t at = name.rfind(kTemporary);
+    const std::size_t at = name.rfind(kTemporaryInfix);
     if (!name.starts_with('.') || at == std::string::npos) return false;
     pid_t process = 0;
     const char* last = name.data() + name.size();
-    const auto [end, error] = std::from_chars(name.data() + at + kTemporary.size(), last, process);
+    const auto [end, error] = std::from_chars(name.data() + at + kTemporaryInfix.size(), last, process);
     if (error != std::errc() || end != last || process <= 0) return false;
     if (::kill(process, 0) == 0 || errno != ESRCH) return false;
-    const int marker = ::open((path / kMarker).c_str(), O_RDWR | O_CLOEXEC);
+    const int marker = ::open((path / kMarkerFile).c_str(), O_RDWR | O_CLOEXEC);
     if (marker < 0) return errno == ENOENT && name.starts_with(own_prefix);
     const bool is_unlocked = ::flock(marker, LOCK_EX | LOCK_NB) == 0;
     ::close(marker);
     return is_unlocked;
 }
 
-void remove_folders_of_dead_processes(const fs::path& parent_folder, const std::string& own_prefix) {
+void remove_abandoned(const fs::path& parent_folder, const std::string& own_prefix) {
     std::error_code failed;
     std::vector<fs::path> abandoned;
     for (const auto& entry : fs::directory_iterator(parent_folder, failed))
-        if (is_abandoned_folder(entry.path(), own_prefix)) abandoned.push_back(entry.path());
+        if (is_abandoned(entry.path(), own_prefix)) abandoned.push_back(entry.path());
     for (const fs::path& path : abandoned) fs::remove_all(path, failed);
 }
 
@@ -57,14 +57,14 @@ void remove_folders_of_dead_processes(const fs::path& parent_folder, const std::
 
 StagedFolder::StagedFolder(const fs::path& final_path)
     : final_path_((fs::absolute(final_path) / "").lexically_normal().parent_path()) {
-    const std::string prefix = fmt::format(".{}{}", final_path_.filename().string(), kTemporary);
-    remove_folders_of_dead_processes(final_path_.parent_path(), prefix);
+    const std::string prefix = fmt::format(".{}{}", final_path_.filename().string(), kTemporaryInfix);
+    remove_abandoned(final_path_.parent_path(), prefix);
     path_ = final_path_.parent_path() / fmt::format("{}{}", prefix, ::getpid());
     std::error_code failed;
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
     if (failed) fail("cannot create the folder {}: {}", path_.string(), failed.message());
-    marker_ = ::open((path_ / kMarker).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    marker_ = ::open((path_ / kMarkerFile).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
     if (marker_ >= 0) (void)::flock(marker_, LOCK_EX | LOCK_NB);
 }
 
@@ -74,8 +74,8 @@ StagedFolder::~StagedFolder() {
     if (marker_ >= 0) ::close(marker_);
 }
 
-void StagedFolder::move_folder_without_replacing_existing() const {
-    ::unlink((path_ / kMarker).c_str());
+void StagedFolder::publish_folder() const {
+    ::unlink((path_ / kMarkerFile).c_str());
     // rename() replaces only an empty folder.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
     const int error = errno;
@@ -87,8 +87,8 @@ void StagedFolder::move_folder_without_replacing_existing() const {
                                       final_path_.string(), std::generic_category().message(error)));
 }
 
-void StagedFolder::move_folder_and_replace_existing() const {
-    ::unlink((path_ / kMarker).c_str());
+void StagedFolder::replace_folder() const {
+    ::unlink((path_ / kMarkerFile).c_str());
 #ifdef RENAME_EXCHANGE
     // The old folder then has the temporary name, and the destructor deletes it.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, final_path_.c_str(), RENAME_EXCHANGE) == 0) return;

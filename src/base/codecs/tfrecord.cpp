@@ -18,9 +18,9 @@ namespace relidar {
 namespace {
 
 // Sizes in bytes of a record's header (before the data) and footer (after the data).
-constexpr std::uint64_t kHeader = 12, kFooter = 4;
+constexpr std::uint64_t kHeaderBytes = 12, kFooterBytes = 4;
 
-constexpr std::array<std::uint32_t, 256> make_crc32c_table() {
+constexpr std::array<std::uint32_t, 256> make_crc_table() {
     std::array<std::uint32_t, 256> table{};
     for (std::uint32_t byte = 0; byte < 256; ++byte) {
         std::uint32_t c = byte;
@@ -31,7 +31,7 @@ constexpr std::array<std::uint32_t, 256> make_crc32c_table() {
 }
 
 template <class T>
-T read_unaligned_value(const char* bytes) {
+T load_value(const char* bytes) {
     T value;
     std::memcpy(&value, bytes, sizeof value);
     return value;
@@ -39,10 +39,10 @@ T read_unaligned_value(const char* bytes) {
 
 }  // namespace
 
-std::uint32_t compute_masked_crc32c(std::string_view bytes) {
-    static constexpr std::array<std::uint32_t, 256> kTable = make_crc32c_table();
+std::uint32_t masked_crc32c(std::string_view bytes) {
+    static constexpr std::array<std::uint32_t, 256> kCrcTable = make_crc_table();
     std::uint32_t c = ~0u;
-    for (const char byte : bytes) c = kTable[(c ^ static_cast<unsigned char>(byte)) & 0xFF] ^ (c >> 8);
+    for (const char byte : bytes) c = kCrcTable[(c ^ static_cast<unsigned char>(byte)) & 0xFF] ^ (c >> 8);
     c = ~c;
     return ((c >> 15) | (c << 17)) + 0xa282ead8u;
 }
@@ -54,36 +54,36 @@ TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(fil
     if (end < 0) fail("cannot read {}", file_.string());
     for (std::uint64_t at = 0, left = std::uint64_t(end); left > 0;) {
         const std::string where = fmt::format("{}: record {}", file_.string(), records_.size());
-        std::array<char, kHeader> header{};
+        std::array<char, kHeaderBytes> header{};
         in.seekg(std::streamoff(at));
-        if (left < kHeader || !in.read(header.data(), kHeader))
-            fail("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader);
-        if (read_unaligned_value<std::uint32_t>(&header[8]) != compute_masked_crc32c({header.data(), 8}))
+        if (left < kHeaderBytes || !in.read(header.data(), kHeaderBytes))
+            fail("{} is truncated: its header has {} bytes, expected {}", where, left, kHeaderBytes);
+        if (load_value<std::uint32_t>(&header[8]) != masked_crc32c({header.data(), 8}))
             fail("{}: the checksum (CRC) of its length is wrong, so the file is damaged or no TFRecord file",
                  where);
-        const auto size = read_unaligned_value<std::uint64_t>(header.data());
-        left -= kHeader;
-        if (left < kFooter || size > left - kFooter)
-            fail("{} is truncated: its length is {} bytes + {} of checksum, found {}", where, size, kFooter,
-                 left);
-        records_.push_back({at + kHeader, size});
-        at += kHeader + size + kFooter;
-        left -= size + kFooter;
+        const auto size = load_value<std::uint64_t>(header.data());
+        left -= kHeaderBytes;
+        if (left < kFooterBytes || size > left - kFooterBytes)
+            fail("{} is truncated: its length is {} bytes + {} of checksum, found {}", where, size,
+                 kFooterBytes, left);
+        records_.push_back({at + kHeaderBytes, size});
+        at += kHeaderBytes + size + kFooterBytes;
+        left -= size + kFooterBytes;
     }
     if (records_.empty())
         fail("{} is empty, expected a TFRecord file with at least one record", file_.string());
 }
 
-std::string TfRecordReader::read_record_data(std::size_t record_index) const {
+std::string TfRecordReader::read_record(std::size_t record_index) const {
     const RecordByteRange& byte_range = records_[record_index];
-    std::string data(byte_range.size + kFooter, '\0');
+    std::string data(byte_range.size + kFooterBytes, '\0');
     std::ifstream in(file_, std::ios::binary);
     in.seekg(std::streamoff(byte_range.begin));
     if (!in.read(data.data(), std::streamsize(data.size())))
         fail("{}: record {}: cannot read its {} bytes", file_.string(), record_index, data.size());
-    const auto crc = read_unaligned_value<std::uint32_t>(&data[byte_range.size]);
+    const auto crc = load_value<std::uint32_t>(&data[byte_range.size]);
     data.resize(byte_range.size);
-    if (crc != compute_masked_crc32c(data))
+    if (crc != masked_crc32c(data))
         fail("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged", file_.string(),
              record_index);
     return data;

@@ -13,7 +13,7 @@
 namespace relidar {
 
 /// CRC-32C (Castagnoli) rotated right by 15 bits, plus 0xa282ead8.
-std::uint32_t compute_masked_crc32c(std::string_view bytes);
+std::uint32_t masked_crc32c(std::string_view bytes);
 
 /// Reads the data of a record only when it is requested.
 class TfRecordReader {
@@ -22,10 +22,10 @@ public:
     explicit TfRecordReader(std::filesystem::path file);
 
     std::size_t size() const { return records_.size(); }
-    const std::filesystem::path& get_file_path() const { return file_; }
+    const std::filesystem::path& file_path() const { return file_; }
     /// Thread-safe.
     /// @throws DataError if the record cannot be read or its CRC is wrong
-    std::string read_record_data(std::size_t record_index) const;
+    std::string read_record(std::size_t record_index) const;
 
 private:
     struct RecordByteRange {

@@ -10,7 +10,7 @@
 namespace relidar {
 
 /// 21 bits per axis: unique only within 2^20 cells of the origin.
-inline std::uint64_t compute_grid_cell_key(const glm::dvec3& point_m, double cell_size_m) {
+inline std::uint64_t grid_key(const glm::dvec3& point_m, double cell_size_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)
         key = key << 21 | (std::uint64_t(std::int64_t(std::floor(point_m[axis] / cell_size_m))) & 0x1FFFFFu);

@@ -14,19 +14,18 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kParts = 32;
+constexpr std::size_t kHashParts = 32;
 constexpr std::size_t kItemsPerBlock = 1 << 16;
 
-/// Items of one block, in kParts lists by the hash of their keys.
-using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kParts>;
+/// Items of one block, in kHashParts lists by the hash of their keys.
+using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kHashParts>;
 
-std::vector<ItemIndicesByPart> partition_item_indices_by_key_hash(
-    std::span<const std::uint64_t> cell_key_per_item) {
+std::vector<ItemIndicesByPart> partition_by_hash(std::span<const std::uint64_t> cell_key_per_item) {
     std::vector<ItemIndicesByPart> blocks((cell_key_per_item.size() + kItemsPerBlock - 1) / kItemsPerBlock);
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {
         const std::size_t begin = std::size_t(s) * kItemsPerBlock;
         for (std::size_t i = begin; i < std::min(cell_key_per_item.size(), begin + kItemsPerBlock); ++i)
-            blocks[std::size_t(s)][hash_integer(cell_key_per_item[i]) % kParts].push_back(
+            blocks[std::size_t(s)][hash_integer(cell_key_per_item[i]) % kHashParts].push_back(
                 static_cast<std::uint32_t>(i));
     });
     return blocks;
@@ -34,13 +33,13 @@ std::vector<ItemIndicesByPart> partition_item_indices_by_key_hash(
 
 }  // namespace
 
-ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item) {
-    const std::vector<ItemIndicesByPart> blocks = partition_item_indices_by_key_hash(cell_key_per_item);
+ItemCellIndices number_cells(std::span<const std::uint64_t> cell_key_per_item) {
+    const std::vector<ItemIndicesByPart> blocks = partition_by_hash(cell_key_per_item);
     ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
     // The first loop stores in `numbers.of` the index of the first item in the same cell,
     // which the last loop replaces by cell numbers.
     std::vector<std::uint32_t>& first = numbers.of;
-    parallel_for(kParts, [&](int part) {
+    parallel_for(kHashParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;
         for (const ItemIndicesByPart& items : blocks)
             for (const std::uint32_t i : items[std::size_t(part)])
@@ -49,8 +48,8 @@ ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cel
     std::vector<std::uint32_t> number(cell_key_per_item.size());
     for (std::uint32_t i = 0; i < cell_key_per_item.size(); ++i)
         if (first[i] == i) number[i] = static_cast<std::uint32_t>(numbers.n_cells++);
-    parallel_for_in_blocks(cell_key_per_item.size(),
-                           [&](std::size_t index) { numbers.of[index] = number[first[index]]; });
+    parallel_blocks(cell_key_per_item.size(),
+                    [&](std::size_t index) { numbers.of[index] = number[first[index]]; });
     return numbers;
 }
 

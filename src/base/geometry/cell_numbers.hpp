@@ -16,12 +16,12 @@ struct ItemCellIndices {
     std::size_t n_cells = 0;
 };
 /// Numbers the grid cells that contain items: 0, 1, 2, ...
-ItemCellIndices number_cells_and_assign_items(std::span<const std::uint64_t> cell_key_per_item);
+ItemCellIndices number_cells(std::span<const std::uint64_t> cell_key_per_item);
 template <class KeyOf>
-ItemCellIndices number_cells_and_assign_items(std::size_t n_items, const KeyOf& get_cell_key) {
+ItemCellIndices number_cells(std::size_t n_items, const KeyOf& key_of) {
     std::vector<std::uint64_t> keys(n_items);
-    parallel_for_in_blocks(n_items, [&](std::size_t index) { keys[index] = get_cell_key(index); });
-    return number_cells_and_assign_items(keys);
+    parallel_blocks(n_items, [&](std::size_t index) { keys[index] = key_of(index); });
+    return number_cells(keys);
 }
 
 class CellItemLists {
@@ -29,7 +29,7 @@ public:
     explicit CellItemLists(const ItemCellIndices& numbers);
 
     std::size_t size() const { return first_.size() - 1; }
-    std::span<const std::uint32_t> get_item_indices_of_cell(std::size_t cell_number) const {
+    std::span<const std::uint32_t> items_of(std::size_t cell_number) const {
         return std::span(items_).subspan(first_[cell_number], first_[cell_number + 1] - first_[cell_number]);
     }
 

@@ -24,18 +24,14 @@ public:
         delete;  // Not copyable, because the tree refers to `points_`.
     NearestPointFinder& operator=(const NearestPointFinder&) = delete;
 
-    std::pair<std::size_t, Scalar> find_nearest_with_squared_distance(const Point& query_point) const {
+    std::pair<std::size_t, Scalar> nearest(const Point& query_point) const {
         std::pair<std::size_t, Scalar> index_and_squared_distance{0, Scalar(0)};
         tree_.knnSearch(&query_point.x, 1, &index_and_squared_distance.first,
                         &index_and_squared_distance.second);
         return index_and_squared_distance;
     }
-    std::size_t find_nearest_point_index(const Point& query_point) const {
-        return find_nearest_with_squared_distance(query_point).first;
-    }
-    Scalar compute_nearest_squared_distance(const Point& query_point) const {
-        return find_nearest_with_squared_distance(query_point).second;
-    }
+    std::size_t nearest_index(const Point& query_point) const { return nearest(query_point).first; }
+    Scalar nearest_distance_sq(const Point& query_point) const { return nearest(query_point).second; }
 
 private:
     struct KdTreePoints {

@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-ProxyShape resolve_automatic_proxy_shape(ProxyShape requested_shape, const Device& device) {
-    if (device.get_ray_tracing_backend() == RayTracingBackend::software) return ProxyShape::boxes;
+ProxyShape resolve_proxy(ProxyShape requested_shape, const Device& device) {
+    if (device.backend() == RayTracingBackend::software) return ProxyShape::boxes;
     if (requested_shape != ProxyShape::automatic) return requested_shape;
     // GPUs intersect triangles faster than boxes, because they do so in hardware.
     return device.info().type == "CPU" ? ProxyShape::boxes : ProxyShape::triangles;
@@ -31,25 +31,24 @@ struct AccelerationStructure::Impl {
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
-        : options(o), proxy(resolve_automatic_proxy_shape(o.proxy, device)) {
-        if (device.get_ray_tracing_backend() == RayTracingBackend::software)
-            software = std::make_unique<Bvh>(device, scene);
+        : options(o), proxy(resolve_proxy(o.proxy, device)) {
+        if (device.backend() == RayTracingBackend::software) software = std::make_unique<Bvh>(device, scene);
         else hardware = std::make_unique<RayQueryAccel>(device, scene, proxy);
     }
 
     void build_tree(Stream& stream, const DeviceScene& scene) {
-        if (hardware) hardware->record_build_or_refit(stream, scene, options, {{0, scene.size()}}, false);
+        if (hardware) hardware->record_build(stream, scene, options, {{0, scene.size()}}, false);
         else software->build_trees(stream, scene, options);
     }
     void refit_tree(Stream& stream, const DeviceScene& scene, const std::vector<SurfelRange>& ranges) {
-        if (hardware) hardware->record_build_or_refit(stream, scene, options, ranges, true);
+        if (hardware) hardware->record_build(stream, scene, options, ranges, true);
         else software->refit_trees(stream, scene, options, ranges);
     }
 };
 
 namespace {
 
-std::vector<SurfelRange> list_animated_surfel_ranges(const std::vector<SurfelModel>& models) {
+std::vector<SurfelRange> animated_ranges(const std::vector<SurfelModel>& models) {
     std::vector<SurfelRange> ranges;
     for (const SurfelModel& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
@@ -67,8 +66,7 @@ AccelerationStructure::AccelerationStructure(Device& device, const DeviceScene& 
     : impl_(std::make_unique<Impl>(device, scene, options)) {}
 AccelerationStructure::~AccelerationStructure() = default;
 
-void AccelerationStructure::record_bvh_refit_or_build(Stream& stream, const DeviceScene& scene,
-                                                      bool force_rebuild) {
+void AccelerationStructure::record_refit(Stream& stream, const DeviceScene& scene, bool force_rebuild) {
     Impl& a = *impl_;
     const bool rebuild = force_rebuild || !a.built || a.outgrown ||
                          (a.options.rebuild_every > 0 && a.refits >= a.options.rebuild_every);
@@ -86,41 +84,41 @@ void AccelerationStructure::record_bvh_refit_or_build(Stream& stream, const Devi
     a.cost_when_built = 0.0;
 }
 
-void AccelerationStructure::record_refit_of_animated_actor_bvhs(Stream& stream, const DeviceScene& scene) {
+void AccelerationStructure::refit_animated(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
-    if (!a.built) return record_bvh_refit_or_build(stream, scene);
+    if (!a.built) return record_refit(stream, scene);
     // `refits` is not increased here. This counter triggers rebuilds, because refits
     // usually degrade a tree. A walking actor repeats the same shapes, so its refits do
     // not degrade the tree.
-    a.refit_tree(stream, scene, list_animated_surfel_ranges(scene.get_scene_layout().models));
+    a.refit_tree(stream, scene, animated_ranges(scene.layout().models));
     ++a.n_updates;
 }
 
-void AccelerationStructure::record_top_level_bvh_update(Stream& stream, const DeviceScene& scene) {
-    if (impl_->hardware) impl_->hardware->rebuild_top_level_structure(stream, scene);
-    else impl_->software->rebuild_top_level_tree(stream, scene);
+void AccelerationStructure::record_top_level(Stream& stream, const DeviceScene& scene) {
+    if (impl_->hardware) impl_->hardware->rebuild_top_level(stream, scene);
+    else impl_->software->rebuild_top_level(stream, scene);
 }
 
-void AccelerationStructure::record_bvh_cost_measurement(Stream& stream) {
+void AccelerationStructure::record_cost(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
-    if (const std::optional<double> cost = a.software->read_traversal_cost(stream); cost && a.measured) {
+    if (const std::optional<double> cost = a.software->read_cost(stream); cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
     }
-    a.software->record_traversal_cost_measurement(stream);
+    a.software->measure_cost(stream);
     a.measured = true;
 }
 
-AccelAddresses AccelerationStructure::get_device_addresses() const {
+AccelAddresses AccelerationStructure::addresses() const {
     AccelAddresses addresses;
-    if (impl_->software) addresses.bvh = impl_->software->get_bvh_gpu_addresses();
-    else impl_->hardware->write_ray_query_gpu_addresses(addresses);
+    if (impl_->software) addresses.bvh = impl_->software->bvh_addresses();
+    else impl_->hardware->write_addresses(addresses);
     return addresses;
 }
 
-ProxyShape AccelerationStructure::get_proxy_shape_of_surfels() const { return impl_->proxy; }
-std::uint64_t AccelerationStructure::get_build_and_refit_count() const { return impl_->n_updates; }
-int AccelerationStructure::count_refits_since_build() const { return impl_->refits; }
+ProxyShape AccelerationStructure::proxy_shape() const { return impl_->proxy; }
+std::uint64_t AccelerationStructure::n_updates() const { return impl_->n_updates; }
+int AccelerationStructure::n_refits() const { return impl_->refits; }
 
 }  // namespace relidar

@@ -22,8 +22,8 @@ static_assert(sizeof(shared::BvhNode) == 80);
 
 namespace {
 
-constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-constexpr SpecialisationConstant kShares{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroup};
+constexpr std::uint32_t kWorkgroupSize = RELIDAR_BVH_WORKGROUP;
+constexpr SpecialisationConstant kWorkgroupConstant{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroupSize};
 
 // Number of threads that refit a tree on a CPU. Each of the n threads processes every
 // n-th node, so that all cores have about the same amount of work.
@@ -31,15 +31,17 @@ constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
 /// Rounds the length of an array in scratch memory up to a multiple of 4 words. The next
 /// array is then aligned to 16 bytes.
-std::uint32_t round_up_to_multiple_of_4(std::uint32_t count) { return (count + 3) / 4 * 4; }
+std::uint32_t round_up_4(std::uint32_t count) { return (count + 3) / 4 * 4; }
 
-std::uint32_t count_workgroups(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
-std::uint32_t count_surfel_tiles(std::uint32_t n_surfels) {
+std::uint32_t count_workgroups(std::uint32_t n_threads) {
+    return (n_threads + kWorkgroupSize - 1) / kWorkgroupSize;
+}
+std::uint32_t surfel_tiles(std::uint32_t n_surfels) {
     return (n_surfels + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE;
 }
 
 /// @throws DeviceError if the device lacks a feature that the kernels need
-std::uint32_t get_subgroup_size(const Device& device) {
+std::uint32_t subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
         fail<DeviceError>("cannot trace rays in software on {}: the device lacks {}", info.name,
@@ -47,13 +49,13 @@ std::uint32_t get_subgroup_size(const Device& device) {
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 
-std::vector<std::uint32_t> get_model_index_per_instance(const DeviceScene& scene) {
+std::vector<std::uint32_t> instance_models(const DeviceScene& scene) {
     std::vector<std::uint32_t> models;
-    for (const ModelInstance& instance : scene.get_scene_layout().instances) models.push_back(instance.model);
+    for (const ModelInstance& instance : scene.layout().instances) models.push_back(instance.model);
     return models;
 }
 
-std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
+std::uint32_t count_top_nodes(std::uint32_t n_instances) {
     std::uint32_t n_nodes = 0;
     do {
         n_instances = std::max((n_instances + 7) / 8, 1u);
@@ -65,7 +67,7 @@ std::uint32_t count_top_level_nodes(std::uint32_t n_instances) {
 }  // namespace
 
 /// Value above all surfel indices. If `last_surfel` has this value,
-/// compute_node_boxes_of_models() processes all models.
+/// compute_node_boxes() processes all models.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
 /// Offsets of arrays in the scratch memory of a build. Offset k is word k * n_surfels.
@@ -113,64 +115,64 @@ struct Bvh::Impl {
     ReadbackBuffer costs;
 
     Impl(Device& device, const DeviceScene& scene);
-    shared::BvhBinary get_binary_bvh_gpu_addresses() const;
-    shared::BvhWide get_wide_bvh_gpu_addresses() const;
+    shared::BvhBinary binary_bvh() const;
+    shared::BvhWide wide_bvh() const;
     template <class T, class Meaning>
-    Address<T, Meaning> get_scratch_array_address(std::uint32_t offset_words_per_surfel) const {
-        return scratch.address_as<T, Meaning>(offset_words_per_surfel *
-                                              std::size_t(round_up_to_multiple_of_4(n)));
+    Address<T, Meaning> scratch_at(std::uint32_t offset_words_per_surfel) const {
+        return scratch.address_as<T, Meaning>(offset_words_per_surfel * std::size_t(round_up_4(n)));
     }
     /// Returns the offset of one of the two buffers of sort keys in scratch memory. The
     /// radix sort reads one buffer and writes the other. The sorted keys are in buffer 0.
-    std::uint32_t get_sort_keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
-    SortBuffers get_sort_buffer_gpu_addresses(int set_index) const;
-    std::uint32_t compute_max_tree_levels() const;
-    void collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& scene);
-    std::uint32_t count_sort_key_bits() const {
+    std::uint32_t keys_offset(int set_index) const { return set_index == 0 ? kKeysAt : kCostsAt; }
+    SortBuffers sort_buffers(int set_index) const;
+    std::uint32_t max_levels() const;
+    void collapse_tree(Stream& stream, const DeviceScene& scene);
+    std::uint32_t n_key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS +
                static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
     }
-    void compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                              const SurfelRange& range);
-    SortBuffers sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene);
-    void compute_node_boxes_of_models(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
+    void compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                       const SurfelRange& range);
+    SortBuffers sort_surfels(Stream& stream, const DeviceScene& scene);
+    void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
 };
 
 Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
     : n(scene.size()),
-      n_models(static_cast<std::uint32_t>(scene.get_scene_layout().models.size())),
-      n_instances(static_cast<std::uint32_t>(scene.get_scene_layout().instances.size())),
-      bound(compute_max_node_count(n, n_models)),
-      n_refitting(should_coalesce_memory_access(d) ? RELIDAR_BVH_WIDTH * bound
-                                                   : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
+      n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
+      n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
+      bound(max_node_count(n, n_models)),
+      n_refitting(should_coalesce(d) ? RELIDAR_BVH_WIDTH * bound
+                                     : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
       proxies(d, "diff/accel/proxies",
               {{SpecialisationConstantId::BOXES, 2u},
                {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
-      bounds_kernel(d, "diff/accel/bvh_bounds", {kShares}, SubgroupRequirement::full),
+      bounds_kernel(d, "diff/accel/bvh_bounds", {kWorkgroupConstant}, SubgroupRequirement::full),
       keys_kernel(d, "diff/accel/bvh_keys"),
       sort(d, n, 2),
-      cluster(d, "diff/accel/bvh_cluster", {{SpecialisationConstantId::WORKGROUP_SIZE, get_subgroup_size(d)}},
+      cluster(d, "diff/accel/bvh_cluster", {{SpecialisationConstantId::WORKGROUP_SIZE, subgroup_size(d)}},
               SubgroupRequirement::full),
       wide_mark(d, "diff/accel/bvh_wide_mark"),
-      wide_mark_rest(d, "diff/accel/bvh_wide_mark", {kShares, {SpecialisationConstantId::UNTIL_DONE, 1u}}),
-      wide_count(d, "diff/accel/bvh_wide_count", {kShares}, SubgroupRequirement::full),
-      wide_scan(d, "diff/accel/bvh_wide_scan", {kShares}, SubgroupRequirement::full),
+      wide_mark_rest(d, "diff/accel/bvh_wide_mark",
+                     {kWorkgroupConstant, {SpecialisationConstantId::UNTIL_DONE, 1u}}),
+      wide_count(d, "diff/accel/bvh_wide_count", {kWorkgroupConstant}, SubgroupRequirement::full),
+      wide_scan(d, "diff/accel/bvh_wide_scan", {kWorkgroupConstant}, SubgroupRequirement::full),
       wide_place(d, "diff/accel/bvh_wide_place"),
       wide_emit(d, "diff/accel/bvh_wide_emit"),
-      refit_kernel(d, "diff/accel/bvh_refit", {{SpecialisationConstantId::LANES, get_subgroup_size(d)}},
+      refit_kernel(d, "diff/accel/bvh_refit", {{SpecialisationConstantId::LANES, subgroup_size(d)}},
                    SubgroupRequirement::full),
-      top(d, "diff/accel/bvh_top", {kShares}, SubgroupRequirement::full),
-      cost_kernel(d, "diff/accel/bvh_cost", {kShares}, SubgroupRequirement::full),
-      model_of(d, get_model_index_per_instance(scene), "models of the instances"),
+      top(d, "diff/accel/bvh_top", {kWorkgroupConstant}, SubgroupRequirement::full),
+      cost_kernel(d, "diff/accel/bvh_cost", {kWorkgroupConstant}, SubgroupRequirement::full),
+      model_of(d, instance_models(scene), "models of the instances"),
       boxes(d, 6 * std::size_t(n), "surfel boxes"),
       bounds(d, 6 * std::size_t(n_models), "model bounds"),
       scratch(d,
-              std::max(kScratchWords * std::size_t(round_up_to_multiple_of_4(n)),
-                       kSlotsAt * std::size_t(round_up_to_multiple_of_4(n)) + 8 * std::size_t(bound)),
+              std::max(kScratchWords * std::size_t(round_up_4(n)),
+                       kSlotsAt * std::size_t(round_up_4(n)) + 8 * std::size_t(bound)),
               "acceleration structure scratch"),
       queue(d, bound, "collapse queue"),
-      level_sizes(d, compute_max_tree_levels() + 1, "collapse levels"),
-      tiles(d, count_surfel_tiles(n), "collapse sums"),
+      level_sizes(d, max_levels() + 1, "collapse levels"),
+      tiles(d, surfel_tiles(n), "collapse sums"),
       nodes(d, bound, "wide nodes"),
       order(d, n, "surfels in leaf order"),
       links(d, bound, "wide node links"),
@@ -179,29 +181,29 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       count(d, 1, "wide node count"),
       roots(d, n_instances, "instance roots"),
       top_order(d, n_instances, "instances in leaf order"),
-      top_node_array(d, count_top_level_nodes(n_instances), "top nodes"),
-      top_boxes(d, 6 * (std::size_t(n_instances) + count_top_level_nodes(n_instances)), "instance boxes"),
+      top_node_array(d, count_top_nodes(n_instances), "top nodes"),
+      top_boxes(d, 6 * (std::size_t(n_instances) + count_top_nodes(n_instances)), "instance boxes"),
       top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"),
       cost_sums(d, count_workgroups(bound), "cost sums"),
       costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
 
 /// Returns an upper bound of the number of tree levels: the levels of a full tree with
 /// `bound` nodes, plus 4 because real trees are uneven.
-std::uint32_t Bvh::Impl::compute_max_tree_levels() const {
+std::uint32_t Bvh::Impl::max_levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
     return n_levels;
 }
 
-shared::BvhBinary Bvh::Impl::get_binary_bvh_gpu_addresses() const {
-    return {.children = get_scratch_array_address<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
-            .boxes = get_scratch_array_address<float, shared::BinaryBoxes>(kBoxesAt),
-            .costs = get_scratch_array_address<float, shared::BinaryCosts>(kCostsAt),
-            .decisions = get_scratch_array_address<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
-            .spares = get_scratch_array_address<std::uint32_t, shared::SpareNodes>(kSparesAt)};
+shared::BvhBinary Bvh::Impl::binary_bvh() const {
+    return {.children = scratch_at<glm::uvec2, shared::BinaryChildren>(kChildrenAt),
+            .boxes = scratch_at<float, shared::BinaryBoxes>(kBoxesAt),
+            .costs = scratch_at<float, shared::BinaryCosts>(kCostsAt),
+            .decisions = scratch_at<std::uint32_t, shared::BinaryDecisions>(kDecisionsAt),
+            .spares = scratch_at<std::uint32_t, shared::SpareNodes>(kSparesAt)};
 }
 
-shared::BvhWide Bvh::Impl::get_wide_bvh_gpu_addresses() const {
+shared::BvhWide Bvh::Impl::wide_bvh() const {
     return {.nodes = nodes.address(),
             .order = order.address(),
             .links = links.address(),
@@ -210,17 +212,15 @@ shared::BvhWide Bvh::Impl::get_wide_bvh_gpu_addresses() const {
             .count = count.address()};
 }
 
-SortBuffers Bvh::Impl::get_sort_buffer_gpu_addresses(int set_index) const {
-    return {
-        .keys = get_scratch_array_address<std::uint32_t, shared::SortKeys>(get_sort_keys_offset(set_index)),
-        .order = get_scratch_array_address<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt
-                                                                                            : kCostsAt + 2)};
+SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
+    return {.keys = scratch_at<std::uint32_t, shared::SortKeys>(keys_offset(set_index)),
+            .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
-void Bvh::Impl::compute_surfel_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                                     const SurfelRange& range) {
+void Bvh::Impl::compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                              const SurfelRange& range) {
     run(stream, proxies, range.count,
-        {.records = scene.get_surfel_records().address(),
+        {.records = scene.surfel_records().address(),
          .vertices = {},
          .boxes = boxes.address(),
          .reach = {},
@@ -231,64 +231,61 @@ void Bvh::Impl::compute_surfel_boxes(Stream& stream, const DeviceScene& scene, c
          .n_surfels = range.count});
 }
 
-SortBuffers Bvh::Impl::sort_surfels_by_morton_code(Stream& stream, const DeviceScene& scene) {
+SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
-    run(stream, bounds_kernel, std::size_t(count_surfel_tiles(n)) * kWorkgroup,
+    run(stream, bounds_kernel, std::size_t(surfel_tiles(n)) * kWorkgroupSize,
         {.boxes = boxes.address(),
-         .models = scene.get_model_table().address(),
+         .models = scene.model_table().address(),
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
     // Each pass of the radix sort moves the keys from one of two buffers to the other.
     // The number of passes decides which buffer is first, so that the sorted keys end in
     // buffer 0.
-    const int first_set = static_cast<int>(RadixSort::count_radix_passes(count_sort_key_bits()) % 2);
+    const int first_set = static_cast<int>(RadixSort::pass_count(n_key_bits()) % 2);
     run(stream, keys_kernel, n,
-        {.records = scene.get_surfel_records().address(),
-         .models = scene.get_model_table().address(),
+        {.records = scene.surfel_records().address(),
+         .models = scene.model_table().address(),
          .bounds = bounds.address(),
-         .keys = get_scratch_array_address<glm::uvec2, shared::MortonKeys>(get_sort_keys_offset(first_set)),
-         .other_ends = get_scratch_array_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .demands = get_scratch_array_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+         .keys = scratch_at<glm::uvec2, shared::MortonKeys>(keys_offset(first_set)),
+         .other_ends = scratch_at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .demands = scratch_at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
          .n_surfels = n,
          .n_models = n_models});
-    return sort.run(stream, get_sort_buffer_gpu_addresses(first_set),
-                    get_sort_buffer_gpu_addresses(1 - first_set), count_sort_key_bits());
+    return sort.run(stream, sort_buffers(first_set), sort_buffers(1 - first_set), n_key_bits());
 }
 
-void Bvh::Impl::collapse_binary_to_wide_tree(Stream& stream, const DeviceScene& scene) {
+void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
-    shared::BvhWideParams params{
-        .tree = get_binary_bvh_gpu_addresses(),
-        .wide = get_wide_bvh_gpu_addresses(),
-        .queue = queue.address(),
-        .slots = get_scratch_array_address<std::uint32_t, shared::WideSlots>(kSlotsAt),
-        .level_sizes = level_sizes.address(),
-        .demands = get_scratch_array_address<std::uint32_t, shared::SlotDemands>(kDemandsAt),
-        .offsets = get_scratch_array_address<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
-        .tiles = tiles.address(),
-        .places = get_scratch_array_address<std::uint32_t, shared::WidePlaces>(kWideNodeIndicesAt),
-        .surfels = get_scratch_array_address<std::uint32_t, shared::SortedSurfels>(kValuesAt),
-        .models = scene.get_model_table().address(),
-        .n_surfels = n,
-        .n_tiles = count_surfel_tiles(n),
-        .n_models = n_models,
-        .bound = bound,
-        .level = 0};
-    for (std::uint64_t width = n_models; params.level < compute_max_tree_levels() - 1;
+    shared::BvhWideParams params{.tree = binary_bvh(),
+                                 .wide = wide_bvh(),
+                                 .queue = queue.address(),
+                                 .slots = scratch_at<std::uint32_t, shared::WideSlots>(kSlotsAt),
+                                 .level_sizes = level_sizes.address(),
+                                 .demands = scratch_at<std::uint32_t, shared::SlotDemands>(kDemandsAt),
+                                 .offsets = scratch_at<glm::uvec2, shared::TileOffsets>(kOffsetsAt),
+                                 .tiles = tiles.address(),
+                                 .places = scratch_at<std::uint32_t, shared::WidePlaces>(kWideNodeIndicesAt),
+                                 .surfels = scratch_at<std::uint32_t, shared::SortedSurfels>(kValuesAt),
+                                 .models = scene.model_table().address(),
+                                 .n_surfels = n,
+                                 .n_tiles = surfel_tiles(n),
+                                 .n_models = n_models,
+                                 .bound = bound,
+                                 .level = 0};
+    for (std::uint64_t width = n_models; params.level < max_levels() - 1;
          ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
         run(stream, wide_mark, width, params);
-    run(stream, wide_mark_rest, kWorkgroup, params);
-    run(stream, wide_count, std::size_t(count_surfel_tiles(n)) * kWorkgroup, params);
-    run(stream, wide_scan, kWorkgroup, params);
+    run(stream, wide_mark_rest, kWorkgroupSize, params);
+    run(stream, wide_count, std::size_t(surfel_tiles(n)) * kWorkgroupSize, params);
+    run(stream, wide_scan, kWorkgroupSize, params);
     run(stream, wide_place, bound, params);
     run(stream, wide_emit, bound, params);
 }
 
-void Bvh::Impl::compute_node_boxes_of_models(Stream& stream, std::uint32_t first_surfel,
-                                             std::uint32_t last_surfel) {
+void Bvh::Impl::compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
     run(stream, refit_kernel, n_refitting,
-        {.wide = get_wide_bvh_gpu_addresses(),
+        {.wide = wide_bvh(),
          .boxes = boxes.address(),
          .bound = bound,
          .first_surfel = first_surfel,
@@ -310,41 +307,41 @@ Bvh::~Bvh() = default;
 
 void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& b = *impl_;
-    b.compute_surfel_boxes(stream, scene, options, {0, b.n});
-    const SortBuffers sorted = b.sort_surfels_by_morton_code(stream, scene);
+    b.compute_boxes(stream, scene, options, {0, b.n});
+    const SortBuffers sorted = b.sort_surfels(stream, scene);
     run(stream, b.cluster, b.n,
-        {.tree = b.get_binary_bvh_gpu_addresses(),
+        {.tree = b.binary_bvh(),
          .boxes = b.boxes.address(),
-         .keys = b.get_scratch_array_address<glm::uvec2, shared::MortonKeys>(kKeysAt),
-         .surfels = sorted.order.cast_content_tag<shared::SortedSurfels>(),
-         .models = scene.get_model_table().address(),
-         .other_ends = b.get_scratch_array_address<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
-         .clusters = b.get_scratch_array_address<std::uint32_t, shared::BinaryClusters>(kClustersAt),
+         .keys = b.scratch_at<glm::uvec2, shared::MortonKeys>(kKeysAt),
+         .surfels = sorted.order.cast_tag<shared::SortedSurfels>(),
+         .models = scene.model_table().address(),
+         .other_ends = b.scratch_at<std::uint32_t, shared::OtherEnds>(kOtherEndsAt),
+         .clusters = b.scratch_at<std::uint32_t, shared::BinaryClusters>(kClustersAt),
          .roots = b.queue.address(),
          .n_surfels = b.n,
          .n_models = b.n_models});
-    b.collapse_binary_to_wide_tree(stream, scene);
-    b.compute_node_boxes_of_models(stream, 0, kAllModels);
-    rebuild_top_level_tree(stream, scene);
+    b.collapse_tree(stream, scene);
+    b.compute_node_boxes(stream, 0, kAllModels);
+    rebuild_top_level(stream, scene);
 }
 
 void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                       const std::vector<SurfelRange>& ranges) {
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
-        impl_->compute_surfel_boxes(stream, scene, options, {first, count});
-        impl_->compute_node_boxes_of_models(stream, first, first + count - 1);
+        impl_->compute_boxes(stream, scene, options, {first, count});
+        impl_->compute_node_boxes(stream, first, first + count - 1);
     }
-    rebuild_top_level_tree(stream, scene);
+    rebuild_top_level(stream, scene);
 }
 
-void Bvh::rebuild_top_level_tree(Stream& stream, const DeviceScene& scene) {
+void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     Impl& b = *impl_;
-    run(stream, b.top, kWorkgroup,
-        {.bvh = get_bvh_gpu_addresses(),
-         .instances = scene.get_instance_table().address(),
+    run(stream, b.top, kWorkgroupSize,
+        {.bvh = bvh_addresses(),
+         .instances = scene.instance_table().address(),
          .model_of = b.model_of.address(),
-         .models = scene.get_model_table().address(),
+         .models = scene.model_table().address(),
          .model_boxes = b.node_boxes.address(),
          .boxes = b.top_boxes.address(),
          .keys = b.top_keys.address(),
@@ -352,7 +349,7 @@ void Bvh::rebuild_top_level_tree(Stream& stream, const DeviceScene& scene) {
          .n_padded = static_cast<std::uint32_t>(b.top_keys.size())});
 }
 
-shared::BvhPointers Bvh::get_bvh_gpu_addresses() const {
+shared::BvhPointers Bvh::bvh_addresses() const {
     const Impl& b = *impl_;
     return {.nodes = b.nodes.address(),
             .order = b.order.address(),
@@ -369,20 +366,20 @@ HostBvhCopy Bvh::download_bvh() const {
     return host;
 }
 
-void Bvh::record_traversal_cost_measurement(Stream& stream) {
+void Bvh::measure_cost(Stream& stream) {
     Impl& b = *impl_;
     run(stream, b.cost_kernel, b.bound,
-        {.wide = b.get_wide_bvh_gpu_addresses(),
+        {.wide = b.wide_bvh(),
          .boxes = b.boxes.address(),
          .partial = b.cost_sums.address(),
          .bound = b.bound});
-    b.costs.record_copy_to_host(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
+    b.costs.record_copy(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 
-std::optional<double> Bvh::read_traversal_cost(Stream& stream) {
+std::optional<double> Bvh::read_cost(Stream& stream) {
     Impl& b = *impl_;
-    if (!b.costs.has_pending_copy()) return std::nullopt;
-    const float* sums = static_cast<const float*>(b.costs.wait_for_copied_bytes(stream));
+    if (!b.costs.is_pending()) return std::nullopt;
+    const float* sums = static_cast<const float*>(b.costs.wait_for_bytes(stream));
     return std::accumulate(sums, sums + b.cost_sums.size(), 0.0);
 }
 

@@ -47,21 +47,21 @@ public:
     /// @param ranges models to update. The surfels of other models must not have changed
     void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                      const std::vector<SurfelRange>& ranges);
-    void rebuild_top_level_tree(Stream& stream, const DeviceScene& scene);
+    void rebuild_top_level(Stream& stream, const DeviceScene& scene);
 
-    shared::BvhPointers get_bvh_gpu_addresses() const;
+    shared::BvhPointers bvh_addresses() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area
-    /// heuristic, m^2). read_traversal_cost() waits for the cost and returns it. It
+    /// heuristic, m^2). read_cost() waits for the cost and returns it. It
     /// returns nothing if no measurement was recorded. A rebuild is useful if the cost is
     /// much higher than after the last build.
-    void record_traversal_cost_measurement(Stream& stream);
-    std::optional<double> read_traversal_cost(Stream& stream);
+    void measure_cost(Stream& stream);
+    std::optional<double> read_cost(Stream& stream);
     /// For tests. Waits for the device. All recorded commands must be submitted.
     HostBvhCopy download_bvh() const;
 
     /// Returns the maximum number of nodes in the trees of all models: n / 4 nodes for n
     /// surfels, plus one root per model.
-    static std::uint32_t compute_max_node_count(std::uint32_t n_surfels, std::uint32_t n_models) {
+    static std::uint32_t max_node_count(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }
 

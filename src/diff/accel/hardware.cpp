@@ -23,19 +23,17 @@ struct VulkanAccelStructure {
     std::uint64_t address = 0;
 
     VulkanAccelStructure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
-                         const std::string& description)
+                         const std::string& text)
         : device(&owner.impl()) {
-        storage = std::make_unique<Buffer>(owner, size, description);
+        storage = std::make_unique<Buffer>(owner, size, text);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
         info.buffer = storage->impl().handle;
         info.size = size;
         info.type = type;
-        gpu::throw_unless_vulkan_success(
-            vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
-            "vkCreateAccelerationStructureKHR");
-        gpu::set_vulkan_object_name(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle,
-                                    description);
+        gpu::vk_check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
+                      "vkCreateAccelerationStructureKHR");
+        gpu::set_object_name(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, text);
         VkAccelerationStructureDeviceAddressInfoKHR query{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
         query.accelerationStructure = handle;
@@ -56,8 +54,7 @@ struct BuildInput {
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
-    VkAccelerationStructureBuildSizesInfoKHR query_build_sizes(Device::Impl& device,
-                                                               std::uint32_t n_primitives) {
+    VkAccelerationStructureBuildSizesInfoKHR query_sizes(Device::Impl& device, std::uint32_t n_primitives) {
         range.primitiveCount = n_primitives;
         info.geometryCount = 1;
         info.pGeometries = &geometry;
@@ -68,7 +65,7 @@ struct BuildInput {
         return result;
     }
 
-    void set_build_target(const VulkanAccelStructure& target, bool update, std::uint64_t scratch_address) {
+    void set_target(const VulkanAccelStructure& target, bool update, std::uint64_t scratch_address) {
         info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR
                            : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
         info.srcAccelerationStructure = update ? target.handle : VK_NULL_HANDLE;
@@ -79,8 +76,7 @@ struct BuildInput {
 
 /// Records a single command for all builds, so that the device can run them concurrently.
 /// The command gets a copy of the inputs.
-void record_accel_structure_builds(Stream::Impl& stream, const std::string& command_name,
-                                   std::vector<BuildInput> inputs) {
+void record_builds(Stream::Impl& stream, const std::string& command_name, std::vector<BuildInput> inputs) {
     stream.record_command(command_name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
         std::vector<const VkAccelerationStructureBuildRangeInfoKHR*> ranges;
@@ -101,8 +97,8 @@ struct ProxyTriangleMesh {
     std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
 };
 
-const ProxyTriangleMesh kRectangle{4, {0, 1, 2, 2, 3, 0}};
-const ProxyTriangleMesh kIcosahedron{
+const ProxyTriangleMesh kRectangleMesh{4, {0, 1, 2, 2, 3, 0}};
+const ProxyTriangleMesh kIcosahedronMesh{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
@@ -140,8 +136,7 @@ struct RayQueryAccel::Impl {
 
     Impl(Device& device, const Scene& layout, ProxyShape p, PrimitiveType primitive)
         : proxy(p),
-          mesh(get_primitive_properties(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedron
-                                                                                  : kRectangle),
+          mesh(properties_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedronMesh : kRectangleMesh),
           proxies(device, "diff/accel/proxies",
                   {{SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
                    {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
@@ -149,23 +144,22 @@ struct RayQueryAccel::Impl {
                       {{SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
           radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
           moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
-        if (&mesh == &kIcosahedron && proxy == ProxyShape::triangles)
+        if (&mesh == &kIcosahedronMesh && proxy == ProxyShape::triangles)
             reach = Array<std::uint32_t>(
                 device, 1, "largest distance from a hit to a corner of the bounding icosahedron");
     }
 
-    void append_blas_build_input(const SurfelModel& model);
-    void compute_proxy_shapes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                              const SurfelRange& range);
-    void compute_model_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                             const SurfelRange& range);
-    void upload_moving_instances(Stream::Impl& stream,
-                                 const std::vector<shared::MovingInstance>& moving_instances);
-    std::uint64_t write_instances_and_get_address(Stream::Impl& stream, const DeviceScene& scene);
+    void append_blas(const SurfelModel& model);
+    void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                         const SurfelRange& range);
+    void compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                       const SurfelRange& range);
+    void upload_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& moving_instances);
+    std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
 /// The geometry is not opaque, so that the shader can test every candidate hit.
-void RayQueryAccel::Impl::append_blas_build_input(const SurfelModel& model) {
+void RayQueryAccel::Impl::append_blas(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
@@ -190,30 +184,29 @@ void RayQueryAccel::Impl::append_blas_build_input(const SurfelModel& model) {
                        VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-void RayQueryAccel::Impl::upload_moving_instances(
-    Stream::Impl& stream, const std::vector<shared::MovingInstance>& moving_instances) {
+void RayQueryAccel::Impl::upload_moving(Stream::Impl& stream,
+                                        const std::vector<shared::MovingInstance>& moving_instances) {
     n_moving = static_cast<std::uint32_t>(moving_instances.size());
     if (n_moving > 0)
-        stream.record_buffer_write(moving.buffer(), moving_instances.data(),
-                                   moving_instances.size() * sizeof(moving_instances[0]));
+        stream.record_write(moving.buffer(), moving_instances.data(),
+                            moving_instances.size() * sizeof(moving_instances[0]));
 }
 
 /// Leaves out absent instances and models without surfels.
-std::uint64_t RayQueryAccel::Impl::write_instances_and_get_address(Stream::Impl& stream,
-                                                                   const DeviceScene& scene) {
-    const Scene& layout = scene.get_scene_layout();
+std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
+    const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
     std::vector<shared::MovingInstance> of_motion;
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const VulkanAccelStructure* model = blas[layout.instances[i].model].get();
-        if (!model || !scene.get_instance_poses()[i].present) continue;
-        const glm::mat4 m(to_matrix(scene.get_instance_poses()[i].world_from_model));
+        if (!model || !scene.poses()[i].present) continue;
+        const glm::mat4 m(to_matrix(scene.poses()[i].world_from_model));
         VkAccelerationStructureInstanceKHR& row = rows.emplace_back();
         for (int r = 0; r < 3; ++r)
             for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
         row.instanceCustomIndex = static_cast<std::uint32_t>(i) & 0xffffffu;
         row.mask = RELIDAR_STANDING_MASK;
-        if (!scene.get_instance_poses()[i].motion.is_stationary()) {
+        if (!scene.poses()[i].motion.is_stationary()) {
             row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
             of_motion.push_back({static_cast<std::uint32_t>(i), layout.instances[i].model, row.mask});
         }
@@ -222,16 +215,14 @@ std::uint64_t RayQueryAccel::Impl::write_instances_and_get_address(Stream::Impl&
         row.accelerationStructureReference = model->address;
     }
     tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
-    upload_moving_instances(stream, of_motion);
-    return rows.empty()
-               ? 0
-               : stream.stage_host_bytes_for_kernels(rows.data(), rows.size() * sizeof(rows[0])).address;
+    upload_moving(stream, of_motion);
+    return rows.empty() ? 0 : stream.stage_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
 RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy)
-    : impl_(std::make_unique<Impl>(device, scene.get_scene_layout(), proxy, scene.primitive())) {
+    : impl_(std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive())) {
     Impl& a = *impl_;
-    const Scene& layout = scene.get_scene_layout();
+    const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
     for (const SurfelModel& model : layout.models) largest = std::max(largest, model.count);
     a.geometry = Array<float>(
@@ -253,7 +244,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
     for (const SurfelModel& model : layout.models) {
-        a.append_blas_build_input(model);
+        a.append_blas(model);
         const std::uint32_t n = model.count * (a.proxy == ProxyShape::boxes ? 1u : n_triangles);
         a.blas_scratch.push_back(scratch_bytes);
         if (n == 0) {
@@ -261,7 +252,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
             continue;
         }
         const VkAccelerationStructureBuildSizesInfoKHR sizes =
-            a.blas_input.back().query_build_sizes(device.impl(), n);
+            a.blas_input.back().query_sizes(device.impl(), n);
         a.blas.push_back(std::make_unique<VulkanAccelStructure>(
             device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize,
             "acceleration structure of " + model.name));
@@ -274,7 +265,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.query_build_sizes(
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.query_sizes(
         device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
     a.tlas = std::make_unique<VulkanAccelStructure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
                                                     sizes.accelerationStructureSize, "top level");
@@ -285,10 +276,10 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
 
 RayQueryAccel::~RayQueryAccel() = default;
 
-void RayQueryAccel::Impl::compute_proxy_shapes(Stream& stream, const DeviceScene& scene,
-                                               const AccelOptions& options, const SurfelRange& range) {
+void RayQueryAccel::Impl::compute_proxies(Stream& stream, const DeviceScene& scene,
+                                          const AccelOptions& options, const SurfelRange& range) {
     run(stream, proxies, range.count,
-        {.records = scene.get_surfel_records().address(),
+        {.records = scene.surfel_records().address(),
          .vertices = geometry.address_as<float, shared::ProxyVertices>(),
          .boxes = geometry.address_as<float, shared::SurfelBoxes>(),
          .reach = reach.address(),
@@ -299,56 +290,54 @@ void RayQueryAccel::Impl::compute_proxy_shapes(Stream& stream, const DeviceScene
          .n_surfels = range.count});
 }
 
-void RayQueryAccel::Impl::compute_model_radii(Stream& stream, const DeviceScene& scene,
-                                              const AccelOptions& options, const SurfelRange& range) {
+void RayQueryAccel::Impl::compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                                        const SurfelRange& range) {
     run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
-        {.records = scene.get_surfel_records().address(),
-         .models = scene.get_model_table().address(),
+        {.records = scene.surfel_records().address(),
+         .models = scene.model_table().address(),
          .radii = radii.address(),
          .alpha_min = scene.alpha_min(),
          .margin_m = options.margin_m,
          .margin_scale = options.margin_scale,
-         .n_models = static_cast<std::uint32_t>(scene.get_scene_layout().models.size()),
+         .n_models = static_cast<std::uint32_t>(scene.layout().models.size()),
          .first_surfel = range.first,
          .n_surfels = range.count});
 }
 
-void RayQueryAccel::record_build_or_refit(Stream& stream, const DeviceScene& scene,
-                                          const AccelOptions& options, const std::vector<SurfelRange>& ranges,
-                                          bool refit_only) {
+void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                                 const std::vector<SurfelRange>& ranges, bool refit_only) {
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
     // `reach` is a maximum over all 3D Gaussians: the distance between a hit and a corner
     // of the enclosing icosahedron. It is reset only if all models are updated.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
-    for (const SurfelRange& range : ranges) a.compute_proxy_shapes(stream, scene, options, range);
+    for (const SurfelRange& range : ranges) a.compute_proxies(stream, scene, options, range);
     if (n == scene.size()) stream.fill(a.radii);
-    for (const SurfelRange& range : ranges) a.compute_model_radii(stream, scene, options, range);
+    for (const SurfelRange& range : ranges) a.compute_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
         const auto is_in = [&](const SurfelRange& range) {
-            return range.contains_surfel(scene.get_scene_layout().models[i].first);
+            return range.contains_surfel(scene.layout().models[i].first);
         };
         if (!a.blas[i] || std::ranges::none_of(ranges, is_in)) continue;
-        a.blas_input[i].set_build_target(*a.blas[i], refit_only, a.scratch_address + a.blas_scratch[i]);
+        a.blas_input[i].set_target(*a.blas[i], refit_only, a.scratch_address + a.blas_scratch[i]);
         inputs.push_back(a.blas_input[i]);
     }
     if (!inputs.empty())
-        record_accel_structure_builds(stream.impl(), refit_only ? "accel/refit" : "accel/build",
-                                      std::move(inputs));
-    rebuild_top_level_structure(stream, scene);
+        record_builds(stream.impl(), refit_only ? "accel/refit" : "accel/build", std::move(inputs));
+    rebuild_top_level(stream, scene);
 }
 
-void RayQueryAccel::rebuild_top_level_structure(Stream& stream, const DeviceScene& scene) {
+void RayQueryAccel::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     Stream::Impl& s = stream.impl();
-    a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances_and_get_address(s, scene);
-    a.tlas_input.set_build_target(*a.tlas, false, a.scratch_address);
-    record_accel_structure_builds(s, "accel/top_level", {a.tlas_input});
+    a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
+    a.tlas_input.set_target(*a.tlas, false, a.scratch_address);
+    record_builds(s, "accel/top_level", {a.tlas_input});
 }
 
-void RayQueryAccel::write_ray_query_gpu_addresses(AccelAddresses& addresses) const {
+void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
     // Kernels store this float as an integer, because atomic maxima need integers.

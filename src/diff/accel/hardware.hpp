@@ -23,11 +23,11 @@ public:
     /// Records commands that build or refit the bottom-level acceleration structures of
     /// models, and then build the top-level structure. A refit requires an earlier build.
     /// @param ranges surfels of the models to update. Other surfels must be unchanged
-    void record_build_or_refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                               const std::vector<SurfelRange>& ranges, bool refit_only);
-    void rebuild_top_level_structure(Stream& stream, const DeviceScene& scene);
+    void record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+                      const std::vector<SurfelRange>& ranges, bool refit_only);
+    void rebuild_top_level(Stream& stream, const DeviceScene& scene);
 
-    void write_ray_query_gpu_addresses(AccelAddresses& addresses) const;
+    void write_addresses(AccelAddresses& addresses) const;
 
 private:
     struct Impl;

@@ -11,7 +11,7 @@ namespace relidar {
 struct SurfelRange {
     std::uint32_t first = 0, count = 0;
 
-    bool contains_surfel(std::uint32_t surfel_index) const { return surfel_index - first < count; }
+    bool contains_surfel(std::uint32_t surfel) const { return surfel - first < count; }
 };
 
 }  // namespace relidar

@@ -21,8 +21,7 @@ constexpr std::uint32_t kMostHitsPerRay = 4096;
 /// Returns true if the kernels write one record per hit and sum the records without
 /// atomics. This is faster if spherical harmonics are evaluated per hit (64 atomics
 /// instead of 16), or if the device has no float atomics.
-bool should_sum_gradients_without_atomics(const Device& device, GradientReduction reduction,
-                                          ShDirection sh_direction) {
+bool uses_hit_records(const Device& device, GradientReduction reduction, ShDirection sh_direction) {
     if (reduction != GradientReduction::automatic) return reduction == GradientReduction::gather;
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
@@ -30,7 +29,7 @@ bool should_sum_gradients_without_atomics(const Device& device, GradientReductio
 }  // namespace
 
 struct BackwardPass::Impl {
-    ImageFormationModel model;
+    ImageModel model;
     TraceOptions options;
     Kernel<shared::BackwardParams> trace;
     PoseGradientKernels poses;
@@ -39,20 +38,18 @@ struct BackwardPass::Impl {
     /// because the forward pass has already counted these rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
-    static std::vector<SpecialisationConstant> make_backward_kernel_constants(
-        const Device& device, const ImageFormationModel& model, ProxyShape proxy,
-        const TraceOptions& trace_options, const BackwardOptions& backward_options) {
-        std::vector<SpecialisationConstant> all =
-            make_trace_kernel_constants(device, proxy, trace_options, model);
-        const bool gathered =
-            should_sum_gradients_without_atomics(device, backward_options.reduction, model.sh_direction);
+    static std::vector<SpecialisationConstant> kernel_constants(const Device& device, const ImageModel& model,
+                                                                ProxyShape proxy,
+                                                                const TraceOptions& trace_options,
+                                                                const BackwardOptions& backward_options) {
+        std::vector<SpecialisationConstant> all = trace_constants(device, proxy, trace_options, model);
+        const bool gathered = uses_hit_records(device, backward_options.reduction, model.sh_direction);
         all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
         // If `exchanged`, the threads of a subgroup collect gradients in shared memory
         // before the atomics. This reduces memory traffic, but needs
         // VK_KHR_shader_maximal_reconvergence.
         const bool exchanged = !gathered && backward_options.coalesced_atomics.value_or(
-                                                should_coalesce_memory_access(device) &&
-                                                is_lane_reconvergence_guaranteed(device));
+                                                should_coalesce(device) && lanes_reconverge(device));
         all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // If the lanes of a subgroup exchange gradients (`exchanged`), the kernel needs
         // subgroup barriers. lavapipe (a CPU driver) executes them as barriers of the
@@ -63,21 +60,20 @@ struct BackwardPass::Impl {
         return all;
     }
 
-    Impl(Device& device, const ImageFormationModel& m, ProxyShape proxy, const TraceOptions& o,
+    Impl(Device& device, const ImageModel& m, ProxyShape proxy, const TraceOptions& o,
          const BackwardOptions& backward)
         : model(m),
           options(o),
-          trace(device, "diff/backward/trace",
-                choose_atomic_float_add_kernel_variant(device, get_traversal_kernel_variant(device)),
-                make_backward_kernel_constants(device, m, proxy, o, backward)),
+          trace(device, "diff/backward/trace", atomic_variant(device, kernel_variant(device)),
+                kernel_constants(device, m, proxy, o, backward)),
           poses(device),
-          gather(should_sum_gradients_without_atomics(device, backward.reduction, m.sh_direction)
+          gather(uses_hit_records(device, backward.reduction, m.sh_direction)
                      ? std::make_unique<HitGradientGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "number of truncated rays") {}
 };
 
-BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
+BackwardPass::BackwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
                            const TraceOptions& options, const BackwardOptions& backward) {
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
         fail<UsageError>("cannot create the backward pass: found {} hit records per ray, expected 1 to {}",
@@ -87,30 +83,27 @@ BackwardPass::BackwardPass(Device& device, const ImageFormationModel& model, Pro
 
 BackwardPass::~BackwardPass() = default;
 void BackwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
-const Array<std::uint32_t>* BackwardPass::get_max_hit_count_on_device() const {
-    return impl_->gather ? &impl_->gather->get_max_hit_count_array() : nullptr;
+const Array<std::uint32_t>* BackwardPass::max_hit_count() const {
+    return impl_->gather ? &impl_->gather->max_hits() : nullptr;
 }
-std::uint64_t BackwardPass::get_hit_capacity() const {
-    return impl_->gather ? impl_->gather->get_hit_capacity() : 0;
-}
+std::uint64_t BackwardPass::hit_capacity() const { return impl_->gather ? impl_->gather->hit_capacity() : 0; }
 
-void BackwardPass::reserve_hit_memory(Stream& stream, std::uint64_t n_hits) {
+void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     if (!impl_->gather) return;
     stream.submit_and_wait();
-    impl_->gather->reserve_hit_records(n_hits);
+    impl_->gather->reserve_records(n_hits);
 }
 
-void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
-                                        const AccelerationStructure& accel, const RenderedBatch& batch,
-                                        const glm::vec3& view_origin_m, DeviceGradients& gradients) {
+void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
+                                   const RenderedBatch& batch, const glm::vec3& view_origin_m,
+                                   DeviceGradients& gradients) {
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
-    RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_gradient_rows()), gradients.records.size());
-    const ImageFormationModel& model = impl_->model;
+    RELIDAR_ASSERT_LE(16 * std::size_t(scene.count_rows()), gradients.records.size());
+    const ImageModel& model = impl_->model;
     const bool has_pose_gradients = gradients.poses.size() > 0,
-               lists = scene.can_skip_surfels_without_gradient() && !gradients.zero_untouched;
+               lists = scene.can_skip_surfels() && !gradients.zero_untouched;
     shared::BackwardParams params{};
-    params.scene =
-        make_trace_scene_params(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
+    params.scene = trace_params(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
     params.rendered = batch.rendered->address();
     params.upstream = batch.upstream->address();
     params.d_records = gradients.records.address();
@@ -122,11 +115,11 @@ void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
         params.kept = batch.stored_hits->hits.address();
         params.n_kept = batch.stored_hits->per_ray;
     }
-    params.n_rows = scene.count_gradient_rows();
+    params.n_rows = scene.count_rows();
     params.with_turn = has_pose_gradients ? 1u : 0u;
     if (impl_->gather) {
-        impl_->gather->assign_hit_record_indices(stream, batch);
-        impl_->gather->set_hit_record_addresses(params);
+        impl_->gather->assign_records(stream, batch);
+        impl_->gather->set_addresses(params);
     }
     {
         const ConcurrentLaunchScope zeros(stream);
@@ -135,18 +128,16 @@ void BackwardPass::record_backward_pass(Stream& stream, DeviceScene& scene,
         if (lists) stream.fill(gradients.touched);
         if (lists && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
     }
-    relidar::run(stream, impl_->trace, count_trace_threads(batch.rays), params);
-    if (impl_->gather) impl_->gather->sum_hit_gradients(stream, params);
-    scene.record_activation_backpropagation(
-        stream, model, view_origin_m,
-        {.d_records = &gradients.records,
-         .d_surfels = &gradients.surfels,
-         .touched = &gradients.touched,
-         .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
-         .zero_untouched = gradients.zero_untouched,
-         .touched_is_marked = lists});
-    if (has_pose_gradients)
-        impl_->poses.compute_pose_gradients(stream, scene, model, view_origin_m, gradients);
+    relidar::run(stream, impl_->trace, count_threads(batch.rays), params);
+    if (impl_->gather) impl_->gather->sum_gradients(stream, params);
+    scene.activate_vjp(stream, model, view_origin_m,
+                       {.d_records = &gradients.records,
+                        .d_surfels = &gradients.surfels,
+                        .touched = &gradients.touched,
+                        .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
+                        .zero_untouched = gradients.zero_untouched,
+                        .touched_is_marked = lists});
+    if (has_pose_gradients) impl_->poses.reduce(stream, scene, model, view_origin_m, gradients);
 }
 
 }  // namespace relidar

@@ -5,12 +5,12 @@ namespace relidar {
 
 DeviceGradients::DeviceGradients(Device& device, const DeviceScene& scene, const GradientSelection& selection,
                                  std::uint32_t n_rays)
-    : surfels(device, scene.size(), "gradient", scene.get_surfel_parameters().get_parameter_set()),
-      records(device, 16 * std::size_t(scene.count_gradient_rows()), "record gradient"),
+    : surfels(device, scene.size(), "gradient", scene.surfel_parameters().parameters_used()),
+      records(device, 16 * std::size_t(scene.count_rows()), "record gradient"),
       touched(device, scene.size(), "list of surfels with a gradient") {
     if (selection.rays) rays = {device, 6 * std::size_t(n_rays), "ray gradient"};
     if (!selection.poses) return;
-    poses = {device, 6 * scene.get_scene_layout().instances.size(), "pose gradient"};
+    poses = {device, 6 * scene.layout().instances.size(), "pose gradient"};
     sensor = {device, 6, "sensor pose gradient"};
     pose_sums = std::make_unique<PoseGradientSums>(device, scene);
 }

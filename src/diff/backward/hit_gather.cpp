@@ -10,8 +10,7 @@
 namespace relidar {
 namespace {
 
-std::vector<SpecialisationConstant> make_gather_kernel_constants(const ImageFormationModel& model,
-                                                                 const TraceOptions& options) {
+std::vector<SpecialisationConstant> gather_constants(const ImageModel& model, const TraceOptions& options) {
     return {{SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
@@ -20,22 +19,21 @@ std::vector<SpecialisationConstant> make_gather_kernel_constants(const ImageForm
 
 }  // namespace
 
-HitGradientGather::HitGradientGather(Device& device, const ImageFormationModel& model,
-                                     std::uint32_t hits_per_ray, const TraceOptions& options)
+HitGradientGather::HitGradientGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
+                                     const TraceOptions& options)
     : device_(device),
       hits_per_ray_(hits_per_ray),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
-      gather_(device, "diff/backward/gather", choose_atomic_float_add_kernel_variant(device),
-              make_gather_kernel_constants(model, options)),
-      heads_kernel_(device, "diff/backward/gather_heads", choose_atomic_float_add_kernel_variant(device),
-                    make_gather_kernel_constants(model, options)),
+      gather_(device, "diff/backward/gather", atomic_variant(device), gather_constants(model, options)),
+      heads_kernel_(device, "diff/backward/gather_heads", atomic_variant(device),
+                    gather_constants(model, options)),
       most_hits_(device, std::vector<std::uint32_t>{0u}, "largest number of hits in a batch"),
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
 
-void HitGradientGather::reserve_hit_records(std::uint64_t n_hits) {
-    constexpr std::uint64_t kMost = 1ull << 31;  // record indices have 32 bits
-    const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
+void HitGradientGather::reserve_records(std::uint64_t n_hits) {
+    constexpr std::uint64_t kMaxRecords = 1ull << 31;  // record indices have 32 bits
+    const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMaxRecords));
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();
     sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
@@ -48,41 +46,41 @@ void HitGradientGather::reserve_hit_records(std::uint64_t n_hits) {
               "sums of hit records"};
 }
 
-void HitGradientGather::assign_hit_record_indices(Stream& stream, const RenderedBatch& batch) {
+void HitGradientGather::assign_records(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
         stream.submit_and_wait();
         first_hit_ = {device_, n_rays_, "slots of rays"};
-        prefix_sum_.reserve_scratch_memory(device_, n_rays_);
-        reserve_hit_records(std::uint64_t(n_rays_) * hits_per_ray_);
+        prefix_sum_.reserve_scratch(device_, n_rays_);
+        reserve_records(std::uint64_t(n_rays_) * hits_per_ray_);
     }
     const StridedCounts hits{.address = batch.rendered->address_as<std::uint32_t, shared::ScanCounts>(),
                              .offset = offsetof(shared::RenderedRay, n_hits) / 4,
                              .stride = sizeof(shared::RenderedRay) / 4};
-    prefix_sum_.run(stream, hits, first_hit_.address().cast_content_tag<shared::ScanPrefix>(), n_rays_,
-                    n_hits_.address().cast_content_tag<shared::ScanTotal>());
+    prefix_sum_.run(stream, hits, first_hit_.address().cast_tag<shared::ScanPrefix>(), n_rays_,
+                    n_hits_.address().cast_tag<shared::ScanTotal>());
 }
 
-void HitGradientGather::set_hit_record_addresses(shared::BackwardParams& params) const {
+void HitGradientGather::set_addresses(shared::BackwardParams& params) const {
     params.first_hit = first_hit_.address();
     params.hits = hits_.address();
     params.rows = rows_[0].address();
     params.capacity = sort_->capacity();
 }
 
-void HitGradientGather::sum_hit_gradients(Stream& stream, const shared::BackwardParams& params) {
+void HitGradientGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int index) {
-        return SortBuffers{.keys = rows_[index].address().cast_content_tag<shared::SortKeys>(),
-                           .order = slots_[index].address().cast_content_tag<shared::SortOrder>()};
+        return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
+                           .order = slots_[index].address().cast_tag<shared::SortOrder>()};
     };
     const SortBuffers sorted =
         sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
-                   n_hits_.address().cast_content_tag<shared::SortCount>());
+                   n_hits_.address().cast_tag<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,
                                       .hits = hits_.address(),
-                                      .rows = sorted.keys.cast_content_tag<shared::HitRows>(),
-                                      .slots = sorted.order.cast_content_tag<shared::HitSlots>(),
+                                      .rows = sorted.keys.cast_tag<shared::HitRows>(),
+                                      .slots = sorted.order.cast_tag<shared::HitSlots>(),
                                       .n_hits = n_hits_.address(),
                                       .parts = parts_.address(),
                                       .d_records = params.d_records,

@@ -15,20 +15,20 @@ namespace relidar {
 
 class HitGradientGather {
 public:
-    HitGradientGather(Device& device, const ImageFormationModel& model, std::uint32_t hits_per_ray,
+    HitGradientGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
                       const TraceOptions& options);
     /// Assigns a record index to each rendered hit, in the order of the rays. If the
     /// batch is larger than all earlier batches, waits for the device and allocates
     /// memory.
-    void assign_hit_record_indices(Stream& stream, const RenderedBatch& batch);
-    void set_hit_record_addresses(shared::BackwardParams& params) const;
-    void sum_hit_gradients(Stream& stream, const shared::BackwardParams& params);
+    void assign_records(Stream& stream, const RenderedBatch& batch);
+    void set_addresses(shared::BackwardParams& params) const;
+    void sum_gradients(Stream& stream, const shared::BackwardParams& params);
     /// Returns an array with one number on the device: the maximum number of hits in any
     /// batch so far. The host can reset this number to 0.
-    const Array<std::uint32_t>& get_max_hit_count_array() const { return most_hits_; }
-    std::uint64_t get_hit_capacity() const { return sort_ ? sort_->capacity() : 0; }
+    const Array<std::uint32_t>& max_hits() const { return most_hits_; }
+    std::uint64_t hit_capacity() const { return sort_ ? sort_->capacity() : 0; }
     /// The device must be idle.
-    void reserve_hit_records(std::uint64_t n_hits);
+    void reserve_records(std::uint64_t n_hits);
 
 private:
     Device& device_;

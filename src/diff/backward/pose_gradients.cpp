@@ -9,28 +9,28 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;  // threads per workgroup
+constexpr std::uint32_t kWorkgroupThreads = 64;  // threads per workgroup
 // Number of surfels per workgroup. The first kernel sums the gradients of each workgroup,
 // the second kernel sums over the workgroups.
-constexpr std::uint32_t kBlock = 1024;
+constexpr std::uint32_t kSurfelsPerBlock = 1024;
 
 struct BlockTable {
     std::vector<shared::PoseBlock> blocks;
     std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
-BlockTable split_instances_into_surfel_blocks(const DeviceScene& scene) {
-    const Scene& layout = scene.get_scene_layout();
+BlockTable split_into_blocks(const DeviceScene& scene) {
+    const Scene& layout = scene.layout();
     BlockTable table;
     std::vector<bool> viewed(layout.models.size(), false);
     for (std::size_t i = 0; i < layout.instances.size(); ++i) {
         const std::uint32_t model = layout.instances[i].model;
         const std::uint32_t n = layout.models[model].count, first = layout.models[model].first,
-                            first_row = scene.get_first_gradient_row_of_instance(i);
+                            first_row = scene.first_gradient_row(i);
         table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
-        for (std::uint32_t k = 0; k < n; k += kBlock)
+        for (std::uint32_t k = 0; k < n; k += kSurfelsPerBlock)
             table.blocks.push_back(
-                {first + k, first_row + k, std::min(kBlock, n - k), viewed[model] ? 0u : 1u});
+                {first + k, first_row + k, std::min(kSurfelsPerBlock, n - k), viewed[model] ? 0u : 1u});
         viewed[model] = true;
     }
     table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
@@ -40,7 +40,7 @@ BlockTable split_instances_into_surfel_blocks(const DeviceScene& scene) {
 }  // namespace
 
 DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const DeviceScene& scene) {
-    const BlockTable table = split_instances_into_surfel_blocks(scene);
+    const BlockTable table = split_into_blocks(scene);
     blocks = Array<shared::PoseBlock>(device, table.blocks, "pose blocks");
     first_block = Array<std::uint32_t>(device, table.first, "first pose blocks");
     sums = {device, RELIDAR_POSE_SUMS * table.blocks.size(), "pose sums"};
@@ -48,34 +48,34 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
 }
 
 PoseGradientKernels::PoseGradientKernels(Device& device)
-    : blocks_(device, "diff/backward/pose_blocks", {{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}}),
-      poses_(device, "diff/backward/poses", {{SpecialisationConstantId::WORKGROUP_SIZE, kThreads}}),
+    : blocks_(device, "diff/backward/pose_blocks",
+              {{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroupThreads}}),
+      poses_(device, "diff/backward/poses", {{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroupThreads}}),
       sensor_(device, "diff/backward/sensor_pose") {}
 
-void PoseGradientKernels::compute_pose_gradients(Stream& stream, const DeviceScene& scene,
-                                                 const ImageFormationModel& model,
-                                                 const glm::vec3& view_origin_m, DeviceGradients& gradients) {
+void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
+                                 const glm::vec3& view_origin_m, DeviceGradients& gradients) {
     const DeviceGradients::PoseGradientSums& sums = *gradients.pose_sums;
-    const auto n_instances = static_cast<std::uint32_t>(scene.get_scene_layout().instances.size()),
+    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()),
                n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
-    relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
-                 {.records = scene.get_surfel_records().address(),
+    relidar::run(stream, blocks_, kWorkgroupThreads * std::size_t(n_blocks),
+                 {.records = scene.surfel_records().address(),
                   .d_records = gradients.records.address(),
                   .d_view = sums.d_view.address(),
                   .blocks = sums.blocks.address(),
                   .sums = sums.sums.address(),
                   .n_blocks = n_blocks,
                   .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
-    relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
-                 {.instances = scene.get_instance_table().address(),
+    relidar::run(stream, poses_, kWorkgroupThreads * std::size_t(n_instances),
+                 {.instances = scene.instance_table().address(),
                   .sums = sums.sums.address(),
                   .first_block = sums.first_block.address(),
                   .d_poses = gradients.poses.address(),
                   .view_origin = view_origin_m,
                   .n_instances = n_instances});
     relidar::run(stream, sensor_, 1,
-                 {.instances = scene.get_instance_table().address(),
+                 {.instances = scene.instance_table().address(),
                   .d_poses = gradients.poses.address(),
                   .d_sensor = gradients.sensor.address(),
                   .view_origin = view_origin_m,

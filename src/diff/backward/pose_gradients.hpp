@@ -24,8 +24,8 @@ struct DeviceGradients::PoseGradientSums {
 class PoseGradientKernels {
 public:
     explicit PoseGradientKernels(Device& device);
-    void compute_pose_gradients(Stream& stream, const DeviceScene& scene, const ImageFormationModel& model,
-                                const glm::vec3& view_origin_m, DeviceGradients& gradients);
+    void reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
+                const glm::vec3& view_origin_m, DeviceGradients& gradients);
 
 private:
     Kernel<shared::PoseBlocksParams> blocks_;

@@ -25,7 +25,7 @@ namespace {
 constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 /// Returns an empty string, or the reason why the allocation failed.
-std::string try_allocation_and_get_error(Device& device, double n_bytes) {
+std::string allocation_error(Device& device, double n_bytes) {
     // allocates in pieces, because drivers limit the size of one allocation
     constexpr double kPiece = double(256 << 20);
     std::vector<Buffer> pieces;
@@ -83,62 +83,57 @@ struct Densifier::Impl {
           reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
           seed(random_seed),
           arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames,
-                 scene.surfels.get_parameter_set()),
+                 scene.surfels.parameters_used()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "diff/densify/observe"),
           classify(d, "diff/densify/classify"),
           spawn(d, "diff/densify/spawn"),
           reset_opacity(d, "diff/densify/reset_opacity") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
-            extents_m.push_back(compute_robust_model_extent_m(scene, model));
+            extents_m.push_back(model_extent_m(scene, model));
     }
 
-    std::uint64_t compute_random_key(RandomPurpose purpose, int step) const {
-        return hash_integer_pair(hash_integer_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
+    std::uint64_t random_key(RandomPurpose purpose, int step) const {
+        return hash_pair(hash_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
-    DensifyThresholds get_densify_thresholds(int step) const;
-    std::vector<ModelDensifyCounters> choose_actions_and_count_surfels(Stream& stream,
-                                                                       const DeviceScene& scene,
-                                                                       const DensifyThresholds& thresholds,
-                                                                       int step);
-    std::uint32_t allocate_for_up_to_requested_surfels(DeviceScene& scene, Adam& adam,
-                                                       std::uint32_t requested_surfels,
-                                                       double other_arrays_bytes_per_surfel,
-                                                       std::string& failure_reason);
+    DensifyThresholds thresholds_at(int step) const;
+    std::vector<ModelDensifyCounters> choose_actions(Stream& stream, const DeviceScene& scene,
+                                                     const DensifyThresholds& thresholds, int step);
+    std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested_surfels,
+                                   double other_arrays_bytes_per_surfel, std::string& failure_reason);
     DensifyReport densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
                                   const DensifyThresholds& thresholds, int step,
                                   double other_arrays_bytes_per_surfel);
 };
 
-DensifyThresholds Densifier::Impl::get_densify_thresholds(int step) const {
+DensifyThresholds Densifier::Impl::thresholds_at(int step) const {
     DensifyThresholds rules{min_opacity, kUnbounded};
     if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
     return rules;
 }
 
-std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions_and_count_surfels(
-    Stream& stream, const DeviceScene& scene, const DensifyThresholds& thresholds, int step) {
+std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene,
+                                                                  const DensifyThresholds& thresholds,
+                                                                  int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
-    relidar::run(
-        stream, classify, scene.size(),
-        {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
-         .gradient_sum = s.gradient_sum.address(),
-         .n_seen = s.n_observing_batches.address(),
-         .action = arrays.action.address(),
-         .weight = arrays.weight.address(),
-         .counters = counters.address(),
-         .models = scene.get_model_table().address(),
-         .extents =
-             stream.impl().stage_host_values_for_kernels(extents).cast_content_tag<shared::ModelExtents>(),
-         .min_opacity = thresholds.min_opacity,
-         .max_extent_share = thresholds.max_extent_share,
-         .clone_extent_share = static_cast<float>(options.clone_extent_share),
-         .gradient_threshold = static_cast<float>(options.gradient_threshold),
-         .n_surfels = scene.size(),
-         .n_models = static_cast<std::uint32_t>(extents.size()),
-         .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
+    relidar::run(stream, classify, scene.size(),
+                 {.surfels = surfel_pointers(scene.surfel_parameters()),
+                  .gradient_sum = s.gradient_sum.address(),
+                  .n_seen = s.n_observing_batches.address(),
+                  .action = arrays.action.address(),
+                  .weight = arrays.weight.address(),
+                  .counters = counters.address(),
+                  .models = scene.model_table().address(),
+                  .extents = stream.impl().stage_values(extents).cast_tag<shared::ModelExtents>(),
+                  .min_opacity = thresholds.min_opacity,
+                  .max_extent_share = thresholds.max_extent_share,
+                  .clone_extent_share = static_cast<float>(options.clone_extent_share),
+                  .gradient_threshold = static_cast<float>(options.gradient_threshold),
+                  .n_surfels = scene.size(),
+                  .n_models = static_cast<std::uint32_t>(extents.size()),
+                  .key = static_cast<std::uint32_t>(random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
     const std::vector<std::uint32_t> values = counters.download();
     std::vector<ModelDensifyCounters> result(extents.size());
@@ -152,29 +147,28 @@ std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions_and_count_surf
 /// @param requested_surfels desired number of surfels
 /// @param failure_reason receives the reason if there is not enough memory
 /// @return number of surfels for which memory is available, at most `requested_surfels`
-std::uint32_t Densifier::Impl::allocate_for_up_to_requested_surfels(DeviceScene& scene, Adam& adam,
-                                                                    std::uint32_t requested_surfels,
-                                                                    double other_arrays_bytes_per_surfel,
-                                                                    std::string& failure_reason) {
+std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam,
+                                                std::uint32_t requested_surfels,
+                                                double other_arrays_bytes_per_surfel,
+                                                std::string& failure_reason) {
     const std::uint32_t before = scene.size();
     // bytes per surfel for parameters, Adam moments and records
-    const double others =
-        4.0 * (3.0 * count_floats_per_surfel(scene.get_surfel_parameters().get_parameter_set()) + 16.0);
-    const double bytes = double(arrays.compute_bytes_per_surfel()) + others;
+    const double others = 4.0 * (3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + 16.0);
+    const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
         failure_reason =
-            try_allocation_and_get_error(device, other_arrays_bytes_per_surfel * target +
-                                                     (grows ? bytes * (capacity - now) + while_copied : 0.0));
+            allocation_error(device, other_arrays_bytes_per_surfel * target +
+                                         (grows ? bytes * (capacity - now) + while_copied : 0.0));
         if (!failure_reason.empty() || !grows) return failure_reason.empty();
         try {
             const std::uint32_t n = static_cast<std::uint32_t>(capacity);
             scene.reserve(device, n);
-            adam.get_first_moments().reserve(device, n, "first moment");
-            adam.get_second_moments().reserve(device, n, "second moment");
-            arrays.reserve_surfel_memory(n);
+            adam.first_moments().reserve(device, n, "first moment");
+            adam.second_moments().reserve(device, n, "second moment");
+            arrays.reserve_surfels(n);
         } catch (const OutOfDeviceMemory& error) {
             failure_reason = error.what();
         }
@@ -198,41 +192,40 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
                                                const DensifyThresholds& thresholds, int step,
                                                double other_arrays_bytes_per_surfel) {
     const std::uint32_t before = scene.size();
-    const std::vector<ModelDensifyCounters> counted =
-        choose_actions_and_count_surfels(stream, scene, thresholds, step);
-    GrowthPlan plan = limit_growth_plan(
-        plan_surfel_growth(counted, options, compute_random_key(RandomPurpose::phase, step)), memory_limit);
+    const std::vector<ModelDensifyCounters> counted = choose_actions(stream, scene, thresholds, step);
+    GrowthPlan plan =
+        limit_growth(plan_growth(counted, options, random_key(RandomPurpose::phase, step)), memory_limit);
     std::string failure_reason;
-    const std::uint32_t surfel_capacity = allocate_for_up_to_requested_surfels(
-        scene, adam, plan.size(), other_arrays_bytes_per_surfel, failure_reason);
+    const std::uint32_t surfel_capacity =
+        allocate_surfels(scene, adam, plan.size(), other_arrays_bytes_per_surfel, failure_reason);
     std::string note;
     if (surfel_capacity < plan.size()) {
         memory_limit = surfel_capacity;
-        plan = limit_growth_plan(plan, surfel_capacity);
+        plan = limit_growth(plan, surfel_capacity);
         note =
             fmt::format("training stops adding surfels at {} surfels: {}", surfel_capacity, failure_reason);
     }
-    DensifyReport report = make_densify_report(counted, plan);
+    DensifyReport report = densify_report(counted, plan);
     report.note = note;
-    if (report.count_removed_surfels() == 0 && report.added == 0) {
-        arrays.reset_gradient_sums(stream);
+    if (report.n_removed() == 0 && report.added == 0) {
+        arrays.reset_sums(stream);
         stream.submit_and_wait();
         return report;
     }
-    arrays.compute_new_surfel_indices(stream, plan, before);
-    arrays.move_surfels_to_new_indices(stream, scene.get_surfel_parameters(), false, plan.size());
-    arrays.move_surfels_to_new_indices(stream, adam.get_first_moments(), true, plan.size());
-    arrays.move_surfels_to_new_indices(stream, adam.get_second_moments(), true, plan.size());
+    arrays.compute_indices(stream, plan, before);
+    arrays.move_surfels(stream, scene.surfel_parameters(), false, plan.size());
+    arrays.move_surfels(stream, adam.first_moments(), true, plan.size());
+    arrays.move_surfels(stream, adam.second_moments(), true, plan.size());
     relidar::run(stream, spawn, before,
-                 {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
+                 {.surfels = surfel_pointers(scene.surfel_parameters()),
                   .action = arrays.action.address(),
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
                   .n_surfels = before,
-                  .key = static_cast<std::uint32_t>(compute_random_key(RandomPurpose::classify, step))});
-    arrays.move_statistics_to_new_indices(stream);
+                  .key = static_cast<std::uint32_t>(random_key(RandomPurpose::classify, step))});
+    arrays.move_statistics(stream);
     stream.submit_and_wait();
-    scene.set_models(plan.assign_new_surfel_ranges(scene.get_scene_layout().models, counted));
+    scene.set_models(plan.assign_ranges(scene.layout().models, counted));
     return report;
 }
 
@@ -242,13 +235,13 @@ Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions&
                 ? nullptr
                 : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
 Densifier::~Densifier() = default;
-bool Densifier::is_densification_enabled() const { return impl_ != nullptr; }
+bool Densifier::is_enabled() const { return impl_ != nullptr; }
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
-std::vector<double>& Densifier::get_model_extents_m() { return impl_->extents_m; }
-const std::vector<double>& Densifier::get_model_extents_m() const { return impl_->extents_m; }
+std::vector<double>& Densifier::model_extents_m() { return impl_->extents_m; }
+const std::vector<double>& Densifier::model_extents_m() const { return impl_->extents_m; }
 
-void Densifier::record_gradient_statistics_update(Stream& stream, const DeviceScene& scene,
-                                                  const BackpropagatedBatch& batch) {
+void Densifier::record_statistics(Stream& stream, const DeviceScene& scene,
+                                  const BackpropagatedBatch& batch) {
     if (!impl_) return;
     const SurfelStatistics& s = impl_->arrays.statistics;
     RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
@@ -265,7 +258,7 @@ void Densifier::record_gradient_statistics_update(Stream& stream, const DeviceSc
                   .is_full_frame = batch.is_full_frame ? 1u : 0u});
 }
 
-bool Densifier::should_densify_after_step(int step) const {
+bool Densifier::is_densify_step(int step) const {
     if (!impl_) return false;
     const DensifyOptions& o = impl_->options;
     return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
@@ -273,20 +266,20 @@ bool Densifier::should_densify_after_step(int step) const {
 
 DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                          double reserved_bytes_per_surfel) {
-    return impl_->densify_surfels(stream, scene, adam, impl_->get_densify_thresholds(step), step,
+    return impl_->densify_surfels(stream, scene, adam, impl_->thresholds_at(step), step,
                                   reserved_bytes_per_surfel);
 }
 
-void Densifier::record_opacity_reset_if_scheduled(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
+void Densifier::reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
     if (!impl_) return;
     const DensifyOptions& o = impl_->options;
     if (o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
-                 {.opacity_logit = scene.get_surfel_parameters().opacity_logit.address(),
+                 {.opacity_logit = scene.surfel_parameters().opacity_logit.address(),
                   .max_logit = static_cast<float>(logit(impl_->reset_opacity_to)),
                   .n_surfels = scene.size()});
-    stream.fill(adam.get_first_moments().opacity_logit);
-    stream.fill(adam.get_second_moments().opacity_logit);
+    stream.fill(adam.first_moments().opacity_logit);
+    stream.fill(adam.second_moments().opacity_logit);
 }
 
 }  // namespace relidar

@@ -5,28 +5,28 @@
 
 namespace relidar {
 
-std::uint32_t GrowthPlan::count_copies_up_to_cumulative_weight(std::uint64_t cumulative_weight) const {
+std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) const {
     return total_weight == 0 ? 0u
                              : static_cast<std::uint32_t>((cumulative_weight * n_new + phase) / total_weight);
 }
 
-std::vector<SurfelModel> GrowthPlan::assign_new_surfel_ranges(
-    std::vector<SurfelModel> models, const std::vector<ModelDensifyCounters>& counts) const {
+std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
+                                                   const std::vector<ModelDensifyCounters>& counts) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
         const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
         models[i].first = next;
-        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + count_copies_up_to_cumulative_weight(above) -
-                          count_copies_up_to_cumulative_weight(weight);
+        models[i].count =
+            counts[i][RELIDAR_DENSIFY_KEPT] + cumulative_copies(above) - cumulative_copies(weight);
         next += models[i].count;
         weight = above;
     }
     return models;
 }
 
-GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
-                              std::uint64_t random_number) {
+GrowthPlan plan_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
+                       std::uint64_t random_number) {
     GrowthPlan plan;
     for (const ModelDensifyCounters& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
@@ -35,15 +35,15 @@ GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, c
     if (plan.total_weight == 0) return plan;
     plan.phase = static_cast<std::uint32_t>(random_number % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
-    return limit_growth_plan(plan, static_cast<std::uint32_t>(options.max_surfels));
+    return limit_growth(plan, static_cast<std::uint32_t>(options.max_surfels));
 }
 
-GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t max_surfels) {
+GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels) {
     plan.n_new = std::min(plan.n_new, max_surfels > plan.survivors ? max_surfels - plan.survivors : 0u);
     return plan;
 }
 
-DensifyReport make_densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan) {
+DensifyReport densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan) {
     DensifyReport r;
     for (const ModelDensifyCounters& c : counts) {
         r.invalid += c[RELIDAR_DENSIFY_INVALID];
@@ -53,7 +53,7 @@ DensifyReport make_densify_report(const std::vector<ModelDensifyCounters>& count
         r.clones += c[RELIDAR_DENSIFY_CLONES];
         r.splits += c[RELIDAR_DENSIFY_SPLITS];
     }
-    r.before = plan.survivors + r.count_removed_surfels();
+    r.before = plan.survivors + r.n_removed();
     r.added = plan.n_new;
     r.after = plan.size();
     return r;

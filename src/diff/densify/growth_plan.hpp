@@ -30,20 +30,20 @@ struct GrowthPlan {
     /// floor((cumulative_weight * n_new + phase) / total_weight), with a random `phase`
     /// below total_weight. Kernel diff/densify/allot must use the same formula.
     /// @param cumulative_weight sum of the weights of the first k surfels
-    std::uint32_t count_copies_up_to_cumulative_weight(std::uint64_t cumulative_weight) const;
-    std::vector<SurfelModel> assign_new_surfel_ranges(std::vector<SurfelModel> models,
-                                                      const std::vector<ModelDensifyCounters>& counts) const;
+    std::uint32_t cumulative_copies(std::uint64_t cumulative_weight) const;
+    std::vector<SurfelModel> assign_ranges(std::vector<SurfelModel> models,
+                                           const std::vector<ModelDensifyCounters>& counts) const;
 };
 
 /// Plans how many surfels densification adds: one copy of each surfel that is marked for
 /// growth, until the total reaches DensifyOptions::max_surfels.
 /// @param random_number selects which surfels are copied if max_surfels is reached
-GrowthPlan plan_surfel_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
-                              std::uint64_t random_number);
+GrowthPlan plan_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
+                       std::uint64_t random_number);
 /// Reduces the number of added surfels until the total is at most `max_surfels`. Does not
 /// remove existing surfels.
-GrowthPlan limit_growth_plan(GrowthPlan plan, std::uint32_t max_surfels);
+GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels);
 
-DensifyReport make_densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan);
+DensifyReport densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

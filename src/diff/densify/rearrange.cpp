@@ -18,16 +18,16 @@ SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n_surfels, std::u
     scratch_surfels_.primitive = parameter_set.primitive;
     scratch_surfels_.bends = parameter_set.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
-    reserve_surfel_memory(n_surfels);
+    reserve_surfels(n_surfels);
     Stream stream(device);
     stream.fill(statistics.frames);
-    reset_gradient_sums(stream);
+    reset_sums(stream);
     stream.submit_and_wait();
 }
 
-void SurfelReorderer::reserve_surfel_memory(std::uint32_t n_surfels) {
+void SurfelReorderer::reserve_surfels(std::uint32_t n_surfels) {
     const std::size_t n_words = std::size_t(n_surfels) * statistics.n_words;
-    prefix_sum_.reserve_scratch_memory(device_, n_surfels);
+    prefix_sum_.reserve_scratch(device_, n_surfels);
     scratch_surfels_.reserve(device_, n_surfels, "copy of surfels");
     statistics.gradient_sum.reserve(device_, n_surfels, "gradient statistics");
     statistics.n_observing_batches.reserve(device_, n_surfels,
@@ -47,32 +47,32 @@ std::uint32_t SurfelReorderer::capacity() const {
     return std::min(scratch_surfels_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
 }
 
-std::size_t SurfelReorderer::compute_bytes_per_surfel() const {
-    return 4 * (count_floats_per_surfel(scratch_surfels_.get_parameter_set()) + 6 + 2 * statistics.n_words);
+std::size_t SurfelReorderer::bytes_per_surfel() const {
+    return 4 * (floats_per_surfel(scratch_surfels_.parameters_used()) + 6 + 2 * statistics.n_words);
 }
 
-void SurfelReorderer::compute_new_surfel_indices(Stream& stream, const GrowthPlan& plan,
-                                                 std::uint32_t n_surfels_before) {
+void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan,
+                                      std::uint32_t n_surfels_before) {
     RELIDAR_ASSERT_LE(std::max(n_surfels_before, plan.size()), capacity());
     before_ = n_surfels_before;
-    prefix_sum_.run(stream, {.address = weight.address().cast_content_tag<shared::ScanCounts>()},
-                    starts.address().cast_content_tag<shared::ScanPrefix>(), n_surfels_before);
+    prefix_sum_.run(stream, {.address = weight.address().cast_tag<shared::ScanCounts>()},
+                    starts.address().cast_tag<shared::ScanPrefix>(), n_surfels_before);
     run(stream, allot_, n_surfels_before,
         {.weight = weight.address(),
-         .cumulative = starts.address().cast_content_tag<shared::WeightsBefore>(),
+         .cumulative = starts.address().cast_tag<shared::WeightsBefore>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .n_surfels = n_surfels_before,
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
-    prefix_sum_.run(stream, {.address = n_rows.address().cast_content_tag<shared::ScanCounts>()},
-                    starts.address().cast_content_tag<shared::ScanPrefix>(), n_surfels_before);
+    prefix_sum_.run(stream, {.address = n_rows.address().cast_tag<shared::ScanCounts>()},
+                    starts.address().cast_tag<shared::ScanPrefix>(), n_surfels_before);
 }
 
 template <class T>
-void SurfelReorderer::move_rows_to_scratch_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
-                                                    std::uint32_t words_per_row, bool zero_new_rows) {
+void SurfelReorderer::move_rows(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
+                                std::uint32_t words_per_row, bool zero_new_rows) {
     run(stream, move_, before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
          .to = scratch_rows.template address_as<std::uint32_t, shared::NewRows>(),
@@ -85,22 +85,20 @@ void SurfelReorderer::move_rows_to_scratch_and_swap(Stream& stream, Array<T>& ro
     std::swap(rows, scratch_rows);
 }
 
-void SurfelReorderer::move_surfels_to_new_indices(Stream& stream, SurfelArrays& surfel_arrays,
-                                                  bool zero_new_rows, std::uint32_t n_surfels_after) {
-    for (const SurfelParameterGroup& group : list_parameter_groups(surfel_arrays.get_parameter_set()))
-        move_rows_to_scratch_and_swap(stream, group.mutable_device(surfel_arrays),
-                                      group.mutable_device(scratch_surfels_), group.count_floats(),
-                                      zero_new_rows);
+void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
+                                   std::uint32_t n_surfels_after) {
+    for (const SurfelParameterGroup& group : list_groups(surfel_arrays.parameters_used()))
+        move_rows(stream, group.mutable_device(surfel_arrays), group.mutable_device(scratch_surfels_),
+                  group.count_floats(), zero_new_rows);
     surfel_arrays.n = n_surfels_after;
 }
 
-void SurfelReorderer::move_statistics_to_new_indices(Stream& stream) {
-    move_rows_to_scratch_and_swap<std::uint32_t>(stream, statistics.frames, scratch_frames_,
-                                                 statistics.n_words, false);
-    reset_gradient_sums(stream);
+void SurfelReorderer::move_statistics(Stream& stream) {
+    move_rows<std::uint32_t>(stream, statistics.frames, scratch_frames_, statistics.n_words, false);
+    reset_sums(stream);
 }
 
-void SurfelReorderer::reset_gradient_sums(Stream& stream) {
+void SurfelReorderer::reset_sums(Stream& stream) {
     stream.fill(statistics.gradient_sum);
     stream.fill(statistics.n_observing_batches);
 }

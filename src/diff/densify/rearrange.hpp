@@ -18,24 +18,24 @@ public:
                     SurfelParameterSet parameter_set);
     /// The device must be idle. If memory is exhausted, throws DeviceError and keeps the
     /// data.
-    void reserve_surfel_memory(std::uint32_t n_surfels);
+    void reserve_surfels(std::uint32_t n_surfels);
     std::uint32_t capacity() const;
-    std::size_t compute_bytes_per_surfel() const;
+    std::size_t bytes_per_surfel() const;
     /// Computes the new index of each surfel from `action` and `weight`.
-    void compute_new_surfel_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
+    void compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
     /// @param zero_new_rows true: values of new and changed surfels are set to zero
-    void move_surfels_to_new_indices(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
-                                     std::uint32_t n_surfels_after);
+    void move_surfels(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
+                      std::uint32_t n_surfels_after);
     /// Resets all statistics except the frames in which a surfel was visible.
-    void move_statistics_to_new_indices(Stream& stream);
-    void reset_gradient_sums(Stream& stream);
+    void move_statistics(Stream& stream);
+    void reset_sums(Stream& stream);
 
     SurfelStatistics statistics;
     // [n] action of each surfel, in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
     /// [n] index of each surfel after the densification. Copies of a surfel get the next
-    /// indices. Before compute_new_surfel_indices() computes these indices, it uses the
+    /// indices. Before compute_indices() computes these indices, it uses the
     /// array for the prefix sums of `weight`.
     Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
@@ -50,8 +50,8 @@ private:
     std::uint32_t before_ = 0;
 
     template <class T>
-    void move_rows_to_scratch_and_swap(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
-                                       std::uint32_t words_per_row, bool zero_new_rows);
+    void move_rows(Stream& stream, Array<T>& rows, Array<T>& scratch_rows, std::uint32_t words_per_row,
+                   bool zero_new_rows);
 };
 
 }  // namespace relidar

@@ -9,14 +9,12 @@
 
 namespace relidar {
 
-std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
-                                            const AccelerationStructure& accel, const RayBatch& batch,
-                                            const ImageFormationModel& model, const TraceOptions& options) {
-    if (device.get_ray_tracing_backend() != RayTracingBackend::software ||
-        is_brute_force_tracing_forced(device))
-        return std::nullopt;
+std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene,
+                                        const AccelerationStructure& accel, const RayBatch& batch,
+                                        const ImageModel& model, const TraceOptions& options) {
+    if (device.backend() != RayTracingBackend::software || is_brute_force(device)) return std::nullopt;
     std::vector<SpecialisationConstant> constants =
-        make_trace_kernel_constants(device, accel.get_proxy_shape_of_surfels(), options, model);
+        trace_constants(device, accel.proxy_shape(), options, model);
     constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
                                               constants);
@@ -25,8 +23,7 @@ std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& s
                                                               "number of truncated rays");
     const Array<std::uint32_t, shared::VisitCounters> visits(device, std::vector<std::uint32_t>{0u, 0u},
                                                              "visits");
-    shared::TraceScene traced =
-        make_trace_scene_params(scene, accel, batch, model, options, pass_cap.address());
+    shared::TraceScene traced = trace_params(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
     shared::ForwardParams params = {.scene = traced,
@@ -39,11 +36,11 @@ std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& s
                                     .kept_in_lists = 0,
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitListTracer> lists;
-    if (should_use_hit_lists(device, options)) {
+    if (uses_hit_lists(device, options)) {
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
-        lists->render_with_hit_lists(stream, batch, params);
+        lists->render(stream, batch, params);
     }
-    run(stream, trace, count_trace_threads(batch), params);
+    run(stream, trace, count_threads(batch), params);
     stream.submit_and_wait();
     const std::vector<std::uint32_t> sums = visits.download();
     return VisitCounts{double(sums[0]) / batch.n_rays, double(sums[1]) / batch.n_rays};

@@ -19,8 +19,8 @@ struct VisitCounts {
 /// Waits for the result. Before the call, submit the commands that compute the surfel
 /// records and build the acceleration structure.
 /// @return nothing if the device uses ray queries, because the driver reports no visits
-std::optional<VisitCounts> count_bvh_visits(Device& device, const DeviceScene& scene,
-                                            const AccelerationStructure& accel, const RayBatch& batch,
-                                            const ImageFormationModel& model, const TraceOptions& options);
+std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene,
+                                        const AccelerationStructure& accel, const RayBatch& batch,
+                                        const ImageModel& model, const TraceOptions& options);
 
 }  // namespace relidar

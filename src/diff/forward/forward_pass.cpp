@@ -17,28 +17,27 @@
 namespace relidar {
 
 struct ForwardPass::Impl {
-    ImageFormationModel model;
+    ImageModel model;
     TraceOptions options;
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
     Array<std::uint32_t, shared::OverfullCount> n_overfull;
     std::optional<HitListTracer> lists;  ///< set if rays write their hits to lists
 
-    Impl(Device& device, const ImageFormationModel& m, ProxyShape proxy, const TraceOptions& o)
+    Impl(Device& device, const ImageModel& m, ProxyShape proxy, const TraceOptions& o)
         : model(m),
           options(o),
-          trace(device, "diff/forward/trace", get_traversal_kernel_variant(device),
-                make_trace_kernel_constants(device, proxy, o, m)),
+          trace(device, "diff/forward/trace", kernel_variant(device), trace_constants(device, proxy, o, m)),
           pass_cap(device, std::vector<std::uint32_t>{0u}, "number of truncated rays"),
           n_overfull(device, std::vector<std::uint32_t>{0u},
                      "number of rays with more hits than are stored") {
-        if (should_use_hit_lists(device, o))
-            lists.emplace(device, get_traversal_kernel_variant(device),
-                          make_trace_kernel_constants(device, proxy, o, m), o.initial_list_capacity);
+        if (uses_hit_lists(device, o))
+            lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, o, m),
+                          o.initial_list_capacity);
     }
 };
 
-ForwardPass::ForwardPass(Device& device, const ImageFormationModel& model, ProxyShape proxy,
+ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
                          const TraceOptions& options) {
     if (options.chunk < 1 || options.chunk > 64)
         fail<UsageError>("setting trace.chunk: found {}, expected 1 to 64", options.chunk);
@@ -51,46 +50,42 @@ ForwardPass::ForwardPass(Device& device, const ImageFormationModel& model, Proxy
 ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
-void ForwardPass::record_forward_pass(Stream& stream, const DeviceScene& scene,
-                                      const AccelerationStructure& accel, const RayBatch& batch,
-                                      Array<shared::RenderedRay>& rendered_rays, StoredRayHits* stored_hits,
-                                      const Array<shared::RenderedSurface>* surfaces) {
+void ForwardPass::record_forward(Stream& stream, const DeviceScene& scene, const AccelerationStructure& accel,
+                                 const RayBatch& batch, Array<shared::RenderedRay>& rendered_rays,
+                                 StoredRayHits* stored_hits, const Array<shared::RenderedSurface>* surfaces) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered_rays.size());
     [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!stored_hits || stored_hits->can_store_hits(batch), true);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
-    RELIDAR_ASSERT_LE(impl_->options.writes_normals_or_surface_ranges() ? std::size_t(batch.n_rays) : 0,
+    RELIDAR_ASSERT_LE(impl_->options.writes_surfaces() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);
     shared::ForwardParams params = {
-        .scene = make_trace_scene_params(scene, accel, batch, impl_->model, impl_->options,
-                                         impl_->pass_cap.address()),
+        .scene = trace_params(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
         .lists = {},
         .rendered = rendered_rays.address(),
-        .kept = get_device_address_or_null(stored_hits ? &stored_hits->hits : nullptr),
+        .kept = address_or_null(stored_hits ? &stored_hits->hits : nullptr),
         .n_overfull = impl_->n_overfull.address(),
-        .surfaces = get_device_address_or_null(surfaces),
+        .surfaces = address_or_null(surfaces),
         .n_kept = stored_hits ? stored_hits->per_ray : 0,
         .kept_in_lists = 0,
         .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
-    if (impl_->lists) impl_->lists->render_with_hit_lists(stream, batch, params, stored_hits);
-    relidar::run(stream, impl_->trace, count_trace_threads(batch), params);
+    if (impl_->lists) impl_->lists->render(stream, batch, params, stored_hits);
+    relidar::run(stream, impl_->trace, count_threads(batch), params);
 }
 
-const Array<std::uint32_t>& ForwardPass::get_truncated_ray_count_on_device() const { return impl_->pass_cap; }
-const Array<std::uint32_t>& ForwardPass::get_hit_overflow_ray_count_on_device() const {
-    return impl_->n_overfull;
-}
+const Array<std::uint32_t>& ForwardPass::n_truncated_rays() const { return impl_->pass_cap; }
+const Array<std::uint32_t>& ForwardPass::n_overflowed_rays() const { return impl_->n_overfull; }
 
-std::uint32_t ForwardPass::read_and_reset_truncated_ray_count() {
+std::uint32_t ForwardPass::consume_truncated() {
     const std::uint32_t count = impl_->pass_cap.download()[0];
     if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});
     return count;
 }
 
-RenderedRayValues convert_rays_to_rendered_values(const std::vector<shared::RenderedRay>& rays,
-                                                  const std::vector<shared::RenderedSurface>& surfaces) {
+RenderedRayValues to_ray_values(const std::vector<shared::RenderedRay>& rays,
+                                const std::vector<shared::RenderedSurface>& surfaces) {
     RenderedRayValues r;
     for (const shared::RenderedRay& ray : rays) {
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) r.name.push_back(ray.name);

@@ -15,7 +15,7 @@ namespace {
 // could need more than 2^32 threads in a launch.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
-Kernel<shared::SortHitsParams> make_hit_sort_kernel(Device& device) {
+Kernel<shared::SortHitsParams> make_sort_kernel(Device& device) {
     const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
     return {device,
             KernelName<shared::SortHitsParams>("diff/forward/sort_hits"),
@@ -26,7 +26,7 @@ Kernel<shared::SortHitsParams> make_hit_sort_kernel(Device& device) {
 
 }  // namespace
 
-std::uint32_t compute_max_hits_per_ray_list(const Device& device) {
+std::uint32_t max_list_hits(const Device& device) {
     return std::min<std::uint32_t>(
         RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
 }
@@ -36,8 +36,8 @@ HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
     : device_(device),
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
-      sort_(make_hit_sort_kernel(device)),
-      max_hits_per_list_(compute_max_hits_per_ray_list(device)),
+      sort_(make_sort_kernel(device)),
+      max_hits_per_list_(max_list_hits(device)),
       hits_per_list_(std::min(static_cast<std::uint32_t>(initial_hits_per_list), max_hits_per_list_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u},
                    "number of rays with more hits than a hit list can store"),
@@ -45,7 +45,7 @@ HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
 
 /// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
 /// memory. Allocates none if no memory is free.
-void HitListTracer::allocate_hit_lists(std::size_t n_lists) {
+void HitListTracer::allocate_lists(std::size_t n_lists) {
     // All lists may use one eighth of the device's memory. Assumes 8 GiB of memory if the
     // size is unknown.
     const std::size_t memory_bytes = device_.info().memory_bytes;
@@ -67,23 +67,22 @@ void HitListTracer::allocate_hit_lists(std::size_t n_lists) {
 /// Returns true if rays had more hits than their lists can hold. Such rays are slow,
 /// because kernel diff/forward/trace must render them again. Reads the count of an
 /// earlier submission that is already finished, so that the host never waits here.
-bool HitListTracer::has_hit_list_overflowed(Stream& stream) {
-    if (!overflows_.has_pending_copy() ||
-        stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
+bool HitListTracer::has_overflowed(Stream& stream) {
+    if (!overflows_.is_pending() || stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kMaxPending)
         return false;
     std::uint32_t count = 0;
-    std::memcpy(&count, overflows_.wait_for_copied_bytes(stream), sizeof count);
+    std::memcpy(&count, overflows_.wait_for_bytes(stream), sizeof count);
     const std::uint32_t n_overflows = count - std::exchange(overflows_before_, count);
     return grows_ && hits_per_list_ < max_hits_per_list_ && n_overflows > 0;
 }
 
 /// Returns memory for one hit list per thread. Uses the hit memory of the backward pass
 /// (`kept_hits`) if it is large enough.
-shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_threads,
-                                                  const StoredRayHits* kept_hits) {
-    const std::size_t n = StoredRayHits::round_up_to_interleave_group_size(n_threads);
+shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
+                                              const StoredRayHits* kept_hits) {
+    const std::size_t n = StoredRayHits::round_up_threads(n_threads);
     if (n > kMostLists) return {};
-    if (has_hit_list_overflowed(stream)) {
+    if (has_overflowed(stream)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
         stream.fill(n_overflows_);
         overflows_before_ = 0;
@@ -98,7 +97,7 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
         stream.submit_and_wait();
     if (uses_stored_hit_memory) hits_ = {};
     else if (!can_reuse_lists)
-        allocate_hit_lists(
+        allocate_lists(
             std::max(n, allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0));
     try {
         if (lengths_.size() < n)
@@ -113,22 +112,22 @@ shared::HitLists HitListTracer::reserve_hit_lists(Stream& stream, std::size_t n_
             .room = hits_per_list};
 }
 
-void HitListTracer::record_overflow_count_readback(Stream& stream) {
-    if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.has_pending_copy()) return;
-    overflows_.record_copy_to_host(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
+void HitListTracer::record_readback(Stream& stream) {
+    if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.is_pending()) return;
+    overflows_.record_copy(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
     counted_until_ = stream.impl().last_ticket + 1;
 }
 
-void HitListTracer::render_with_hit_lists(Stream& stream, const RayBatch& batch,
-                                          shared::ForwardParams& params, const StoredRayHits* kept_hits) {
-    const std::size_t n = count_trace_threads(batch);
-    const shared::HitLists lists = reserve_hit_lists(stream, n, kept_hits);
+void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
+                           const StoredRayHits* kept_hits) {
+    const std::size_t n = count_threads(batch);
+    const shared::HitLists lists = reserve_lists(stream, n, kept_hits);
     if (lists.room == 0) return;
     params.lists = lists;
     params.kept_in_lists = kept_hits && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
     relidar::run(stream, append_, n,
                  {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
-    record_overflow_count_readback(stream);
+    record_readback(stream);
     relidar::run(stream, sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
     relidar::run(stream, blend_, n, params);
 }

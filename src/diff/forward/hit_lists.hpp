@@ -15,14 +15,14 @@ namespace relidar {
 /// Returns true if rays write their hits to lists in global memory. On a CPU, a small
 /// sorted buffer per ray is faster, because it stays in the cache and needs no second
 /// kernel.
-inline bool should_use_hit_lists(const Device& device, const TraceOptions& options) {
+inline bool uses_hit_lists(const Device& device, const TraceOptions& options) {
     return options.order == HitSortMethod::automatic ? device.info().type != "CPU"
                                                      : options.order == HitSortMethod::lists;
 }
 
 /// Returns the maximum number of hits in a list. A single subgroup of the device can sort
 /// at most this many hits.
-std::uint32_t compute_max_hits_per_ray_list(const Device& device);
+std::uint32_t max_list_hits(const Device& device);
 
 class HitListTracer {
 public:
@@ -38,9 +38,9 @@ public:
     /// All calls must use the same stream.
     /// @param kept_hits memory of the hits for the backward pass. If it is large enough,
     /// lists use it, which avoids a copy
-    void render_with_hit_lists(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
-                               const StoredRayHits* kept_hits = nullptr);
-    std::uint32_t get_hit_list_capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
+    void render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
+                const StoredRayHits* kept_hits = nullptr);
+    std::uint32_t capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
 
 private:
     Device& device_;
@@ -57,10 +57,10 @@ private:
     std::uint64_t counted_until_ = 0;     ///< number of the submission that reads the count
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
-    void allocate_hit_lists(std::size_t n_lists);
-    shared::HitLists reserve_hit_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept_hits);
-    bool has_hit_list_overflowed(Stream& stream);
-    void record_overflow_count_readback(Stream& stream);
+    void allocate_lists(std::size_t n_lists);
+    shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept_hits);
+    bool has_overflowed(Stream& stream);
+    void record_readback(Stream& stream);
 };
 
 }  // namespace relidar

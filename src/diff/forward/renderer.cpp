@@ -18,7 +18,7 @@ namespace relidar {
 struct Renderer::Impl {
     Device& device;
     RendererOptions options;
-    ImageFormationModel model;
+    ImageModel model;
     int highest_sh_degree;
     std::optional<Stream> local_stream;
     Stream& stream;
@@ -33,7 +33,7 @@ struct Renderer::Impl {
     std::optional<Array<shared::RenderedSurface>> surfaces;
     RenderedBatch batch;
 
-    Impl(Device& d, const Scene& s, const ImageFormationModel& m, const RendererOptions& o)
+    Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
         : device(d),
           options(o),
           model(m),
@@ -41,20 +41,19 @@ struct Renderer::Impl {
           stream(o.stream ? *o.stream : local_stream.emplace(d, true)),
           scene(d, s),
           accel(std::in_place, d, scene, o.accel),
-          forward(d, m, accel->get_proxy_shape_of_surfels(), o.trace) {
-        allocate_ray_arrays(o.n_rays);
+          forward(d, m, accel->proxy_shape(), o.trace) {
+        allocate_rays(o.n_rays);
     }
 
-    void allocate_ray_arrays(std::size_t n_rays) {
+    void allocate_rays(std::size_t n_rays) {
         // Clears the old arrays before it allocates new ones. If an allocation fails,
         // `rendered` stays empty, so that the next call tries again. The hit storage is
         // allocated last, because it can be made smaller to fit.
         batch.surfaces = nullptr;
         rendered = {};
-        if (options.trace.writes_normals_or_surface_ranges())
-            surfaces.emplace(device, n_rays, "surfaces of rays");
+        if (options.trace.writes_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
-        allocate_hit_storage_that_fits(n_rays);
+        fit_hit_storage(n_rays);
         batch = {
             {}, &rendered, nullptr, stored_hits ? &*stored_hits : nullptr, surfaces ? &*surfaces : nullptr};
     }
@@ -62,17 +61,17 @@ struct Renderer::Impl {
     /// Allocates memory for the hits that the backward pass reads. Halves the number of
     /// hits per ray until they fit. If hits of a ray are missing, the backward pass
     /// traces this ray again.
-    void allocate_hit_storage_that_fits(std::size_t n_threads) {
+    void fit_hit_storage(std::size_t n_threads) {
         for (;; options.keep_hits /= 2) {
             try {
-                return allocate_hit_storage(n_threads);
+                return allocate_hits(n_threads);
             } catch (const OutOfDeviceMemory&) {
                 if (options.keep_hits == 0) throw;
             }
         }
     }
 
-    void allocate_hit_storage(std::size_t n_threads) {
+    void allocate_hits(std::size_t n_threads) {
         // Frees the old memory first, because the device may not have enough memory for
         // both. No command still reads the old memory.
         stored_hits.reset();
@@ -81,7 +80,7 @@ struct Renderer::Impl {
     }
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageFormationModel& model,
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
                    const RendererOptions& options)
     : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
 Renderer::~Renderer() { wait_for_device(); }
@@ -93,49 +92,47 @@ void Renderer::wait_for_device() noexcept {
         if (!impl_->local_stream) impl_->stream.submit_and_wait();
     } catch (const Error&) {  // nothing to do, because a lost device no longer uses memory
     }
-    impl_->device.impl().wait_until_device_idle();
+    impl_->device.impl().wait_idle();
 }
 
-void Renderer::record_scene_update_for_view(const std::vector<InstancePose>& instance_poses,
-                                            const glm::vec3& view_origin_m) {
+void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
-    r.scene.record_upload_of_instance_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
-    r.scene.record_activation_of_surfel_parameters(r.stream, r.model, view_origin_m);
-    r.accel->record_bvh_refit_or_build(r.stream, r.scene);
+    r.scene.stage_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
+    r.scene.activate(r.stream, r.model, view_origin_m);
+    r.accel->record_refit(r.stream, r.scene);
     r.placed = true;
 }
 
-void Renderer::record_instance_poses_and_view(const std::vector<InstancePose>& instance_poses,
-                                              const glm::vec3& view_origin_m) {
+void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
-    if (!r.placed) return record_scene_update_for_view(instance_poses, view_origin_m);
+    if (!r.placed) return update(instance_poses, view_origin_m);
     r.view_origin_m = view_origin_m;
-    const bool bends = r.scene.would_change_gait_phases(instance_poses);
-    r.scene.record_upload_of_instance_poses(r.stream, instance_poses);
+    const bool bends = r.scene.moves_gait(instance_poses);
+    r.scene.stage_poses(r.stream, instance_poses);
     if (bends || r.model.sh_direction == ShDirection::surfel)
-        r.scene.record_activation_of_surfel_parameters(r.stream, r.model, view_origin_m);
-    if (bends) r.accel->record_refit_of_animated_actor_bvhs(r.stream, r.scene);
-    else r.accel->record_top_level_bvh_update(r.stream, r.scene);
+        r.scene.activate(r.stream, r.model, view_origin_m);
+    if (bends) r.accel->refit_animated(r.stream, r.scene);
+    else r.accel->record_top_level(r.stream, r.scene);
 }
 
-void Renderer::record_forward_pass(const RayBatch& rays) {
+void Renderer::record_forward(const RayBatch& rays) {
     Impl& r = *impl_;
     if (!r.placed)
         throw UsageError("cannot render: the models of the scene have no poses yet; place them first");
     if (rays.n_rays > r.rendered.size()) {
         r.stream.submit_and_wait();
-        r.allocate_ray_arrays(rays.n_rays);
+        r.allocate_rays(rays.n_rays);
     }
     // The hit storage needs one entry per thread. An image can have more threads than
     // rays.
     if (r.stored_hits && !r.stored_hits->can_store_hits(rays)) {
         r.stream.submit_and_wait();
-        r.allocate_hit_storage_that_fits(count_trace_threads(rays));
+        r.fit_hit_storage(count_threads(rays));
     }
     r.batch.rays = rays;
-    r.forward.record_forward_pass(r.stream, r.scene, *r.accel, rays, r.rendered,
-                                  r.stored_hits ? &*r.stored_hits : nullptr, r.batch.surfaces);
+    r.forward.record_forward(r.stream, r.scene, *r.accel, rays, r.rendered,
+                             r.stored_hits ? &*r.stored_hits : nullptr, r.batch.surfaces);
 }
 
 RenderedRayValues Renderer::render_rays(const WorldRays& rays) {
@@ -143,45 +140,44 @@ RenderedRayValues Renderer::render_rays(const WorldRays& rays) {
     r.stream.submit_and_wait();  // waits, because earlier commands may still read the rays
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
-    record_forward_pass({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
-    return download_rendering();
+    record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
+    return download_rays();
 }
 
-void Renderer::require_rays_fully_traced() {
+void Renderer::check_truncation() {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
-    if (const std::uint32_t capped = r.forward.read_and_reset_truncated_ray_count())
+    if (const std::uint32_t capped = r.forward.consume_truncated())
         fail<DeviceError>(
             "cannot trace {} rays: the search for surfels stopped {} times at its limit ({} passes or a full "
             "stack), because too many surfels overlap; use a scene with smaller or fewer surfels",
             r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES);
 }
 
-RenderedRayValues Renderer::download_rendering() {
+RenderedRayValues Renderer::download_rays() {
     Impl& r = *impl_;
-    require_rays_fully_traced();
+    check_truncation();
     const std::size_t n = r.batch.rays.n_rays;
-    if (!r.surfaces) return convert_rays_to_rendered_values(r.rendered.download(n));
-    RenderedRayValues rendering =
-        convert_rays_to_rendered_values(r.rendered.download(n), r.surfaces->download(n));
+    if (!r.surfaces) return to_ray_values(r.rendered.download(n));
+    RenderedRayValues rendering = to_ray_values(r.rendered.download(n), r.surfaces->download(n));
     if (!r.options.trace.normals) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;
 }
 
-std::uint32_t Renderer::get_stored_hits_per_ray() const { return impl_->options.keep_hits; }
+std::uint32_t Renderer::stored_hits_per_ray() const { return impl_->options.keep_hits; }
 
-void Renderer::set_stored_hits_per_ray(std::uint32_t hits_per_ray) {
+void Renderer::set_stored_hits(std::uint32_t hits_per_ray) {
     Impl& r = *impl_;
     r.stream.submit_and_wait();
     const std::uint32_t before = std::exchange(r.options.keep_hits, hits_per_ray);
     const std::size_t n_threads =
         std::max(r.rendered.size(), r.stored_hits ? r.stored_hits->hits.size() / r.stored_hits->per_ray : 0);
     try {
-        r.allocate_hit_storage(n_threads);
+        r.allocate_hits(n_threads);
     } catch (const OutOfDeviceMemory&) {
         r.options.keep_hits = before;
-        r.allocate_hit_storage_that_fits(n_threads);
+        r.fit_hit_storage(n_threads);
         throw;
     }
 }
@@ -196,27 +192,25 @@ void Renderer::upload_surfels(const Surfels& surfels) {
         fail("cannot upload surfels: found {} surfels, expected {} like in the scene", surfels.size(),
              impl_->scene.size());
     impl_->stream.submit_and_wait();
-    impl_->scene.get_surfel_parameters().upload(surfels);
+    impl_->scene.surfel_parameters().upload(surfels);
 }
 
 Scene Renderer::download_scene() {
     impl_->stream.submit_and_wait();
-    Scene scene = impl_->scene.get_scene_layout();
-    scene.surfels = impl_->scene.get_surfel_parameters().download();
+    Scene scene = impl_->scene.layout();
+    scene.surfels = impl_->scene.surfel_parameters().download();
     return scene;
 }
 
-void Renderer::release_acceleration_structure() {
+void Renderer::release_accel() {
     impl_->accel.reset();
     impl_->placed = false;
 }
 
-void Renderer::create_acceleration_structure() {
-    impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel);
-}
+void Renderer::create_accel() { impl_->accel.emplace(impl_->device, impl_->scene, impl_->options.accel); }
 
-const RenderedBatch& Renderer::get_last_rendered_batch() const { return impl_->batch; }
-const ImageFormationModel& Renderer::model() const { return impl_->model; }
+const RenderedBatch& Renderer::last_batch() const { return impl_->batch; }
+const ImageModel& Renderer::model() const { return impl_->model; }
 Stream& Renderer::stream() { return impl_->stream; }
 DeviceScene& Renderer::scene() { return impl_->scene; }
 const DeviceScene& Renderer::scene() const { return impl_->scene; }

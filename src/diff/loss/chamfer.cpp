@@ -19,7 +19,7 @@ struct ImageTileLevels {
     glm::uvec2 points, tiles, groups;
 
     explicit ImageTileLevels(const TargetBatch& batch) {
-        const bool image = batch.image.has_image_rows_and_columns();
+        const bool image = batch.image.is_image();
         if (!image) tile = {1, 32};
         points = image ? glm::uvec2(batch.image.rows, batch.image.columns) : glm::uvec2(1, batch.n_rays);
         tiles = (points + tile - 1u) / tile;
@@ -37,12 +37,12 @@ struct TiledPointCloud {
     /// Allocates enough tiles and groups for any image with `count` points. An image with
     /// one column needs the most: a tile then has only 4 points, and a group only 4
     /// tiles.
-    TiledPointCloud(Device& device, std::size_t count, const std::string& description)
-        : points(device, count, description + " points"),
-          tile_low(device, count / 4 + 1, description + " tiles"),
-          tile_high(device, count / 4 + 1, description + " tiles"),
-          group_low(device, count / 16 + 2, description + " groups"),
-          group_high(device, count / 16 + 2, description + " groups") {}
+    TiledPointCloud(Device& device, std::size_t count, const std::string& text)
+        : points(device, count, text + " points"),
+          tile_low(device, count / 4 + 1, text + " tiles"),
+          tile_high(device, count / 4 + 1, text + " tiles"),
+          group_low(device, count / 16 + 2, text + " groups"),
+          group_high(device, count / 16 + 2, text + " groups") {}
 };
 
 }  // namespace
@@ -68,18 +68,17 @@ struct ChamferLoss::Impl {
           nearest_simulated(device, count, "nearest simulated points"),
           d_nearest_simulated(device, 2 * count, "gradients of nearest points"),
           counts(device, 2, "points"),
-          points(device, "diff/loss/chamfer_points", choose_atomic_float_add_kernel_variant(device)),
+          points(device, "diff/loss/chamfer_points", atomic_variant(device)),
           boxes(device, "diff/loss/chamfer_boxes"),
           nearest(device, "diff/loss/chamfer_nearest"),
-          chamfer(device, "diff/loss/chamfer", choose_atomic_float_add_kernel_variant(device)),
+          chamfer(device, "diff/loss/chamfer", atomic_variant(device)),
           vjp(device, "diff/loss/chamfer_vjp") {}
 
-    void compute_tile_bounds(Stream& stream, const TiledPointCloud& cloud,
-                             const ImageTileLevels& tile_layout) const {
+    void tile_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& tile_layout) const {
         RELIDAR_ASSERT_LE(std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y, cloud.tile_low.size());
         relidar::run(stream, boxes, std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y,
-                     {.low = cloud.points.address().cast_content_tag<shared::LowCorners>(),
-                      .high = cloud.points.address().cast_content_tag<shared::HighCorners>(),
+                     {.low = cloud.points.address().cast_tag<shared::LowCorners>(),
+                      .high = cloud.points.address().cast_tag<shared::HighCorners>(),
                       .tile_low = cloud.tile_low.address(),
                       .tile_high = cloud.tile_high.address(),
                       .rows = tile_layout.points.x,
@@ -87,24 +86,24 @@ struct ChamferLoss::Impl {
                       .tile_rows = tile_layout.tile.x,
                       .tile_columns = tile_layout.tile.y});
     }
-    void compute_group_bounds(Stream& stream, const TiledPointCloud& cloud,
-                              const ImageTileLevels& tile_layout) const {
+    void group_bounds(Stream& stream, const TiledPointCloud& cloud,
+                      const ImageTileLevels& tile_layout) const {
         RELIDAR_ASSERT_LE(std::size_t(tile_layout.groups.x) * tile_layout.groups.y, cloud.group_low.size());
         relidar::run(stream, boxes, std::size_t(tile_layout.groups.x) * tile_layout.groups.y,
-                     {.low = cloud.tile_low.address().cast_content_tag<shared::LowCorners>(),
-                      .high = cloud.tile_high.address().cast_content_tag<shared::HighCorners>(),
-                      .tile_low = cloud.group_low.address().cast_content_tag<shared::TileLows>(),
-                      .tile_high = cloud.group_high.address().cast_content_tag<shared::TileHighs>(),
+                     {.low = cloud.tile_low.address().cast_tag<shared::LowCorners>(),
+                      .high = cloud.tile_high.address().cast_tag<shared::HighCorners>(),
+                      .tile_low = cloud.group_low.address().cast_tag<shared::TileLows>(),
+                      .tile_high = cloud.group_high.address().cast_tag<shared::TileHighs>(),
                       .rows = tile_layout.tiles.x,
                       .columns = tile_layout.tiles.y,
                       .tile_rows = tile_layout.tile.x,
                       .tile_columns = tile_layout.tile.y});
     }
-    void find_nearest_points(Stream& stream, const TiledPointCloud& source_cloud,
-                             const TiledPointCloud& target_cloud, const Array<std::uint32_t>& nearest_index,
-                             const ImageTileLevels& tile_layout) const {
+    void find_nearest(Stream& stream, const TiledPointCloud& source_cloud,
+                      const TiledPointCloud& target_cloud, const Array<std::uint32_t>& nearest_index,
+                      const ImageTileLevels& tile_layout) const {
         relidar::run(stream, nearest, n_rays,
-                     {.queries = source_cloud.points.address().cast_content_tag<shared::QueryPoints>(),
+                     {.queries = source_cloud.points.address().cast_tag<shared::QueryPoints>(),
                       .cloud = {.points = target_cloud.points.address(),
                                 .tile_low = target_cloud.tile_low.address(),
                                 .tile_high = target_cloud.tile_high.address(),
@@ -119,20 +118,20 @@ struct ChamferLoss::Impl {
     /// Submits kernels that search the nearest measured point of each simulated point,
     /// and the nearest simulated point of each measured point. Both searches run
     /// concurrently on the device.
-    void find_nearest_points_both_ways(Stream& stream, const ImageTileLevels& tile_layout) const {
+    void find_both_ways(Stream& stream, const ImageTileLevels& tile_layout) const {
         {
             const ConcurrentLaunchScope both(stream);
-            compute_tile_bounds(stream, simulated, tile_layout);
-            compute_tile_bounds(stream, measured, tile_layout);
+            tile_bounds(stream, simulated, tile_layout);
+            tile_bounds(stream, measured, tile_layout);
         }
         {
             const ConcurrentLaunchScope both(stream);
-            compute_group_bounds(stream, simulated, tile_layout);
-            compute_group_bounds(stream, measured, tile_layout);
+            group_bounds(stream, simulated, tile_layout);
+            group_bounds(stream, measured, tile_layout);
         }
         const ConcurrentLaunchScope both(stream);
-        find_nearest_points(stream, simulated, measured, nearest_measured, tile_layout);
-        find_nearest_points(stream, measured, simulated, nearest_simulated, tile_layout);
+        find_nearest(stream, simulated, measured, nearest_measured, tile_layout);
+        find_nearest(stream, measured, simulated, nearest_simulated, tile_layout);
     }
 };
 
@@ -143,8 +142,8 @@ std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weigh
     return std::make_unique<ChamferLoss>(device, weights, n_rays);
 }
 
-void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_rendered,
-                                    const TargetBatch& batch, const LossTermRow& terms) {
+void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& batch_rendered,
+                                 const TargetBatch& batch, const LossTermRow& terms) {
     Impl& c = *impl_;
     const RayBatch& rays = batch_rendered.rays;
     const Array<shared::RenderedRay>& rendered = *batch_rendered.rendered;
@@ -163,25 +162,25 @@ void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_r
                  {.rays = rays.rays->address(),
                   .rendered = rendered.address(),
                   .targets = batch.targets->address(),
-                  .simulated = c.simulated.points.address().cast_content_tag<shared::SimulatedPoints>(),
-                  .measured = c.measured.points.address().cast_content_tag<shared::MeasuredPoints>(),
+                  .simulated = c.simulated.points.address().cast_tag<shared::SimulatedPoints>(),
+                  .measured = c.measured.points.address().cast_tag<shared::MeasuredPoints>(),
                   .counts = c.counts.address(),
                   .n_rays = batch.n_rays,
                   .first_ray = batch.first,
                   .ray_stride = batch.stride,
                   .normalised_depth = normalised});
-    c.find_nearest_points_both_ways(stream, levels);
+    c.find_both_ways(stream, levels);
     const shared::ChamferParams chamfer{
         .rays = rays.rays->address(),
         .rendered = rendered.address(),
-        .simulated = c.simulated.points.address().cast_content_tag<shared::SimulatedPoints>(),
-        .measured = c.measured.points.address().cast_content_tag<shared::MeasuredPoints>(),
+        .simulated = c.simulated.points.address().cast_tag<shared::SimulatedPoints>(),
+        .measured = c.measured.points.address().cast_tag<shared::MeasuredPoints>(),
         .nearest_measured = c.nearest_measured.address(),
         .nearest_simulated = c.nearest_simulated.address(),
         .counts = c.counts.address(),
         .d_found = c.d_nearest_simulated.address(),
         .upstream = upstream.address(),
-        .terms = terms.get_loss_term_row_address(),
+        .terms = terms.row_address(),
         .weight = c.weights.chamfer,
         .n_rays = batch.n_rays,
         .first_ray = batch.first,
@@ -191,7 +190,7 @@ void ChamferLoss::record_ray_losses(Stream& stream, const RenderedBatch& batch_r
     relidar::run(stream, c.vjp, batch.n_rays, chamfer);
 }
 
-std::array<std::vector<std::uint32_t>, 2> ChamferLoss::download_nearest_point_indices() const {
+std::array<std::vector<std::uint32_t>, 2> ChamferLoss::nearest_points() const {
     std::array<std::vector<std::uint32_t>, 2> result{impl_->nearest_measured.download(),
                                                      impl_->nearest_simulated.download()};
     for (std::vector<std::uint32_t>& indices : result) indices.resize(impl_->n_rays);

@@ -21,8 +21,8 @@ struct ImageLoss::Impl {
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
     : impl_(new Impl{weights,
-                     {device, "diff/loss/image_loss", choose_atomic_float_add_kernel_variant(device)},
-                     {device, "diff/loss/ssim", choose_atomic_float_add_kernel_variant(device)},
+                     {device, "diff/loss/image_loss", atomic_variant(device)},
+                     {device, "diff/loss/ssim", atomic_variant(device)},
                      {device, "diff/loss/ssim_vjp"},
                      {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0,
                       "structural similarity"}}) {}
@@ -31,8 +31,8 @@ std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights
     return std::make_unique<ImageLoss>(device, weights, n_rays);
 }
 
-void ImageLoss::record_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
-                                  const LossTermRow& terms) {
+void ImageLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const TargetBatch& batch,
+                               const LossTermRow& terms) {
     const Array<shared::RenderedRay>& rendered = *rays.rendered;
     Array<shared::RayGradient>& upstream = *rays.upstream;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), upstream.size());
@@ -45,7 +45,7 @@ void ImageLoss::record_ray_losses(Stream& stream, const RenderedBatch& rays, con
                  {.rendered = rendered.address(),
                   .targets = batch.targets->address(),
                   .upstream = upstream.address(),
-                  .terms = terms.get_loss_term_row_address(),
+                  .terms = terms.row_address(),
                   .depth_weight = w.depth * per_return,
                   .intensity_weight = (1.0f - w.intensity_ssim) * w.intensity * per_return,
                   .drop_weight = w.drop * per_ray,
@@ -63,7 +63,7 @@ void ImageLoss::record_ray_losses(Stream& stream, const RenderedBatch& rays, con
                                   .targets = batch.targets->address(),
                                   .statistics = impl_->statistics.address(),
                                   .upstream = upstream.address(),
-                                  .terms = terms.get_loss_term_row_address(),
+                                  .terms = terms.row_address(),
                                   .weight = w.intensity_ssim * w.intensity * per_return,
                                   .first_ray = batch.first,
                                   .ray_stride = batch.stride,

@@ -18,15 +18,14 @@ struct LikelihoodLoss::Impl {
 };
 
 LikelihoodLoss::LikelihoodLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{
-          weights, {device, "diff/loss/likelihood_loss", choose_atomic_float_add_kernel_variant(device)}}) {}
+    : impl_(new Impl{weights, {device, "diff/loss/likelihood_loss", atomic_variant(device)}}) {}
 LikelihoodLoss::~LikelihoodLoss() = default;
 std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<LikelihoodLoss>(device, weights);
 }
 
-void LikelihoodLoss::record_ray_losses(Stream& stream, const RenderedBatch& rendered,
-                                       const TargetBatch& batch, const LossTermRow& terms) {
+void LikelihoodLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch,
+                                    const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.upstream->size());
     const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
@@ -34,7 +33,7 @@ void LikelihoodLoss::record_ray_losses(Stream& stream, const RenderedBatch& rend
                  {.rendered = rendered.rendered->address(),
                   .targets = batch.targets->address(),
                   .upstream = rendered.upstream->address(),
-                  .terms = terms.get_loss_term_row_address(),
+                  .terms = terms.row_address(),
                   .weight = w.likelihood * per_return,
                   .likelihood_floor = w.likelihood_floor,
                   .n_rays = batch.n_rays,

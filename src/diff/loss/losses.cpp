@@ -6,7 +6,7 @@
 namespace relidar {
 namespace {
 
-constexpr bool are_loss_terms_sorted_by_index() {
+constexpr bool are_terms_sorted() {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) index,
     const std::size_t indices[] = {RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
@@ -15,14 +15,13 @@ constexpr bool are_loss_terms_sorted_by_index() {
         if (index != next++) return false;
     return true;
 }
-static_assert(are_loss_terms_sorted_by_index(),
+static_assert(are_terms_sorted(),
               "RELIDAR_LOSS_TERMS must list the terms with the indices 0, 1, 2, ... in this order");
 
 }  // namespace
 
-void Loss::record_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) {}
-void Loss::record_regularisation_losses(Stream&, const DeviceScene&, const SurfelGradients&,
-                                        const LossTermRow&) {}
+void Loss::add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) {}
+void Loss::add_regularisers(Stream&, const DeviceScene&, const SurfelGradients&, const LossTermRow&) {}
 
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t max_rays_per_batch) {

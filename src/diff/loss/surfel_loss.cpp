@@ -17,17 +17,16 @@ struct ActorBoxLoss::Impl {
 };
 
 ActorBoxLoss::ActorBoxLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights,
-                     {device, "diff/loss/surfel_loss", choose_atomic_float_add_kernel_variant(device)}}) {}
+    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", atomic_variant(device)}}) {}
 ActorBoxLoss::~ActorBoxLoss() = default;
 std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<ActorBoxLoss>(device, weights);
 }
 
-void ActorBoxLoss::record_regularisation_losses(Stream& stream, const DeviceScene& scene,
-                                                const SurfelGradients& gradients, const LossTermRow& terms) {
+void ActorBoxLoss::add_regularisers(Stream& stream, const DeviceScene& scene,
+                                    const SurfelGradients& gradients, const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;
-    const std::vector<SurfelModel>& models = scene.get_scene_layout().models;
+    const std::vector<SurfelModel>& models = scene.layout().models;
     double n_boxed = 0.0;
     std::uint32_t first = scene.size(), end = 0;  // surfel range that contains all models with a box
     for (const SurfelModel& m : models) {
@@ -39,11 +38,11 @@ void ActorBoxLoss::record_regularisation_losses(Stream& stream, const DeviceScen
     }
     if (!(w.box > 0.0f) || first >= end) return;
     relidar::run(stream, impl_->kernel, end - first,
-                 {.surfels = get_surfel_pointers(scene.get_surfel_parameters()),
-                  .d_surfels = get_surfel_pointers(*gradients.d_surfels),
-                  .touched = get_device_address_or_null(gradients.touched),
-                  .terms = terms.get_loss_term_row_address(),
-                  .models = scene.get_model_table().address(),
+                 {.surfels = surfel_pointers(scene.surfel_parameters()),
+                  .d_surfels = surfel_pointers(*gradients.d_surfels),
+                  .touched = address_or_null(gradients.touched),
+                  .terms = terms.row_address(),
+                  .models = scene.model_table().address(),
                   .box_scale_share = w.box_scale_share,
                   .box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)),
                   .first_surfel = first,

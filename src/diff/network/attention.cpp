@@ -10,15 +10,15 @@ namespace {
 
 constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
 
-std::vector<SpecialisationConstant> make_attention_kernel_constants(std::uint32_t lanes_per_subgroup) {
+std::vector<SpecialisationConstant> attention_constants(std::uint32_t lanes_per_subgroup) {
     return {{SpecialisationConstantId::LANES, lanes_per_subgroup},
             {SpecialisationConstantId::WORKGROUP_SIZE, kAttentionThreads}};
 }
 
 /// Describes an image slice as one matrix per attention head. Its shape is [channels,
 /// pixels], or [pixels, channels] if `transposed` is true.
-shared::MatrixView view_as_head_matrices(const ChannelSlice& slice, std::uint32_t n_heads, bool transposed) {
-    const auto pixels = std::uint32_t(slice.grid.count_pixels_per_image());
+shared::MatrixView head_matrices(const ChannelSlice& slice, std::uint32_t n_heads, bool transposed) {
+    const auto pixels = std::uint32_t(slice.grid.n_image_pixels());
     return {.values = slice.view.values,
             .first = slice.view.first * pixels,
             .batch = slice.view.channels * pixels,
@@ -28,9 +28,9 @@ shared::MatrixView view_as_head_matrices(const ChannelSlice& slice, std::uint32_
             .unused = 0};
 }
 
-shared::MatrixView view_as_attention_matrices(const Tensor& attention_weights, const ImageBatchSize& grid,
-                                              std::uint32_t n_heads, bool transposed) {
-    const auto pixels = std::uint32_t(grid.count_pixels_per_image());
+shared::MatrixView attention_matrices(const Tensor& attention_weights, const ImageBatchSize& grid,
+                                      std::uint32_t n_heads, bool transposed) {
+    const auto pixels = std::uint32_t(grid.n_image_pixels());
     return {.values = attention_weights.values.address(),
             .first = 0,
             .batch = n_heads * pixels * pixels,
@@ -45,14 +45,12 @@ shared::MatrixView view_as_attention_matrices(const Tensor& attention_weights, c
 Attention::Attention(Device& device, std::uint32_t heads)
     : heads_(heads),
       lanes_(std::uint32_t(device.info().subgroup_size)),
-      matmul_(device, "diff/network/matmul", make_attention_kernel_constants(lanes_),
-              SubgroupRequirement::full),
-      softmax_(device, "diff/network/softmax", make_attention_kernel_constants(lanes_),
-               SubgroupRequirement::full) {}
+      matmul_(device, "diff/network/matmul", attention_constants(lanes_), SubgroupRequirement::full),
+      softmax_(device, "diff/network/softmax", attention_constants(lanes_), SubgroupRequirement::full) {}
 
-AttentionActivations Attention::allocate_attention_activations(Device& device, const ImageBatchSize& grid,
-                                                               bool with_gradients) const {
-    const auto channels = std::uint32_t(heads_ * grid.count_pixels_per_image());
+AttentionActivations Attention::allocate_state(Device& device, const ImageBatchSize& grid,
+                                               bool with_gradients) const {
+    const auto channels = std::uint32_t(heads_ * grid.n_image_pixels());
     AttentionActivations state{Tensor(device, channels, grid, "attention"), {}};
     if (with_gradients) state.d_share = Tensor(device, channels, grid, "gradient of attention");
     return state;
@@ -60,14 +58,13 @@ AttentionActivations Attention::allocate_attention_activations(Device& device, c
 
 /// Computes c = scale a b. `rows` and `inner` are the shape of `a`; b and c have a column
 /// per pixel.
-void Attention::multiply_matrices(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
-                                  const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
-                                  float scale, const ImageBatchSize& grid) const {
-    const auto columns = std::uint32_t(grid.count_pixels_per_image());
+void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
+                         const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
+                         const ImageBatchSize& grid) const {
+    const auto columns = std::uint32_t(grid.n_image_pixels());
     const std::uint32_t jobs =
-        grid.n * heads_ * divide_rounding_up(columns, lanes_) * divide_rounding_up(rows, RELIDAR_MATMUL_ROWS);
-    run(stream, matmul_,
-        std::size_t(divide_rounding_up(jobs, kAttentionThreads / lanes_)) * kAttentionThreads,
+        grid.n * heads_ * div_ceil(columns, lanes_) * div_ceil(rows, RELIDAR_MATMUL_ROWS);
+    run(stream, matmul_, std::size_t(div_ceil(jobs, kAttentionThreads / lanes_)) * kAttentionThreads,
         {.a = a,
          .b = b,
          .c = c,
@@ -81,67 +78,57 @@ void Attention::multiply_matrices(Stream& stream, const shared::MatrixView& a, c
 
 void Attention::run_softmax(Stream& stream, AttentionActivations& state, const ImageBatchSize& grid,
                             bool is_backward) const {
-    const auto pixels = std::uint32_t(grid.count_pixels_per_image()), rows = grid.n * heads_ * pixels;
-    run(stream, softmax_,
-        std::size_t(divide_rounding_up(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
-        {.values = state.share.values.address().cast_content_tag<shared::SoftmaxValues>(),
+    const auto pixels = std::uint32_t(grid.n_image_pixels()), rows = grid.n * heads_ * pixels;
+    run(stream, softmax_, std::size_t(div_ceil(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
+        {.values = state.share.values.address().cast_tag<shared::SoftmaxValues>(),
          .d_values = (is_backward ? state.d_share.values.address() : Address<float>())
-                         .cast_content_tag<shared::SoftmaxGradients>(),
+                         .cast_tag<shared::SoftmaxGradients>(),
          .n_rows = rows,
          .n = pixels});
 }
 
-void Attention::compute_attention(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
-                                  const ChannelSlice& output) {
+void Attention::attend(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
+                       const ChannelSlice& output) {
     const std::uint32_t channels = output.channels, size = channels / heads_,
-                        pixels = std::uint32_t(output.grid.count_pixels_per_image());
+                        pixels = std::uint32_t(output.grid.n_image_pixels());
     RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
-    const ChannelSlice query = qkv.get_channel_range(0, channels),
-                       key = qkv.get_channel_range(channels, channels),
-                       value = qkv.get_channel_range(2 * channels, channels);
+    const ChannelSlice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
+                       value = qkv.channel_range(2 * channels, channels);
     const ImageBatchSize& grid = output.grid;
-    multiply_matrices(stream, view_as_head_matrices(query, heads_, true),
-                      view_as_head_matrices(key, heads_, false),
-                      view_as_attention_matrices(state.share, grid, heads_, false), pixels, size,
-                      1.0f / std::sqrt(float(size)), grid);
+    multiply(stream, head_matrices(query, heads_, true), head_matrices(key, heads_, false),
+             attention_matrices(state.share, grid, heads_, false), pixels, size,
+             1.0f / std::sqrt(float(size)), grid);
     run_softmax(stream, state, grid, false);
-    multiply_matrices(stream, view_as_head_matrices(value, heads_, false),
-                      view_as_attention_matrices(state.share, grid, heads_, true),
-                      view_as_head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
+    multiply(stream, head_matrices(value, heads_, false), attention_matrices(state.share, grid, heads_, true),
+             head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
 }
 
-void Attention::backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
-                                     const ChannelSlice& d_output, const ChannelSlice& d_qkv) {
+void Attention::attend_vjp(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
+                           const ChannelSlice& d_output, const ChannelSlice& d_qkv) {
     const std::uint32_t channels = d_output.channels, size = channels / heads_,
-                        pixels = std::uint32_t(d_output.grid.count_pixels_per_image());
-    const ChannelSlice query = qkv.get_channel_range(0, channels),
-                       key = qkv.get_channel_range(channels, channels),
-                       value = qkv.get_channel_range(2 * channels, channels);
-    const ChannelSlice d_query = d_qkv.get_channel_range(0, channels),
-                       d_key = d_qkv.get_channel_range(channels, channels),
-                       d_value = d_qkv.get_channel_range(2 * channels, channels);
+                        pixels = std::uint32_t(d_output.grid.n_image_pixels());
+    const ChannelSlice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
+                       value = qkv.channel_range(2 * channels, channels);
+    const ChannelSlice d_query = d_qkv.channel_range(0, channels),
+                       d_key = d_qkv.channel_range(channels, channels),
+                       d_value = d_qkv.channel_range(2 * channels, channels);
     const ImageBatchSize& grid = d_output.grid;
     const float scale = 1.0f / std::sqrt(float(size));
     const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,
                              const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
-                             float factor) {
-        multiply_matrices(stream, first, second, c, rows, inner, factor, grid);
-    };
+                             float factor) { multiply(stream, first, second, c, rows, inner, factor, grid); };
     // computes d_value = d_output share
-    product(view_as_head_matrices(d_output, heads_, false),
-            view_as_attention_matrices(state.share, grid, heads_, false),
-            view_as_head_matrices(d_value, heads_, false), size, pixels, 1.0f);
+    product(head_matrices(d_output, heads_, false), attention_matrices(state.share, grid, heads_, false),
+            head_matrices(d_value, heads_, false), size, pixels, 1.0f);
     // Computes d_share, the gradient of the attention weights: transposed d_output times
     // value. Then run_softmax() replaces it by the gradient of the softmax input.
-    product(view_as_head_matrices(d_output, heads_, true), view_as_head_matrices(value, heads_, false),
-            view_as_attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
+    product(head_matrices(d_output, heads_, true), head_matrices(value, heads_, false),
+            attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);
-    product(view_as_head_matrices(key, heads_, false),
-            view_as_attention_matrices(state.d_share, grid, heads_, true),
-            view_as_head_matrices(d_query, heads_, false), size, pixels, scale);
-    product(view_as_head_matrices(query, heads_, false),
-            view_as_attention_matrices(state.d_share, grid, heads_, false),
-            view_as_head_matrices(d_key, heads_, false), size, pixels, scale);
+    product(head_matrices(key, heads_, false), attention_matrices(state.d_share, grid, heads_, true),
+            head_matrices(d_query, heads_, false), size, pixels, scale);
+    product(head_matrices(query, heads_, false), attention_matrices(state.d_share, grid, heads_, false),
+            head_matrices(d_key, heads_, false), size, pixels, scale);
 }
 
 }  // namespace relidar::network

@@ -18,25 +18,25 @@ class Attention {
 public:
     Attention(Device& device, std::uint32_t heads);
 
-    AttentionActivations allocate_attention_activations(Device& device, const ImageBatchSize& grid,
-                                                        bool with_gradients) const;
+    AttentionActivations allocate_state(Device& device, const ImageBatchSize& grid,
+                                        bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]
     /// @param output [n, channels, rows, columns]
-    void compute_attention(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
-                           const ChannelSlice& output);
-    void backpropagate_to_qkv(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
-                              const ChannelSlice& d_output, const ChannelSlice& d_qkv);
+    void attend(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
+                const ChannelSlice& output);
+    void attend_vjp(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
+                    const ChannelSlice& d_output, const ChannelSlice& d_qkv);
 
 private:
     std::uint32_t heads_, lanes_;
     Kernel<shared::MatmulParams> matmul_;
     Kernel<shared::SoftmaxParams> softmax_;
 
-    void multiply_matrices(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
-                           const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
-                           const ImageBatchSize& grid) const;
+    void multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
+                  const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
+                  const ImageBatchSize& grid) const;
     void run_softmax(Stream& stream, AttentionActivations& state, const ImageBatchSize& grid,
                      bool is_backward) const;
 };

@@ -20,16 +20,16 @@ constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
-std::uint32_t count_partial_sums_per_weight(const ImageBatchSize& grid, std::size_t n_weights) {
+std::uint32_t count_weight_sums(const ImageBatchSize& grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
-    return std::uint32_t(std::clamp<std::size_t>(divide_rounding_up(lines, kLinesOfPart), 1, most));
+    return std::uint32_t(std::clamp<std::size_t>(div_ceil(lines, kLinesOfPart), 1, most));
 }
 
-std::uint32_t require_supported_convolution_taps(const Device& device, std::uint32_t kernel_taps) {
+std::uint32_t check_taps(const Device& device, std::uint32_t kernel_taps) {
     RELIDAR_ASSERT_EQ(kernel_taps == 1 || kernel_taps == 9, true);
     const DeviceInfo& info = device.info();
-    const std::string missing = list_missing_neural_network_features(device);
+    const std::string missing = missing_for_networks(device);
     if (!missing.empty())
         fail<DeviceError>(
             "cannot use the ray-drop network on {}: the device lacks {}; use --set refine.enabled=false",
@@ -37,29 +37,25 @@ std::uint32_t require_supported_convolution_taps(const Device& device, std::uint
     return kernel_taps;
 }
 
-std::uint32_t get_lanes_per_subgroup(const Device& device) {
-    return std::uint32_t(device.info().subgroup_size);
-}
-std::uint32_t choose_pixels_per_lane(const Device& device) {
-    return should_coalesce_memory_access(device) ? 8 : 4;
-}
+std::uint32_t subgroup_lanes(const Device& device) { return std::uint32_t(device.info().subgroup_size); }
+std::uint32_t choose_pixels(const Device& device) { return should_coalesce(device) ? 8 : 4; }
 
-Kernel<shared::ConvParams> make_conv_kernel(Device& device, std::uint32_t kernel_taps) {
+Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t kernel_taps) {
     return {device,
             "diff/network/conv",
             {{SpecialisationConstantId::TAPS, kernel_taps},
-             {SpecialisationConstantId::PIXELS, choose_pixels_per_lane(device)},
-             {SpecialisationConstantId::LANES, get_lanes_per_subgroup(device)},
-             {SpecialisationConstantId::STAGED, should_coalesce_memory_access(device) ? 1u : 0u},
+             {SpecialisationConstantId::PIXELS, choose_pixels(device)},
+             {SpecialisationConstantId::LANES, subgroup_lanes(device)},
+             {SpecialisationConstantId::STAGED, should_coalesce(device) ? 1u : 0u},
              {SpecialisationConstantId::WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
 
-Kernel<shared::ConvWeightsParams> make_weight_gradient_kernel(Device& device, std::uint32_t kernel_taps) {
+Kernel<shared::ConvWeightsParams> make_weight_vjp(Device& device, std::uint32_t kernel_taps) {
     return {device,
             "diff/network/conv_weights",
             {{SpecialisationConstantId::TAPS, kernel_taps},
-             {SpecialisationConstantId::LANES, get_lanes_per_subgroup(device)},
+             {SpecialisationConstantId::LANES, subgroup_lanes(device)},
              {SpecialisationConstantId::WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
@@ -67,32 +63,30 @@ Kernel<shared::ConvWeightsParams> make_weight_gradient_kernel(Device& device, st
 }  // namespace
 
 ConvolutionKernels::ConvolutionKernels(Device& device, std::uint32_t taps)
-    : taps_(require_supported_convolution_taps(device, taps)),
-      pixels_(choose_pixels_per_lane(device)),
-      lanes_(get_lanes_per_subgroup(device)),
-      conv_(make_conv_kernel(device, taps)),
-      conv_weights_(make_weight_gradient_kernel(device, taps)),
+    : taps_(check_taps(device, taps)),
+      pixels_(choose_pixels(device)),
+      lanes_(subgroup_lanes(device)),
+      conv_(make_conv(device, taps)),
+      conv_weights_(make_weight_vjp(device, taps)),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-std::size_t ConvolutionKernels::count_conv_threads(const shared::ConvParams& params) const {
+std::size_t ConvolutionKernels::n_conv_threads(const shared::ConvParams& params) const {
     const std::size_t lines = std::size_t(params.n_images) * params.rows;
-    const std::uint32_t segments =
-        std::uint32_t(lines) * divide_rounding_up(params.columns, lanes_ * pixels_);
-    return std::size_t(divide_rounding_up(segments, kConvThreads / lanes_)) *
-           divide_rounding_up(params.n_out, RELIDAR_CONV_OUT) * kConvThreads;
+    const std::uint32_t segments = std::uint32_t(lines) * div_ceil(params.columns, lanes_ * pixels_);
+    return std::size_t(div_ceil(segments, kConvThreads / lanes_)) * div_ceil(params.n_out, RELIDAR_CONV_OUT) *
+           kConvThreads;
 }
 
-std::size_t ConvolutionKernels::count_weight_gradient_threads(const shared::ConvWeightsParams& params) const {
+std::size_t ConvolutionKernels::n_weight_threads(const shared::ConvWeightsParams& params) const {
     const std::uint32_t input_channels_per_subgroup = taps_ == 1 ? RELIDAR_CONV_IN : 1;
-    const std::uint32_t subgroups = params.n_parts *
-                                    divide_rounding_up(params.n_in, input_channels_per_subgroup) *
-                                    divide_rounding_up(params.n_out, RELIDAR_CONV_OUT);
-    return std::size_t(divide_rounding_up(subgroups, kConvThreads / lanes_)) * kConvThreads;
+    const std::uint32_t subgroups = params.n_parts * div_ceil(params.n_in, input_channels_per_subgroup) *
+                                    div_ceil(params.n_out, RELIDAR_CONV_OUT);
+    return std::size_t(div_ceil(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
 void ConvolutionKernels::run_conv_kernel(Stream& stream, const ChannelSlice& from, const ChannelSlice& to,
                                          Weights weights, Bias bias, bool transposed, bool accumulate) const {
-    RELIDAR_ASSERT_EQ(from.grid.count_all_pixels(), to.grid.count_all_pixels());
+    RELIDAR_ASSERT_EQ(from.grid.n_pixels_total(), to.grid.n_pixels_total());
     const shared::ConvParams params{.from = from.view,
                                     .to = to.view,
                                     .weights = weights,
@@ -105,7 +99,7 @@ void ConvolutionKernels::run_conv_kernel(Stream& stream, const ChannelSlice& fro
                                     .transposed = transposed ? 1u : 0u,
                                     .accumulate = accumulate ? 1u : 0u,
                                     .circular = from.grid.circular ? 1u : 0u};
-    run(stream, conv_, count_conv_threads(params), params);
+    run(stream, conv_, n_conv_threads(params), params);
 }
 
 void ConvolutionKernels::run_convolution(Stream& stream, const ChannelSlice& input, Weights weights,
@@ -113,23 +107,22 @@ void ConvolutionKernels::run_convolution(Stream& stream, const ChannelSlice& inp
     run_conv_kernel(stream, input, output, weights, bias, false, accumulate);
 }
 
-void ConvolutionKernels::backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
-                                             const ChannelSlice& d_input) {
+void ConvolutionKernels::input_vjp(Stream& stream, const ChannelSlice& d_output, Weights weights,
+                                   const ChannelSlice& d_input) {
     run_conv_kernel(stream, d_output, d_input, weights, {}, true, false);
 }
 
-std::size_t ConvolutionKernels::count_partial_sum_floats(const ImageBatchSize& grid,
-                                                         std::uint32_t n_input_channels,
-                                                         std::uint32_t n_output_channels) const {
+std::size_t ConvolutionKernels::n_partial_sums(const ImageBatchSize& grid, std::uint32_t n_input_channels,
+                                               std::uint32_t n_output_channels) const {
     const std::size_t n = std::size_t(n_input_channels) * n_output_channels * taps_;
-    return count_partial_sums_per_weight(grid, n) * n;
+    return count_weight_sums(grid, n) * n;
 }
 
-void ConvolutionKernels::backpropagate_weights(Stream& stream, const ChannelSlice& input,
-                                               const ChannelSlice& d_output, Weights d_weights) {
-    RELIDAR_ASSERT_EQ(input.grid.count_all_pixels(), d_output.grid.count_all_pixels());
+void ConvolutionKernels::weights_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+                                     Weights d_weights) {
+    RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_output.grid.n_pixels_total());
     const std::uint32_t n = input.channels * d_output.channels * taps_,
-                        n_parts = count_partial_sums_per_weight(input.grid, n);
+                        n_parts = count_weight_sums(input.grid, n);
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
     const shared::ConvWeightsParams params{.from = input.view,
                                            .d_to = d_output.view,
@@ -141,10 +134,10 @@ void ConvolutionKernels::backpropagate_weights(Stream& stream, const ChannelSlic
                                            .n_out = d_output.channels,
                                            .n_parts = n_parts,
                                            .circular = input.grid.circular ? 1u : 0u};
-    run(stream, conv_weights_, count_weight_gradient_threads(params), params);
+    run(stream, conv_weights_, n_weight_threads(params), params);
     run(stream, sum_parts_, n,
         {.partial = partial_.address(),
-         .sum = d_weights.cast_content_tag<shared::SumOfParts>(),
+         .sum = d_weights.cast_tag<shared::SumOfParts>(),
          .n_parts = n_parts,
          .n = n});
 }

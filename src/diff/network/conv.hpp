@@ -27,15 +27,15 @@ public:
     void run_convolution(Stream& stream, const ChannelSlice& input, Weights weights, Bias bias,
                          const ChannelSlice& output, bool accumulate = false);
     /// Computes the gradient of the input, `d_input`.
-    void backpropagate_input(Stream& stream, const ChannelSlice& d_output, Weights weights,
-                             const ChannelSlice& d_input);
+    void input_vjp(Stream& stream, const ChannelSlice& d_output, Weights weights,
+                   const ChannelSlice& d_input);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
     /// Adds in a fixed order, so that every run gives the same result.
-    void backpropagate_weights(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
-                               Weights d_weights);
-    std::size_t count_partial_sum_floats(const ImageBatchSize& grid, std::uint32_t n_input_channels,
-                                         std::uint32_t n_output_channels) const;
-    void reserve_partial_sums(Device& device, std::size_t n_floats) {
+    void weights_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+                     Weights d_weights);
+    std::size_t n_partial_sums(const ImageBatchSize& grid, std::uint32_t n_input_channels,
+                               std::uint32_t n_output_channels) const;
+    void reserve_weight_sums(Device& device, std::size_t n_floats) {
         partial_.reserve(device, n_floats, "partial sums of weights");
     }
 
@@ -48,8 +48,8 @@ private:
 
     void run_conv_kernel(Stream& stream, const ChannelSlice& from, const ChannelSlice& to, Weights weights,
                          Bias bias, bool transposed, bool accumulate) const;
-    std::size_t count_conv_threads(const shared::ConvParams& params) const;
-    std::size_t count_weight_gradient_threads(const shared::ConvWeightsParams& params) const;
+    std::size_t n_conv_threads(const shared::ConvParams& params) const;
+    std::size_t n_weight_threads(const shared::ConvWeightsParams& params) const;
 };
 
 }  // namespace relidar::network

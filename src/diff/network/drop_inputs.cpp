@@ -11,10 +11,10 @@ namespace {
 
 template <class Joined, class Values>
 Joined upload_joined_values(Device& device, std::span<const RayDropImage> images, const Values& get_values,
-                            const std::string& description) {
+                            const std::string& text) {
     std::size_t n = 0;
     for (const RayDropImage& image : images) n += get_values(image).size();
-    Joined all(device, n, description);
+    Joined all(device, n, text);
     std::size_t first = 0;
     for (const RayDropImage& image : images) {
         all.upload(get_values(image), first);
@@ -25,8 +25,7 @@ Joined upload_joined_values(Device& device, std::span<const RayDropImage> images
 
 }  // namespace
 
-std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>& images,
-                                                 std::size_t n_channels) {
+std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std::size_t n_channels) {
     std::vector<float> scale_shift;
     for (std::size_t c = 0; c < n_channels; ++c) {
         double n = 0.0, sum = 0.0, squares = 0.0;
@@ -51,8 +50,8 @@ std::vector<float> compute_channel_normalisation(const std::vector<RayDropImage>
 
 RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     : n_channels_(std::uint32_t(network.inputs.size())),
-      n_fixed_(count_scene_independent_channels(network)),
-      logit_channel_(find_drop_logit_channel(network)),
+      n_fixed_(count_fixed_channels(network)),
+      logit_channel_(find_drop_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
     std::vector<glm::vec2> scale_shift_pairs;
     for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
@@ -60,7 +59,7 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
     scale_shift_ = Array<glm::vec2>(device, scale_shift_pairs, "normalisation of inputs");
 }
 
-void RayDropInputs::upload_training_images(Device& device, std::span<const RayDropImage> images) {
+void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> images) {
     samples_ = upload_joined_values<decltype(samples_)>(
         device, images, [](const RayDropImage& image) -> const std::vector<float>& { return image.channels; },
         "scans to refine");
@@ -73,38 +72,35 @@ void RayDropInputs::upload_training_images(Device& device, std::span<const RayDr
                                                             [](float value) { return value >= 0.0f; })));
 }
 
-void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
-                                     const Tensor& output_images) {
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> selection,
+                               const Tensor& output_images) {
     shared::DropInputsParams params{};
     params.samples = samples_.address();
-    if (has_measured_drops()) {
-        target_.reserve(stream.device(), output_images.grid.count_all_pixels(), "targets");
+    if (has_measured()) {
+        target_.reserve(stream.device(), output_images.grid.n_pixels_total(), "targets");
         params.targets = targets_.address();
         params.target = target_.address();
     }
-    fill_input_batch(stream, selection, params, output_images);
+    fill_batch(stream, selection, params, output_images);
 }
 
-void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
-                                     Address<float, shared::DropSamples> samples,
-                                     const Tensor& output_images) {
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> selection,
+                               Address<float, shared::DropSamples> samples, const Tensor& output_images) {
     shared::DropInputsParams params{};
     params.samples = samples;
-    fill_input_batch(stream, selection, params, output_images);
+    fill_batch(stream, selection, params, output_images);
 }
 
-void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSample> selection,
-                                     shared::DropInputsParams params, const Tensor& output_images) {
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> selection,
+                               shared::DropInputsParams params, const Tensor& output_images) {
     std::vector<std::uint32_t> samples, column_shifts;
     for (const RotatedSample& c : selection) {
         samples.push_back(c.sample);
         column_shifts.push_back(c.column_shift);
     }
-    start_.reserve(stream.device(), output_images.grid.count_all_pixels(), "rendered logits");
-    params.chosen =
-        stream.impl().stage_host_values_for_kernels(samples).cast_content_tag<shared::ChosenSamples>();
-    params.turn =
-        stream.impl().stage_host_values_for_kernels(column_shifts).cast_content_tag<shared::SampleTurns>();
+    start_.reserve(stream.device(), output_images.grid.n_pixels_total(), "rendered logits");
+    params.chosen = stream.impl().stage_values(samples).cast_tag<shared::ChosenSamples>();
+    params.turn = stream.impl().stage_values(column_shifts).cast_tag<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
     params.images = output_images.values.address();
     params.start = start_.address();
@@ -114,7 +110,7 @@ void RayDropInputs::fill_input_batch(Stream& stream, std::span<const RotatedSamp
     params.logit_channel = logit_channel_;
     params.rows = output_images.grid.rows;
     params.columns = output_images.grid.columns;
-    run(stream, kernel_, output_images.grid.count_all_pixels(), params);
+    run(stream, kernel_, output_images.grid.n_pixels_total(), params);
 }
 
 }  // namespace relidar::network

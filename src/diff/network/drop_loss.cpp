@@ -20,8 +20,8 @@ RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
               SubgroupRequirement::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void RayDropLoss::compute_drop_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
-                                    std::size_t n_known_pixels) {
+void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
+                              std::size_t n_known_pixels) {
     const std::uint32_t of_workgroup = kLossThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
                  {.logit = arrays.logit,
@@ -35,7 +35,7 @@ void RayDropLoss::compute_drop_loss(Stream& stream, std::size_t n_pixels, const 
                   .weight = 1.0f / float(std::max<std::size_t>(n_known_pixels, 1))});
 }
 
-RayDropScore RayDropLoss::read_loss_and_accuracy(std::size_t n_known_pixels) const {
+RayDropScore RayDropLoss::read_loss(std::size_t n_known_pixels) const {
     RayDropScore score;
     const std::vector<float> partial = partial_.download();
     for (std::size_t part = 0; part < n_parts_; ++part) {

@@ -29,10 +29,10 @@ public:
     RayDropLoss(Device& device, std::size_t n_pixels);
 
     /// @param n_known_pixels number of pixels with a known target; divides the derivative
-    void compute_drop_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
-                           std::size_t n_known_pixels);
+    void record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
+                     std::size_t n_known_pixels);
     /// The last run must be finished.
-    RayDropScore read_loss_and_accuracy(std::size_t n_known_pixels) const;
+    RayDropScore read_loss(std::size_t n_known_pixels) const;
 
 private:
     std::uint32_t lanes_, n_parts_;

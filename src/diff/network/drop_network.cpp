@@ -30,7 +30,7 @@ struct NetworkPreset {
     NetworkRegularisation in_training;
 };
 
-const NetworkPreset& find_predefined_network(const std::string& name) {
+const NetworkPreset& find_predefined(const std::string& name) {
     static const NetworkPreset networks[] = {{"small", 8, {1, 2, 4, 4}, 0, 9, true, 1, {}},
                                              {"paper", 32, {1, 2, 4, 8, 8}, 8, 9, false, 16, {0.1, true}},
                                              {"pixel", 16, {1}, 0, 1, true, 1, {}}};
@@ -43,7 +43,7 @@ const NetworkPreset& find_predefined_network(const std::string& name) {
 
 }  // namespace
 
-std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions& options) {
+std::vector<std::string> channel_names(const RayDropNetworkOptions& options) {
     std::vector<std::string> names{"log_range", "intensity", "drop_logit"};
     if (options.network != "paper") names.insert(names.end(), {"weight", "spread", "cosine"});
     if (options.rays != "none") names.emplace_back("elevation");
@@ -51,14 +51,14 @@ std::vector<std::string> list_network_input_channels(const RayDropNetworkOptions
     return names;
 }
 
-std::size_t count_network_parameters(const RayDropNetworkOptions& options) {
-    return network::UnetParameterLayout(network::make_network_architecture(options)).n_parameters;
+std::size_t count_parameters(const RayDropNetworkOptions& options) {
+    return network::UnetParameterLayout(network::make_network(options)).n_parameters;
 }
 
 namespace network {
 
-RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
-    const NetworkPreset& preset = find_predefined_network(options.network);
+RayDropNetwork make_network(const RayDropNetworkOptions& options) {
+    const NetworkPreset& preset = find_predefined(options.network);
     const int width = options.width > 0 ? options.width : int(preset.width);
     const int levels = options.levels >= 0 ? options.levels : int(preset.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
@@ -67,7 +67,7 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
             "most {} channels and {} levels",
             width, levels, kMostWidth, kMostLevels);
     RayDropNetwork network;
-    network.inputs = list_network_input_channels(options);
+    network.inputs = channel_names(options);
     for (int l = 0; l <= levels; ++l)
         network.widths.push_back(std::uint32_t(width) *
                                  preset.factors[std::min(std::size_t(l), preset.factors.size() - 1)]);
@@ -82,36 +82,35 @@ RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options) {
     return network;
 }
 
-int get_batch_size(const RayDropNetworkOptions& options) {
-    return options.batch > 0 ? options.batch : find_predefined_network(options.network).batch;
+int batch_size_of(const RayDropNetworkOptions& options) {
+    return options.batch > 0 ? options.batch : find_predefined(options.network).batch;
 }
 
-NetworkRegularisation get_regularisation(const RayDropNetworkOptions& options) {
-    return find_predefined_network(options.network).in_training;
+NetworkRegularisation regularisation_of(const RayDropNetworkOptions& options) {
+    return find_predefined(options.network).in_training;
 }
 
-std::uint32_t find_drop_logit_channel(const RayDropNetwork& network) {
+std::uint32_t find_drop_channel(const RayDropNetwork& network) {
     return std::uint32_t(std::find(network.inputs.begin(), network.inputs.end(), "drop_logit") -
                          network.inputs.begin());
 }
 
-std::uint32_t count_scene_independent_channels(const RayDropNetwork& network) {
+std::uint32_t count_fixed_channels(const RayDropNetwork& network) {
     return std::uint32_t(std::count_if(
         network.inputs.begin(), network.inputs.end(),
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
-void require_valid_network_image(const RayDropNetwork& network, const RayDropImage& image,
-                                 const std::string& description) {
-    const int side = network.compute_min_image_rows_and_columns();
+void check_image(const RayDropNetwork& network, const RayDropImage& image, const std::string& text) {
+    const int side = network.min_image_size();
     if (image.rows < side || image.columns < side)
-        fail("{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels",
-             description, image.rows, image.columns, side, side, network.widths.size() - 1);
+        fail("{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels", text,
+             image.rows, image.columns, side, side, network.widths.size() - 1);
     const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns),
                       n = pixels * network.inputs.size();
     if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
-        fail("{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels",
-             description, image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns);
+        fail("{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels", text,
+             image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns);
     const auto bad = std::find_if(image.channels.begin(), image.channels.end(),
                                   [](float value) { return !std::isfinite(value); });
     if (bad != image.channels.end()) {
@@ -119,7 +118,7 @@ void require_valid_network_image(const RayDropNetwork& network, const RayDropIma
         fail(
             "{}: in the input channel '{}', the value at row {} and column {} is {}, expected a finite "
             "number",
-            description, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
+            text, network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
             at % std::size_t(image.columns), *bad);
     }
 }

@@ -14,9 +14,9 @@ namespace relidar::network {
 /// Returns a network without parameters, with the shape that the options describe.
 /// @throws UsageError if the network is unknown, too wide or too deep, or the number of
 /// heads does not divide the channels
-RayDropNetwork make_network_architecture(const RayDropNetworkOptions& options);
+RayDropNetwork make_network(const RayDropNetworkOptions& options);
 
-int get_batch_size(const RayDropNetworkOptions& options);
+int batch_size_of(const RayDropNetworkOptions& options);
 
 /// Training settings that reduce overfitting. Small networks do not use them: dropout
 /// hardly helps these networks, and rotated images make them less accurate.
@@ -27,18 +27,17 @@ struct NetworkRegularisation {
     /// that do not cover a full turn.
     bool turns = false;
 };
-NetworkRegularisation get_regularisation(const RayDropNetworkOptions& options);
+NetworkRegularisation regularisation_of(const RayDropNetworkOptions& options);
 
-std::uint32_t find_drop_logit_channel(const RayDropNetwork& network);
+std::uint32_t find_drop_channel(const RayDropNetwork& network);
 
 /// Returns the number of input channels that are constant for the sensor (do not depend
 /// on the scene). They are the last channels.
-std::uint32_t count_scene_independent_channels(const RayDropNetwork& network);
+std::uint32_t count_fixed_channels(const RayDropNetwork& network);
 
 /// Checks the size and the values of an image.
-/// @param description description of the image for error messages
+/// @param text text of the image for error messages
 /// @throws DataError if the image has the wrong size or values that are not finite
-void require_valid_network_image(const RayDropNetwork& network, const RayDropImage& image,
-                                 const std::string& description);
+void check_image(const RayDropNetwork& network, const RayDropImage& image, const std::string& text);
 
 }  // namespace relidar::network

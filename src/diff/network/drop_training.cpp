@@ -18,13 +18,12 @@ namespace {
 constexpr double kLastRate = 0.01;         // final learning rate relative to the initial rate
 constexpr std::uint32_t kKeysOfStep = 64;  // number of dropout keys per step, one for each layer
 
-void require_valid_training_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
+void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
     if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
     double drops = 0.0;
     for (std::size_t i = 0; i < images.size(); ++i) {
         const RayDropImage& image = images[i];
-        require_valid_network_image(network, image,
-                                    fmt::format("cannot train the ray-drop network with image {}", i));
+        check_image(network, image, fmt::format("cannot train the ray-drop network with image {}", i));
         if (image.rows != images[0].rows || image.columns != images[0].columns)
             fail(
                 "cannot train the ray-drop network: image {} has {} x {} pixels, expected {} x {} like the "
@@ -43,12 +42,12 @@ void require_valid_training_images(const RayDropNetwork& network, const std::vec
             "probably contains only points and no rays without return; use --set refine.enabled=false");
 }
 
-RayDropNetwork make_initial_network(const std::vector<RayDropImage>& images,
-                                    const RayDropNetworkOptions& options, std::uint64_t seed) {
-    RayDropNetwork network = make_network_architecture(options);
-    require_valid_training_images(network, images);
-    network.normalisation = compute_channel_normalisation(images, network.inputs.size());
-    initialise_network_parameters(network, UnetParameterLayout(network), seed);
+RayDropNetwork initial_network(const std::vector<RayDropImage>& images, const RayDropNetworkOptions& options,
+                               std::uint64_t seed) {
+    RayDropNetwork network = make_network(options);
+    check_images(network, images);
+    network.normalisation = channel_scaling(images, network.inputs.size());
+    init_parameters(network, UnetParameterLayout(network), seed);
     return network;
 }
 
@@ -67,22 +66,22 @@ struct RayDropTraining::Impl {
 
     Impl(Device& device, const std::vector<RayDropImage>& images, const RayDropNetworkOptions& o,
          std::uint64_t seed, bool timing)
-        : network(make_initial_network(images, o, seed)),
+        : network(initial_network(images, o, seed)),
           options(o),
           n_images(images.size()),
-          batch(std::min<std::size_t>(std::size_t(get_batch_size(o)), images.size())),
+          batch(std::min<std::size_t>(std::size_t(batch_size_of(o)), images.size())),
           grid{std::uint32_t(batch), std::uint32_t(images[0].rows), std::uint32_t(images[0].columns),
                images[0].circular},
           inputs(device, network),
           unet(device, network),
-          loss(device, grid.count_all_pixels()),
+          loss(device, grid.n_pixels_total()),
           adam(device, network.parameters.size(), {.epsilon = 1e-8}),
           stream(device, timing) {
-        inputs.upload_training_images(device, images);
-        unet.allocate_activations(device, grid, true);
+        inputs.upload_images(device, images);
+        unet.allocate(device, grid, true);
         // Sets the gradients to zero, because no kernel writes the padding between groups
         // of parameters.
-        stream.fill(unet.get_parameter_gradients());
+        stream.fill(unet.gradients());
         stream.submit_and_wait();
     }
 };
@@ -92,54 +91,48 @@ RayDropTraining::RayDropTraining(Device& device, const std::vector<RayDropImage>
     : impl_(std::make_unique<Impl>(device, images, options, seed, timing)) {}
 RayDropTraining::~RayDropTraining() = default;
 
-std::size_t RayDropTraining::get_images_per_step() const { return impl_->batch; }
-std::size_t RayDropTraining::count_steps_per_epoch() const { return impl_->n_images / impl_->batch; }
+std::size_t RayDropTraining::images_per_step() const { return impl_->batch; }
+std::size_t RayDropTraining::steps_per_epoch() const { return impl_->n_images / impl_->batch; }
 const KernelTimes& RayDropTraining::times() const { return impl_->stream.times(); }
 
 RayDropScore RayDropTraining::train_on_batch(std::span<const RayDropInputs::RotatedSample> selection,
                                              int step, int n_steps) {
     Impl& t = *impl_;
     std::size_t n_known_pixels = 0;
-    for (const RayDropInputs::RotatedSample& c : selection)
-        n_known_pixels += t.inputs.count_pixels_with_known_target(c.sample);
-    t.inputs.fill_input_batch(t.stream, selection, t.unet.get_input_images());
-    t.unet.run_training_forward_pass(t.stream, std::uint32_t(step) * kKeysOfStep,
-                                     float(get_regularisation(t.options).dropout));
-    t.loss.compute_drop_loss(
-        t.stream, t.grid.count_all_pixels(),
-        {.logit = t.unet.get_drop_logits().values.address().cast_content_tag<shared::DropLogits>(),
-         .start = t.network.residual ? t.inputs.get_rendered_drop_logits().address()
-                                     : Address<float, shared::StartLogits>(),
-         .target = t.inputs.get_measured_drops().address(),
-         .d_logit = t.unet.get_drop_logit_gradients()
-                        .values.address()
-                        .cast_content_tag<shared::DropLogitGradients>()},
-        n_known_pixels);
-    t.unet.run_backward_pass(t.stream);
-    t.adam.record_adam_step(
-        t.stream, t.unet.get_network_parameters(), t.unet.get_parameter_gradients(),
-        interpolate_exponentially(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
+    for (const RayDropInputs::RotatedSample& c : selection) n_known_pixels += t.inputs.count_known(c.sample);
+    t.inputs.fill_batch(t.stream, selection, t.unet.input_images());
+    t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
+    t.loss.record_loss(t.stream, t.grid.n_pixels_total(),
+                       {.logit = t.unet.logits().values.address().cast_tag<shared::DropLogits>(),
+                        .start = t.network.residual ? t.inputs.rendered_logits().address()
+                                                    : Address<float, shared::StartLogits>(),
+                        .target = t.inputs.measured_drops().address(),
+                        .d_logit = t.unet.d_logits().values.address().cast_tag<shared::DropLogitGradients>()},
+                       n_known_pixels);
+    t.unet.backward(t.stream);
+    t.adam.record_step(t.stream, t.unet.parameters(), t.unet.gradients(),
+                       interpolate_exp(t.options.rate, kLastRate * t.options.rate, step, n_steps), step);
     t.stream.submit_and_wait();
-    return t.loss.read_loss_and_accuracy(n_known_pixels);
+    return t.loss.read_loss(n_known_pixels);
 }
 
 RayDropNetwork RayDropTraining::download_network() const {
     RayDropNetwork result = impl_->network;
-    result.parameters = impl_->unet.get_network_parameters().download();
-    result.running = impl_->unet.get_running_moments().download();
+    result.parameters = impl_->unet.parameters().download();
+    result.running = impl_->unet.running_moments().download();
     return result;
 }
 
-RayDropTrainState RayDropTraining::download_training_state() const {
+RayDropTrainState RayDropTraining::download_state() const {
     RayDropTrainState state;
-    state.parameters = impl_->unet.get_network_parameters().download();
-    state.moment1 = impl_->adam.get_first_moments().download();
-    state.moment2 = impl_->adam.get_second_moments().download();
-    state.running = impl_->unet.get_running_moments().download();
+    state.parameters = impl_->unet.parameters().download();
+    state.moment1 = impl_->adam.first_moments().download();
+    state.moment2 = impl_->adam.second_moments().download();
+    state.running = impl_->unet.running_moments().download();
     return state;
 }
 
-void RayDropTraining::restore_training_state(const RayDropTrainState& state) {
+void RayDropTraining::restore_state(const RayDropTrainState& state) {
     const auto check = [](const char* name, std::size_t found, std::size_t expected) {
         if (found != expected)
             fail("cannot resume the ray-drop network: {}: found {} numbers, expected {}", name, found,
@@ -150,9 +143,9 @@ void RayDropTraining::restore_training_state(const RayDropTrainState& state) {
     check("moment1", state.moment1.size(), n.parameters.size());
     check("moment2", state.moment2.size(), n.parameters.size());
     check("running", state.running.size(), n.running.size());
-    impl_->unet.upload_parameters(state.parameters, state.running);
-    impl_->adam.get_first_moments().upload(state.moment1);
-    impl_->adam.get_second_moments().upload(state.moment2);
+    impl_->unet.set_parameters(state.parameters, state.running);
+    impl_->adam.first_moments().upload(state.moment1);
+    impl_->adam.second_moments().upload(state.moment2);
 }
 
 }  // namespace relidar::network

@@ -16,15 +16,15 @@ namespace relidar::network {
 
 class RayDropTraining {
 public:
-    /// @throws DataError in the same cases as train_ray_drop_network()
+    /// @throws DataError in the same cases as train_drop_network()
     RayDropTraining(Device& device, const std::vector<RayDropImage>& images,
                     const RayDropNetworkOptions& options, std::uint64_t seed, bool timing = false);
     ~RayDropTraining();
 
-    std::size_t get_images_per_step() const;  ///< images per step
+    std::size_t images_per_step() const;  ///< images per step
     /// Returns the number of steps per epoch. An epoch leaves out images that do not fill
     /// a complete batch. The order is random, so each epoch leaves out other images.
-    std::size_t count_steps_per_epoch() const;
+    std::size_t steps_per_epoch() const;
 
     /// Trains the network on one batch.
     /// @param step number of the step, starting at 1
@@ -34,10 +34,10 @@ public:
     RayDropNetwork download_network() const;
     /// Returns the trained parameters and their Adam moments. The caller must set the
     /// remaining fields of the state.
-    RayDropTrainState download_training_state() const;
+    RayDropTrainState download_state() const;
     /// Restores the trained parameters and their Adam moments.
     /// @throws DataError if their sizes do not match the network
-    void restore_training_state(const RayDropTrainState& state);
+    void restore_state(const RayDropTrainState& state);
     const KernelTimes& times() const;
 
 private:

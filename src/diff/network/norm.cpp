@@ -9,17 +9,17 @@ namespace relidar::network {
 namespace {
 
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
-constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
+constexpr float kNormMomentum = 0.1f, kNormEpsilon = 1e-5f;
 
 /// Returns the number of parts into which the pixels of a batch are split. A sum is
 /// computed separately for each part. The pixels of a part belong to the same image.
-std::uint32_t count_partial_sums_per_channel(const ImageBatchSize& grid) {
-    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.count_pixels_per_image() / 4096, 1, 64));
+std::uint32_t count_channel_sums(const ImageBatchSize& grid) {
+    return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.n_image_pixels() / 4096, 1, 64));
 }
-std::size_t count_normalisation_threads(const ChannelSlice& slice) {
-    constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
+std::size_t count_norm_threads(const ChannelSlice& slice) {
+    constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels *
-           ((slice.grid.count_pixels_per_image() + kStretch - 1) / kStretch) * kNormThreads;
+           ((slice.grid.n_image_pixels() + kPixelsPerWorkgroup - 1) / kPixelsPerWorkgroup) * kNormThreads;
 }
 
 }  // namespace
@@ -35,9 +35,9 @@ NormalisationKernels::NormalisationKernels(Device& device)
       norm_vjp_(device, "diff/network/norm_vjp", {{SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-void NormalisationKernels::reserve_channel_sums(Device& device, std::uint32_t n_channels,
-                                                const ImageBatchSize& grid) {
-    partial_.reserve(device, 2 * std::size_t(n_channels) * count_partial_sums_per_channel(grid),
+void NormalisationKernels::reserve_sums(Device& device, std::uint32_t n_channels,
+                                        const ImageBatchSize& grid) {
+    partial_.reserve(device, 2 * std::size_t(n_channels) * count_channel_sums(grid),
                      "partial sums of channels");
 }
 
@@ -50,23 +50,22 @@ shared::ChannelSumsParams NormalisationKernels::make_sums_params(const ChannelSl
             .moments = {},
             .kind = kind,
             .n_images = input.grid.n,
-            .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+            .n_pixels = std::uint32_t(input.grid.n_image_pixels()),
             .n_channels = input.channels,
-            .n_parts = count_partial_sums_per_channel(input.grid),
+            .n_parts = count_channel_sums(input.grid),
             .dropout_key = 0,
             .dropout = 0.0f};
 }
 
-void NormalisationKernels::compute_partial_channel_sums(Stream& stream,
-                                                        shared::ChannelSumsParams params) const {
+void NormalisationKernels::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
     const std::uint32_t of_workgroup = kNormThreads / lanes_, jobs = params.n_channels * params.n_parts;
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
 }
 
-void NormalisationKernels::compute_scale_and_shift(Stream& stream, const ChannelSlice& input,
-                                                   const NormWeights& weights, NormActivations& state,
-                                                   bool is_training) const {
+void NormalisationKernels::compute_scale(Stream& stream, const ChannelSlice& input,
+                                         const NormWeights& weights, NormActivations& state,
+                                         bool is_training) const {
     run(stream, finish_, input.channels,
         {.partial = partial_.address(),
          .beta_gamma = weights.beta_gamma,
@@ -74,63 +73,60 @@ void NormalisationKernels::compute_scale_and_shift(Stream& stream, const Channel
          .moments = state.moments.address(),
          .scale_shift = state.scale_shift.address(),
          .n_channels = input.channels,
-         .n_parts = count_partial_sums_per_channel(input.grid),
+         .n_parts = count_channel_sums(input.grid),
          .n_images = input.grid.n,
-         .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+         .n_pixels = std::uint32_t(input.grid.n_image_pixels()),
          .training = is_training ? 1u : 0u,
-         .momentum = kMomentum,
-         .epsilon = kEpsilon});
+         .momentum = kNormMomentum,
+         .epsilon = kNormEpsilon});
 }
 
-void NormalisationKernels::apply_scale_shift_and_relu(Stream& stream, const ChannelSlice& input,
-                                                      const NormActivations& state,
-                                                      const ChannelSlice& output, bool is_training) const {
-    RELIDAR_ASSERT_EQ(input.channels * input.grid.count_all_pixels(),
-                      output.channels * output.grid.count_all_pixels());
-    run(stream, norm_, count_normalisation_threads(input),
+void NormalisationKernels::apply_scale(Stream& stream, const ChannelSlice& input,
+                                       const NormActivations& state, const ChannelSlice& output,
+                                       bool is_training) const {
+    RELIDAR_ASSERT_EQ(input.channels * input.grid.n_pixels_total(),
+                      output.channels * output.grid.n_pixels_total());
+    run(stream, norm_, count_norm_threads(input),
         {.from = input.view,
          .to = output.view,
          .scale_shift = state.scale_shift.address(),
          .n_images = input.grid.n,
-         .n_pixels = std::uint32_t(input.grid.count_pixels_per_image()),
+         .n_pixels = std::uint32_t(input.grid.n_image_pixels()),
          .n_channels = input.channels,
          .dropout_key = state.dropout_key,
          .dropout = is_training ? state.dropout : 0.0f});
 }
 
-void NormalisationKernels::run_norm_relu_dropout_for_training(Stream& stream, const ChannelSlice& input,
-                                                              const NormWeights& weights,
-                                                              NormActivations& state,
-                                                              const ChannelSlice& output) {
-    compute_partial_channel_sums(stream, make_sums_params(input, shared::kSums_moments));
-    compute_scale_and_shift(stream, input, weights, state, true);
-    apply_scale_shift_and_relu(stream, input, state, output, true);
+void NormalisationKernels::normalise_batch(Stream& stream, const ChannelSlice& input,
+                                           const NormWeights& weights, NormActivations& state,
+                                           const ChannelSlice& output) {
+    channel_sums(stream, make_sums_params(input, shared::kMomentSums));
+    compute_scale(stream, input, weights, state, true);
+    apply_scale(stream, input, state, output, true);
 }
 
-void NormalisationKernels::run_norm_relu_for_inference(Stream& stream, const ChannelSlice& input,
-                                                       const NormWeights& weights, NormActivations& state,
-                                                       const ChannelSlice& output) {
-    compute_scale_and_shift(stream, input, weights, state, false);
-    apply_scale_shift_and_relu(stream, input, state, output, false);
+void NormalisationKernels::normalise(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                                     NormActivations& state, const ChannelSlice& output) {
+    compute_scale(stream, input, weights, state, false);
+    apply_scale(stream, input, state, output, false);
 }
 
-void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const ChannelSlice& input,
-                                                    const NormActivations& state,
-                                                    const ChannelSlice& d_output, const ChannelSlice& d_input,
-                                                    const NormGradientTarget& gradient, bool accumulate) {
-    shared::ChannelSumsParams sums = make_sums_params(input, shared::kSums_norm_vjp);
+void NormalisationKernels::norm_vjp(Stream& stream, const ChannelSlice& input, const NormActivations& state,
+                                    const ChannelSlice& d_output, const ChannelSlice& d_input,
+                                    const NormGradientTarget& gradient, bool accumulate) {
+    shared::ChannelSumsParams sums = make_sums_params(input, shared::kNormVjpSums);
     sums.d_to = d_output.view;
     sums.scale_shift = state.scale_shift.address();
     sums.moments = state.moments.address();
     sums.dropout_key = state.dropout_key;
     sums.dropout = state.dropout;
-    compute_partial_channel_sums(stream, sums);
+    channel_sums(stream, sums);
     run(stream, sum_parts_, 2 * input.channels,
         {.partial = partial_.address(),
          .sum = gradient.all.address_as<float, shared::SumOfParts>(gradient.first),
          .n_parts = sums.n_parts,
          .n = 2 * input.channels});
-    run(stream, norm_vjp_, count_normalisation_threads(input),
+    run(stream, norm_vjp_, count_norm_threads(input),
         {.from = input.view,
          .d_to = d_output.view,
          .d_from = d_input.view,
@@ -145,13 +141,13 @@ void NormalisationKernels::backpropagate_norm_layer(Stream& stream, const Channe
          .accumulate = accumulate ? 1u : 0u});
 }
 
-void NormalisationKernels::backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
-                                              Address<float, shared::ConvBias> d_bias) {
-    const shared::ChannelSumsParams sums = make_sums_params(d_output, shared::kSums_plain);
-    compute_partial_channel_sums(stream, sums);
+void NormalisationKernels::bias_vjp(Stream& stream, const ChannelSlice& d_output,
+                                    Address<float, shared::ConvBias> d_bias) {
+    const shared::ChannelSumsParams sums = make_sums_params(d_output, shared::kPlainSums);
+    channel_sums(stream, sums);
     run(stream, sum_parts_, d_output.channels,
         {.partial = partial_.address(),
-         .sum = d_bias.cast_content_tag<shared::SumOfParts>(),
+         .sum = d_bias.cast_tag<shared::SumOfParts>(),
          .n_parts = sums.n_parts,
          .n = d_output.channels});
 }

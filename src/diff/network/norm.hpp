@@ -40,23 +40,21 @@ public:
     /// Computes output = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and
     /// variance.
-    void run_norm_relu_dropout_for_training(Stream& stream, const ChannelSlice& input,
-                                            const NormWeights& weights, NormActivations& state,
-                                            const ChannelSlice& output);
+    void normalise_batch(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                         NormActivations& state, const ChannelSlice& output);
     /// Uses the running mean and variance, and no dropout.
-    void run_norm_relu_for_inference(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                                     NormActivations& state, const ChannelSlice& output);
+    void normalise(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                   NormActivations& state, const ChannelSlice& output);
     /// Computes the gradients of the input (d_input), beta and gamma from the gradient of
-    /// the output (d_output). Requires an earlier run_norm_relu_dropout_for_training().
+    /// the output (d_output). Requires an earlier normalise_batch().
     /// @param accumulate true: adds the result to `d_input` instead of overwriting it
-    void backpropagate_norm_layer(Stream& stream, const ChannelSlice& input, const NormActivations& state,
-                                  const ChannelSlice& d_output, const ChannelSlice& d_input,
-                                  const NormGradientTarget& gradient, bool accumulate = false);
+    void norm_vjp(Stream& stream, const ChannelSlice& input, const NormActivations& state,
+                  const ChannelSlice& d_output, const ChannelSlice& d_input,
+                  const NormGradientTarget& gradient, bool accumulate = false);
     /// Computes the gradient of a bias, [channels]: the sum of each channel over the
     /// pixels of all images.
-    void backpropagate_bias(Stream& stream, const ChannelSlice& d_output,
-                            Address<float, shared::ConvBias> d_bias);
-    void reserve_channel_sums(Device& device, std::uint32_t n_channels, const ImageBatchSize& grid);
+    void bias_vjp(Stream& stream, const ChannelSlice& d_output, Address<float, shared::ConvBias> d_bias);
+    void reserve_sums(Device& device, std::uint32_t n_channels, const ImageBatchSize& grid);
 
 private:
     std::uint32_t lanes_;
@@ -68,11 +66,11 @@ private:
     Array<float, shared::PartSums> partial_;
 
     shared::ChannelSumsParams make_sums_params(const ChannelSlice& input, std::uint32_t kind) const;
-    void compute_partial_channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    void apply_scale_shift_and_relu(Stream& stream, const ChannelSlice& input, const NormActivations& state,
-                                    const ChannelSlice& output, bool is_training) const;
-    void compute_scale_and_shift(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                                 NormActivations& state, bool is_training) const;
+    void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
+    void apply_scale(Stream& stream, const ChannelSlice& input, const NormActivations& state,
+                     const ChannelSlice& output, bool is_training) const;
+    void compute_scale(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
+                       NormActivations& state, bool is_training) const;
 };
 
 }  // namespace relidar::network

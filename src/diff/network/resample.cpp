@@ -6,9 +6,8 @@
 namespace relidar::network {
 namespace {
 
-shared::ResampleParams make_resample_params(const ChannelSlice& input, const ChannelSlice& output,
-                                            const ImageBatchSize& large_grid,
-                                            const ImageBatchSize& small_grid) {
+shared::ResampleParams resample_params(const ChannelSlice& input, const ChannelSlice& output,
+                                       const ImageBatchSize& large_grid, const ImageBatchSize& small_grid) {
     RELIDAR_ASSERT_EQ(input.channels, output.channels);
     RELIDAR_ASSERT_EQ(large_grid.n, small_grid.n);
     return {.from = input.view,
@@ -23,13 +22,11 @@ shared::ResampleParams make_resample_params(const ChannelSlice& input, const Cha
             .circular = large_grid.circular ? 1u : 0u};
 }
 
-std::size_t count_slice_values(const ChannelSlice& slice) {
-    return slice.channels * slice.grid.count_all_pixels();
-}
+std::size_t count_values(const ChannelSlice& slice) { return slice.channels * slice.grid.n_pixels_total(); }
 
 }  // namespace
 
-ImageBatchSize halve_image_size(const ImageBatchSize& grid) {
+ImageBatchSize half_size(const ImageBatchSize& grid) {
     return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
@@ -40,29 +37,26 @@ ResamplingKernels::ResamplingKernels(Device& device)
       upsample_vjp_(device, "diff/network/upsample_vjp") {}
 
 void ResamplingKernels::max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output) {
-    RELIDAR_ASSERT_EQ(halve_image_size(input.grid) == output.grid, true);
-    run(stream, pool_, count_slice_values(output),
-        make_resample_params(input, output, input.grid, output.grid));
+    RELIDAR_ASSERT_EQ(half_size(input.grid) == output.grid, true);
+    run(stream, pool_, count_values(output), resample_params(input, output, input.grid, output.grid));
 }
 
-void ResamplingKernels::backpropagate_max_pool(Stream& stream, const ChannelSlice& input,
-                                               const ChannelSlice& d_output, const ChannelSlice& d_input) {
-    RELIDAR_ASSERT_EQ(halve_image_size(input.grid) == d_output.grid && input.grid == d_input.grid, true);
-    shared::ResampleParams params = make_resample_params(d_output, d_input, input.grid, d_output.grid);
+void ResamplingKernels::max_pool_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+                                     const ChannelSlice& d_input) {
+    RELIDAR_ASSERT_EQ(half_size(input.grid) == d_output.grid && input.grid == d_input.grid, true);
+    shared::ResampleParams params = resample_params(d_output, d_input, input.grid, d_output.grid);
     params.pooled = input.view;
-    run(stream, pool_vjp_, count_slice_values(d_output), params);
+    run(stream, pool_vjp_, count_values(d_output), params);
 }
 
-void ResamplingKernels::upsample_bilinear(Stream& stream, const ChannelSlice& input,
-                                          const ChannelSlice& output) {
-    run(stream, upsample_, count_slice_values(output),
-        make_resample_params(input, output, output.grid, input.grid));
+void ResamplingKernels::upsample(Stream& stream, const ChannelSlice& input, const ChannelSlice& output) {
+    run(stream, upsample_, count_values(output), resample_params(input, output, output.grid, input.grid));
 }
 
-void ResamplingKernels::backpropagate_upsample(Stream& stream, const ChannelSlice& d_output,
-                                               const ChannelSlice& d_input) {
-    run(stream, upsample_vjp_, count_slice_values(d_input),
-        make_resample_params(d_output, d_input, d_output.grid, d_input.grid));
+void ResamplingKernels::upsample_vjp(Stream& stream, const ChannelSlice& d_output,
+                                     const ChannelSlice& d_input) {
+    run(stream, upsample_vjp_, count_values(d_input),
+        resample_params(d_output, d_input, d_output.grid, d_input.grid));
 }
 
 }  // namespace relidar::network

@@ -8,7 +8,7 @@
 namespace relidar::network {
 
 /// Half the rows and half the columns, rounded down.
-ImageBatchSize halve_image_size(const ImageBatchSize& grid);
+ImageBatchSize half_size(const ImageBatchSize& grid);
 
 class ResamplingKernels {
 public:
@@ -17,10 +17,10 @@ public:
     /// Maximum of each block of 2 x 2 pixels.
     void max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
     /// Adds to `d_input`.
-    void backpropagate_max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
-                                const ChannelSlice& d_input);
-    void upsample_bilinear(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
-    void backpropagate_upsample(Stream& stream, const ChannelSlice& d_output, const ChannelSlice& d_input);
+    void max_pool_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+                      const ChannelSlice& d_input);
+    void upsample(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
+    void upsample_vjp(Stream& stream, const ChannelSlice& d_output, const ChannelSlice& d_input);
 
 private:
     Kernel<shared::ResampleParams> pool_, pool_vjp_, upsample_, upsample_vjp_;

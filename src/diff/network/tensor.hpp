@@ -18,12 +18,12 @@ struct ImageBatchSize {
     std::uint32_t n = 0, rows = 0, columns = 0;
     bool circular = true;  ///< true: columns wrap around, because the image covers a full turn
 
-    std::size_t count_pixels_per_image() const { return std::size_t(rows) * columns; }
-    std::size_t count_all_pixels() const { return n * count_pixels_per_image(); }
+    std::size_t n_image_pixels() const { return std::size_t(rows) * columns; }
+    std::size_t n_pixels_total() const { return n * n_image_pixels(); }
     friend bool operator==(const ImageBatchSize&, const ImageBatchSize&) = default;
 };
 
-inline std::uint32_t divide_rounding_up(std::uint32_t count, std::uint32_t group_size) {
+inline std::uint32_t div_ceil(std::uint32_t count, std::uint32_t group_size) {
     return (count + group_size - 1) / group_size;
 }
 
@@ -32,7 +32,7 @@ struct ChannelSlice {
     std::uint32_t channels = 0;
     ImageBatchSize grid;
 
-    ChannelSlice get_channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
+    ChannelSlice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
         return {{view.values, view.channels, view.first + first_channel}, n_channels, grid};
     }
 };
@@ -43,11 +43,11 @@ struct Tensor {
     Array<float> values;
 
     Tensor() = default;
-    Tensor(Device& device, std::uint32_t n_channels, const ImageBatchSize& g, const std::string& description)
-        : channels(n_channels), grid(g), values(device, n_channels * g.count_all_pixels(), description) {}
+    Tensor(Device& device, std::uint32_t n_channels, const ImageBatchSize& g, const std::string& text)
+        : channels(n_channels), grid(g), values(device, n_channels * g.n_pixels_total(), text) {}
     /// Returns all channels.
     operator ChannelSlice() const { return {{values.address(), channels, 0}, channels, grid}; }
-    ChannelSlice get_channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
+    ChannelSlice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
         return {{values.address(), channels, first_channel}, n_channels, grid};
     }
 };

@@ -20,8 +20,9 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The seed depends on
 /// the epoch, so that a resumed training draws the same values.
-std::vector<network::RayDropInputs::RotatedSample> sample_epoch_order_and_rotations(
-    std::size_t n_images, int n_columns, bool rotate_images, std::uint64_t seed, int epoch) {
+std::vector<network::RayDropInputs::RotatedSample> sample_epoch(std::size_t n_images, int n_columns,
+                                                                bool rotate_images, std::uint64_t seed,
+                                                                int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<network::RayDropInputs::RotatedSample> chosen(n_images);
     for (std::size_t i = 0; i < n_images; ++i) {
@@ -43,8 +44,8 @@ struct TrainingRunState {
 
     TrainingRunState(const network::RayDropTraining& training, const RayDropNetworkOptions& options,
                      const RayDropTrainState& start)
-        : batch(training.get_images_per_step()),
-          n_steps(training.count_steps_per_epoch()),
+        : batch(training.images_per_step()),
+          n_steps(training.steps_per_epoch()),
           entropy(start.entropy),
           accuracy(start.accuracy),
           before_s(start.seconds) {
@@ -58,12 +59,12 @@ struct TrainingRunState {
                 report.step, report.n_steps, report.n_epochs);
     }
 
-    int get_epoch_index() const { return int(std::size_t(report.step - 1) / n_steps); }
+    int epoch_index() const { return int(std::size_t(report.step - 1) / n_steps); }
 
     void add_step_score(const network::RayDropScore& score, std::size_t step_in_epoch) {
         entropy += score.entropy;
         accuracy += score.accuracy;
-        report.epoch = get_epoch_index() + 1;
+        report.epoch = epoch_index() + 1;
         report.entropy = entropy / double(step_in_epoch + 1);
         report.accuracy = accuracy / double(step_in_epoch + 1);
         report.seconds =
@@ -78,15 +79,15 @@ struct TrainingRunState {
 
 }  // namespace
 
-RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropImage>& images,
-                                      const RayDropNetworkOptions& options, std::uint64_t seed,
-                                      const RayDropTrainCallback& progress,
-                                      const RayDropTrainState* resume_state) {
+RayDropNetwork train_drop_network(Device& device, const std::vector<RayDropImage>& images,
+                                  const RayDropNetworkOptions& options, std::uint64_t seed,
+                                  const RayDropTrainCallback& progress,
+                                  const RayDropTrainState* resume_state) {
     network::RayDropTraining training(device, images, options, seed);
     TrainingRunState course(training, options, resume_state ? *resume_state : RayDropTrainState{});
-    if (resume_state) training.restore_training_state(*resume_state);
+    if (resume_state) training.restore_state(*resume_state);
     const auto state = [&] {
-        RayDropTrainState result = training.download_training_state();
+        RayDropTrainState result = training.download_state();
         result.step = course.report.step;
         result.entropy = course.entropy;
         result.accuracy = course.accuracy;
@@ -98,10 +99,9 @@ RayDropNetwork train_ray_drop_network(Device& device, const std::vector<RayDropI
         const std::size_t k = std::size_t(course.report.step++) % course.n_steps;  // step index in the epoch
         if (k == 0) course.entropy = course.accuracy = 0.0;
         if (k == 0 || order.empty())
-            order = sample_epoch_order_and_rotations(
-                images.size(), images[0].columns,
-                network::get_regularisation(options).turns && images[0].circular, seed,
-                course.get_epoch_index());
+            order = sample_epoch(images.size(), images[0].columns,
+                                 network::regularisation_of(options).turns && images[0].circular, seed,
+                                 course.epoch_index());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
         course.add_step_score(training.train_on_batch(chosen, course.report.step, course.report.n_steps), k);
         if (progress && !progress(course.report, state)) break;

@@ -46,41 +46,41 @@ struct UnetParameterLayout {
 
 /// These functions count the channels of a decoder level: of its output, of its upsampled
 /// input, and of this input together with the skip connection.
-std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters with Kaiming's uniform distribution. If the network is
 /// residual, its last convolution starts at 0, so that its first output is 0.
-void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
-                                   std::uint64_t seed);
+void init_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
+                     std::uint64_t seed);
 
 class Unet {
 public:
     Unet(Device& device, const RayDropNetwork& network);
 
-    /// @param with_gradients true: also allocates memory for run_backward_pass()
-    void allocate_activations(Device& device, const ImageBatchSize& grid, bool with_gradients);
-    void run_training_forward_pass(Stream& stream, std::uint32_t dropout_key, float dropout_rate);
+    /// @param with_gradients true: also allocates memory for backward()
+    void allocate(Device& device, const ImageBatchSize& grid, bool with_gradients);
+    void forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate);
     /// Uses the running mean and variance, and no dropout.
     void run_inference(Stream& stream);
-    /// Follows run_training_forward_pass(). The caller writes get_drop_logit_gradients()
+    /// Follows forward(). The caller writes d_logits()
     /// before.
-    void run_backward_pass(Stream& stream);
+    void backward(Stream& stream);
 
     /// No pending command on the device may use the old values.
-    void upload_parameters(const std::vector<float>& parameters, const std::vector<float>& running_moments) {
+    void set_parameters(const std::vector<float>& parameters, const std::vector<float>& running_moments) {
         parameters_.upload(parameters);
         running_.upload(running_moments);
     }
 
-    const Tensor& get_input_images() const { return inputs_; }  ///< Input images, which the caller fills.
-    const Tensor& get_drop_logits() const { return logit_; }
+    const Tensor& input_images() const { return inputs_; }  ///< Input images, which the caller fills.
+    const Tensor& logits() const { return logit_; }
     /// Gradient of the logits, which the caller writes.
-    const Tensor& get_drop_logit_gradients() const { return d_logit_; }
-    const Array<float>& get_network_parameters() const { return parameters_; }
-    const Array<float>& get_parameter_gradients() const { return gradients_; }
-    const Array<float>& get_running_moments() const { return running_; }
+    const Tensor& d_logits() const { return d_logit_; }
+    const Array<float>& parameters() const { return parameters_; }
+    const Array<float>& gradients() const { return gradients_; }
+    const Array<float>& running_moments() const { return running_; }
 
 private:
     /// Results of a block that the backward pass needs.
@@ -113,31 +113,31 @@ private:
     std::size_t most_active_ = 0;  ///< largest number of activations after a normalisation in any block
     Tensor scratch_;               ///< gradients of these activations
 
-    ConvolutionKernels::Weights get_conv_weights(std::size_t offset) const {
+    ConvolutionKernels::Weights conv_weights(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvWeights>(offset);
     }
-    ConvolutionKernels::Bias get_conv_bias(std::size_t offset) const {
+    ConvolutionKernels::Bias conv_bias(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvBias>(offset);
     }
-    ConvolutionKernels& get_convolution_kernels(const ConvParameterOffsets& layer) {
+    ConvolutionKernels& conv_kernels(const ConvParameterOffsets& layer) {
         return layer.taps == 1 ? conv1_ : conv3_;
     }
-    ChannelSlice get_skip_connection(std::size_t level) const;
-    ChannelSlice get_skip_connection_gradient(std::size_t level) const;
-    void allocate_level_tensors(Device& device, std::size_t level, const ImageBatchSize& grid);
-    void allocate_attention_tensors(Device& device);
-    void allocate_block_activations(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
-                                    UnetBlockActivations& state);
+    ChannelSlice skip(std::size_t level) const;
+    ChannelSlice d_skip(std::size_t level) const;
+    void allocate_level(Device& device, std::size_t level, const ImageBatchSize& grid);
+    void allocate_attention(Device& device);
+    void allocate_block(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
+                        UnetBlockActivations& state);
     void run_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
                         const ChannelSlice& input, const ChannelSlice& output, UnetMode mode);
-    void backpropagate_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                                  const ChannelSlice& input, const ChannelSlice& d_output,
-                                  const ChannelSlice& d_input, bool accumulate = false);
-    void backpropagate_conv_parameters(Stream& stream, const ConvParameterOffsets& layer,
-                                       const ChannelSlice& input, const ChannelSlice& d_output);
+    void block_vjp(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
+                   const ChannelSlice& input, const ChannelSlice& d_output, const ChannelSlice& d_input,
+                   bool accumulate = false);
+    void conv_vjp(Stream& stream, const ConvParameterOffsets& layer, const ChannelSlice& input,
+                  const ChannelSlice& d_output);
     void run_all_layers(Stream& stream, UnetMode mode);
-    void run_attention_layer(Stream& stream, UnetMode mode);
-    void backpropagate_attention(Stream& stream);
+    void run_attention(Stream& stream, UnetMode mode);
+    void attention_vjp(Stream& stream);
 };
 
 }  // namespace relidar::network

@@ -11,7 +11,7 @@
 namespace relidar::network {
 namespace {
 
-std::size_t reserve_aligned_float_offset(std::size_t& n_allocated, std::size_t n_floats) {
+std::size_t reserve_floats(std::size_t& n_allocated, std::size_t n_floats) {
     const std::size_t first = n_allocated;
     n_allocated += (n_floats + 3) / 4 * 4;
     return first;
@@ -22,17 +22,12 @@ std::size_t reserve_aligned_float_offset(std::size_t& n_allocated, std::size_t n
 UnetParameterLayout::UnetParameterLayout(const RayDropNetwork& network) {
     const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
         ConvParameterOffsets layer{
-            n_in,
-            n_out,
-            taps,
-            reserve_aligned_float_offset(n_parameters, std::size_t(n_in) * n_out * taps),
-            {}};
-        if (biased) layer.bias = reserve_aligned_float_offset(n_parameters, n_out);
+            n_in, n_out, taps, reserve_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
+        if (biased) layer.bias = reserve_floats(n_parameters, n_out);
         return layer;
     };
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
-        return UnetBlockOffsets{reserve_aligned_float_offset(n_parameters, 2 * n_in),
-                                reserve_aligned_float_offset(n_running, 2 * n_in),
+        return UnetBlockOffsets{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
                                 conv(n_in, n_out, taps, false)};
     };
     const std::vector<std::uint32_t>& w = network.widths;
@@ -47,29 +42,29 @@ UnetParameterLayout::UnetParameterLayout(const RayDropNetwork& network) {
         project = conv(w[n_levels], w[n_levels], 1, true);
     }
     for (std::size_t l = 0; l < std::max<std::size_t>(n_levels, 1); ++l) {
-        const std::uint32_t joined = count_concatenated_channels(w, l);
+        const std::uint32_t joined = joined_channels(w, l);
         up.push_back(block(joined, joined, network.taps));
-        up.push_back(block(joined, count_decoder_channels(w, l), network.taps));
+        up.push_back(block(joined, decoder_channels(w, l), network.taps));
     }
     last_conv = conv(w[0], 1, 1, true);
 }
 
-std::uint32_t count_decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t decoder_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     return level == 0 ? widths[0] : widths[level] / 2;
 }
 
-std::uint32_t count_upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t upsampled_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     const std::size_t n_levels = widths.size() - 1;
     if (level >= n_levels) return 0;
-    return level + 1 == n_levels ? widths[n_levels] : count_decoder_channels(widths, level + 1);
+    return level + 1 == n_levels ? widths[n_levels] : decoder_channels(widths, level + 1);
 }
 
-std::uint32_t count_concatenated_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
-    return count_upsampled_channels(widths, level) + widths[level];
+std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+    return upsampled_channels(widths, level) + widths[level];
 }
 
-void initialise_network_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
-                                   std::uint64_t seed) {
+void init_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
+                     std::uint64_t seed) {
     std::mt19937_64 random(seed);
     network.parameters.assign(parameter_layout.n_parameters, 0.0f);
     network.running.assign(parameter_layout.n_running, 0.0f);

@@ -14,7 +14,7 @@
 
 namespace relidar {
 
-double interpolate_exponentially(double start, double end, int step, int n_steps) {
+double interpolate_exp(double start, double end, int step, int n_steps) {
     const double s = n_steps > 0 ? std::clamp(double(step) / n_steps, 0.0, 1.0) : 1.0;
     return std::exp((1.0 - s) * std::log(start) + s * std::log(end));
 }
@@ -25,7 +25,7 @@ namespace {
 // occupied.
 constexpr std::uint32_t kStreamingThreads = 128;
 
-std::vector<SpecialisationConstant> make_adam_kernel_constants(bool thread_per_float) {
+std::vector<SpecialisationConstant> adam_constants(bool thread_per_float) {
     return {{SpecialisationConstantId::ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u},
             {SpecialisationConstantId::WORKGROUP_SIZE, kStreamingThreads}};
 }
@@ -42,11 +42,11 @@ struct Adam::Impl {
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, SurfelParameterSet parameter_set)
         : options(o),
-          per_float(should_coalesce_memory_access(device)),
+          per_float(should_coalesce(device)),
           moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", parameter_set),
           moment2(device, moment1.n, "second moment", parameter_set),
           max_log_scale(device, 0, "bounds of scales"),
-          kernel(device, "diff/optimizer/adam", make_adam_kernel_constants(per_float)) {
+          kernel(device, "diff/optimizer/adam", adam_constants(per_float)) {
         if (options.only_touched) list.emplace(device);
     }
 };
@@ -55,24 +55,24 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
            SurfelParameterSet parameter_set)
     : impl_(new Impl(device, n_surfels, options, parameter_set)) {
     Stream stream(device);
-    impl_->moment1.record_zero_fill(stream);
-    impl_->moment2.record_zero_fill(stream);
+    impl_->moment1.fill_zero(stream);
+    impl_->moment2.fill_zero(stream);
     // A resumed run uploads the moments of its checkpoint after this constructor. Waits
     // here, so that the zero fill cannot overwrite the uploaded moments.
     stream.submit_and_wait();
 }
 Adam::~Adam() = default;
-SurfelArrays& Adam::get_first_moments() { return impl_->moment1; }
-SurfelArrays& Adam::get_second_moments() { return impl_->moment2; }
-Array<float>& Adam::get_upper_bounds_of_log_scales() { return impl_->max_log_scale; }
+SurfelArrays& Adam::first_moments() { return impl_->moment1; }
+SurfelArrays& Adam::second_moments() { return impl_->moment2; }
+Array<float>& Adam::max_log_scales() { return impl_->max_log_scale; }
 
-void Adam::set_max_log_scale_of_each_surfel(Device& device, const std::vector<float>& max_log_scales) {
+void Adam::set_max_log_scales(Device& device, const std::vector<float>& max_log_scales) {
     impl_->max_log_scale = {device, max_log_scales, "bounds of scales"};
 }
 
-void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
-                            const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
-                            const LearningRates& learning_rates, int step_number, int sh_degree) {
+void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
+                       const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
+                       const LearningRates& learning_rates, int step_number, int sh_degree) {
     Impl& a = *impl_;
     const std::uint32_t first = std::min(a.options.n_fixed, parameters.n), n_rows = parameters.n - first;
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
@@ -81,10 +81,10 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
     const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
     const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
     const bool listed = a.list && touched_flags;
-    if (listed) a.list->record_compaction_of_touched_rows(stream, touched_flags->address(first), n_rows);
+    if (listed) a.list->compact(stream, touched_flags->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameters.get_parameter_set())) {
+    for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {
         const std::uint32_t stride = group.count_floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
         // All spherical harmonics except the constant one have a lower learning rate.
@@ -92,23 +92,20 @@ void Adam::record_adam_step(Stream& stream, SurfelArrays& parameters, const Surf
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !learning_rates.mean_factors.empty();
         const std::size_t n_threads = std::size_t(n_rows) * (a.per_float ? n_blocks * n_active : 1u);
-        run(stream, a.kernel, listed ? a.list->choose_thread_count_for_touched_rows(n_threads) : n_threads,
+        run(stream, a.kernel, listed ? a.list->choose_threads(n_threads) : n_threads,
             {.values = group.device(parameters).address_as<float, shared::AdamValues>(from),
              .gradients = group.device(gradients).address_as<float, shared::AdamGradients>(from),
              .moment1 = group.device(a.moment1).address_as<float, shared::FirstMoments>(),
              .moment2 = group.device(a.moment2).address_as<float, shared::SecondMoments>(),
              .touched = touched_flags && !listed ? touched_flags->address(first)
                                                  : Address<std::uint32_t, shared::TouchedSurfels>{},
-             .rows =
-                 listed ? a.list->get_touched_rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
-             .n_listed = listed ? a.list->get_touched_count_address()
-                                : Address<std::uint32_t, shared::TouchedCount>{},
+             .rows = listed ? a.list->rows_address() : Address<std::uint32_t, shared::TouchedRows>{},
+             .n_listed = listed ? a.list->count_address() : Address<std::uint32_t, shared::TouchedCount>{},
              .bounds = group.scales && a.max_log_scale.size() > 0 ? a.max_log_scale.address(first)
                                                                   : Address<float, shared::ScaleBounds>{},
              .model_scale =
-                 (by_model ? stream.impl().stage_host_values_for_kernels(learning_rates.mean_factors)
-                           : Address<float>{})
-                     .cast_content_tag<shared::ModelRates>(),
+                 (by_model ? stream.impl().stage_values(learning_rates.mean_factors) : Address<float>{})
+                     .cast_tag<shared::ModelRates>(),
              .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
              .learning_rate = static_cast<float>(learning_rates.*group.rate * rest_factor),
              .beta1 = static_cast<float>(a.options.beta1),
@@ -138,7 +135,7 @@ struct ArrayAdam::Impl {
         : options(o),
           moment1(device, count, "first moment"),
           moment2(device, count, "second moment"),
-          kernel(device, "diff/optimizer/adam", make_adam_kernel_constants(true)) {}
+          kernel(device, "diff/optimizer/adam", adam_constants(true)) {}
 };
 
 ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& options)
@@ -149,11 +146,11 @@ ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& optio
     stream.submit_and_wait();
 }
 ArrayAdam::~ArrayAdam() = default;
-Array<float>& ArrayAdam::get_first_moments() { return impl_->moment1; }
-Array<float>& ArrayAdam::get_second_moments() { return impl_->moment2; }
+Array<float>& ArrayAdam::first_moments() { return impl_->moment1; }
+Array<float>& ArrayAdam::second_moments() { return impl_->moment2; }
 
-void ArrayAdam::record_adam_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
-                                 double learning_rate, int step_number) {
+void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Array<float>& gradients,
+                            double learning_rate, int step_number) {
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
     RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());

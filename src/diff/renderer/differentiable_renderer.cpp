@@ -14,8 +14,8 @@ namespace relidar {
 
 namespace {
 
-std::uint32_t get_max_rays_per_batch(const Renderer& renderer) {
-    return static_cast<std::uint32_t>(renderer.get_last_rendered_batch().rendered->size());
+std::uint32_t max_batch_rays(const Renderer& renderer) {
+    return static_cast<std::uint32_t>(renderer.last_batch().rendered->size());
 }
 
 struct UpstreamGradientField {
@@ -26,7 +26,7 @@ struct UpstreamGradientField {
 
 /// Converts one array per rendered value to one struct per ray, because the backward pass
 /// reads structs.
-std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
+std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& gradients, std::size_t n_rays) {
     using shared::RayGradient;
 #define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, gradients.name, &RayGradient::name},
     const UpstreamGradientField lanes[] = {RELIDAR_IMAGE_VALUES(RELIDAR_LANE)};
@@ -46,7 +46,7 @@ std::vector<shared::RayGradient> make_ray_gradients(const RenderedGradients& gra
 
 /// Downloads an array of gradients. Returns nothing if the gradients were not requested,
 /// because the array is then empty.
-std::vector<float> download_if_allocated(const Array<float>& array, std::size_t count) {
+std::vector<float> download_array(const Array<float>& array, std::size_t count) {
     return array.size() ? array.download(count) : std::vector<float>{};
 }
 
@@ -59,80 +59,77 @@ struct DifferentiableRenderer::Impl {
     std::optional<DeviceGradients> gradients;  ///< no value while surfels are added or removed
     Array<shared::RayGradient> upstream;
 
-    Impl(Device& device, const Scene& scene, const ImageFormationModel& model,
-         const RendererOptions& of_renderer, const GradientOptions& of_gradients)
+    Impl(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& of_renderer,
+         const GradientOptions& of_gradients)
         : renderer(device, scene, model, of_renderer),
           options(of_gradients),
-          backward(device, model, renderer.accel().get_proxy_shape_of_surfels(), of_renderer.trace,
-                   of_gradients.sums),
+          backward(device, model, renderer.accel().proxy_shape(), of_renderer.trace, of_gradients.sums),
           upstream(device, of_renderer.n_rays, "loss gradients") {
-        allocate_gradients();
+        allocate();
     }
-    void allocate_gradients() {
+    void allocate() {
         gradients.emplace(renderer.stream().device(), renderer.scene(), options.requested_gradients,
-                          get_max_rays_per_batch(renderer));
+                          max_batch_rays(renderer));
         gradients->zero_untouched = options.zero_untouched;
     }
 };
 
-DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene,
-                                               const ImageFormationModel& model,
+DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
                                                const RendererOptions& options,
                                                const GradientOptions& gradients)
     : impl_(std::make_unique<Impl>(device, scene, model, options, gradients)) {}
 
 DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
-RenderedBatch DifferentiableRenderer::get_last_rendered_batch() {
+RenderedBatch DifferentiableRenderer::last_batch() {
     Renderer& renderer = impl_->renderer;
     Device& device = renderer.stream().device();
-    const std::size_t n_rays = get_max_rays_per_batch(renderer);
+    const std::size_t n_rays = max_batch_rays(renderer);
     if (impl_->upstream.size() < n_rays) {  // the maximum number of rays per batch has grown
         renderer.stream().submit_and_wait();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.requested_gradients.rays)
             impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
     }
-    RenderedBatch result = renderer.get_last_rendered_batch();
+    RenderedBatch result = renderer.last_batch();
     result.upstream = &impl_->upstream;
     return result;
 }
 
-void DifferentiableRenderer::record_backward_pass() {
+void DifferentiableRenderer::record_backward() {
     Renderer& renderer = impl_->renderer;
     impl_->backward.set_sh_degree(renderer.model().sh_degree);
-    impl_->backward.record_backward_pass(renderer.stream(), renderer.scene(), renderer.accel(),
-                                         get_last_rendered_batch(), renderer.view_origin_m(),
-                                         *impl_->gradients);
+    impl_->backward.record_backward(renderer.stream(), renderer.scene(), renderer.accel(), last_batch(),
+                                    renderer.view_origin_m(), *impl_->gradients);
 }
 
-HostGradients DifferentiableRenderer::compute_gradients(const RenderedGradients& rendered_gradients) {
-    const RenderedBatch last = get_last_rendered_batch();
+HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& rendered_gradients) {
+    const RenderedBatch last = last_batch();
     const std::size_t n_rays = last.rays.n_rays;
     if (last.rays.rays == nullptr)
         throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");
     Stream& stream = impl_->renderer.stream();
     stream.submit_and_wait();
-    impl_->upstream.upload(make_ray_gradients(rendered_gradients, n_rays));
-    record_backward_pass();
+    impl_->upstream.upload(ray_gradients(rendered_gradients, n_rays));
+    record_backward();
     stream.submit_and_wait();
     const DeviceGradients& g = *impl_->gradients;
     return {g.surfels.download(), g.touched.download(impl_->renderer.scene().size()),
-            download_if_allocated(g.poses, g.poses.size()), download_if_allocated(g.sensor, g.sensor.size()),
-            download_if_allocated(g.rays, 6 * n_rays)};
+            download_array(g.poses, g.poses.size()), download_array(g.sensor, g.sensor.size()),
+            download_array(g.rays, 6 * n_rays)};
 }
 
-void DifferentiableRenderer::change_surfels_and_reallocate_memory(
+void DifferentiableRenderer::resize(
     const std::function<void(double other_allocation_bytes)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
     renderer.stream().submit_and_wait();
     const std::uint64_t before = device.allocated_bytes();
-    renderer.release_acceleration_structure();
+    renderer.release_accel();
     impl_->gradients.reset();
     change_surfels(double(before - device.allocated_bytes()) / std::max(renderer.scene().size(), 1u));
-    impl_->allocate_gradients();
-    renderer.create_acceleration_structure();
+    impl_->allocate();
+    renderer.create_accel();
 }
 
 Renderer& DifferentiableRenderer::renderer() { return impl_->renderer; }

@@ -18,18 +18,18 @@
 namespace relidar {
 namespace {
 
-constexpr int kSurfels = 300, kRays = 256;
+constexpr int kRingSurfels = 300, kTestRays = 256;
 
 /// Returns surfels in a ring around the origin. Most rays hit several of them.
-Surfels make_surfel_ring() {
+Surfels make_ring() {
     std::mt19937 random(1);
     const auto uniform = [&](float low, float high) {
         return low + (high - low) * float(random()) / 4294967296.0f;
     };
     Surfels surfels;
-    surfels.resize(kSurfels);
+    surfels.resize(kRingSurfels);
     std::ranges::fill(surfels.sh, 0.0f);
-    for (std::size_t i = 0; i < kSurfels; ++i) {
+    for (std::size_t i = 0; i < kRingSurfels; ++i) {
         const float angle = uniform(0.0f, 6.2831853f), range_m = uniform(3.0f, 30.0f);
         surfels.mean[i] = {range_m * std::cos(angle), range_m * std::sin(angle), uniform(-2.0f, 2.0f)};
         surfels.rotation[i] = {uniform(-1.0f, 1.0f), uniform(-1.0f, 1.0f), uniform(-1.0f, 1.0f),
@@ -40,10 +40,10 @@ Surfels make_surfel_ring() {
     return surfels;
 }
 
-WorldRays make_test_rays_from_origin() {
+WorldRays make_test_rays() {
     WorldRays rays;
-    for (int i = 0; i < kRays; ++i) {
-        const float angle = 6.2831853f * float(i) / kRays, up = 0.1f * float(i % 5 - 2);
+    for (int i = 0; i < kTestRays; ++i) {
+        const float angle = 6.2831853f * float(i) / kTestRays, up = 0.1f * float(i % 5 - 2);
         rays.origin.emplace_back(0.0f);
         rays.direction.push_back(glm::normalize(glm::vec3(std::cos(angle), std::sin(angle), up)));
     }
@@ -52,31 +52,30 @@ WorldRays make_test_rays_from_origin() {
 
 /// Renders a ring of surfels around the sensor. If `tree_state` is `refitted`, moves the
 /// surfels by 0.2 m after the tree was built, so that the tree is refitted.
-RenderedRayValues render_test_ring_of_surfels(Device& device, const AccelOptions& accel_options,
-                                              AccelTreeState tree_state) {
-    Surfels surfels = make_surfel_ring();
-    Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel_options});
-    renderer.record_scene_update_for_view(glm::vec3(0.0f));
+RenderedRayValues render_ring(Device& device, const AccelOptions& accel_options, AccelTreeState tree_state) {
+    Surfels surfels = make_ring();
+    Renderer renderer(device, wrap_background(surfels), {}, {.accel = accel_options});
+    renderer.update(glm::vec3(0.0f));
     if (tree_state == AccelTreeState::refitted) {
         for (std::size_t i = 0; i < surfels.mean.size(); ++i) surfels.mean[i].z += i % 2 == 0 ? 0.2f : -0.2f;
         renderer.stream().submit_and_wait();
         renderer.upload_surfels(surfels);
-        renderer.record_scene_update_for_view(glm::vec3(0.0f));
+        renderer.update(glm::vec3(0.0f));
     }
-    return renderer.render_rays(make_test_rays_from_origin());
+    return renderer.render_rays(make_test_rays());
 }
 
 /// Returns the largest subgroup size that gives correct results. Does not test the
 /// driver's default size again.
-/// @param error_with_default_size description of the wrong result with the default size
-int find_fallback_subgroup_size(const DeviceOptions& options, const Device& device,
-                                const std::string& error_with_default_size) {
-    const std::vector<int> sizes = list_requestable_subgroup_sizes(device);
+/// @param error_with_default_size text of the wrong result with the default size
+int fallback_subgroup(const DeviceOptions& options, const Device& device,
+                      const std::string& error_with_default_size) {
+    const std::vector<int> sizes = subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
         const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = *lanes});
         Device other(options);
-        if (test_subgroups_and_describe_error(other).empty()) return *lanes;
+        if (test_subgroups(other).empty()) return *lanes;
     }
     fail<DeviceError>(
         "cannot use the device {} (driver {}): it gives wrong results with subgroups of {} lanes ({}) and "
@@ -86,41 +85,39 @@ int find_fallback_subgroup_size(const DeviceOptions& options, const Device& devi
 
 }  // namespace
 
-int count_wrongly_traced_rays(Device& device, AccelTreeState tree_state) {
+int count_wrong_rays(Device& device, AccelTreeState tree_state) {
     AccelOptions accel;
     // A test can force wrong hits here by making the boxes smaller than their surfels.
-    if (gpu::is_fault_injected("ray_query") &&
-        device.get_ray_tracing_backend() == RayTracingBackend::ray_query)
+    if (gpu::has_fault("ray_query") && device.backend() == RayTracingBackend::ray_query)
         accel.margin_scale = 0.3f;
-    const RenderedRayValues actual = render_test_ring_of_surfels(device, accel, tree_state);
+    const RenderedRayValues actual = render_ring(device, accel, tree_state);
     const ForcedBehaviourScope forced(device, {.brute_force = true});
-    const RenderedRayValues expected = render_test_ring_of_surfels(device, {}, tree_state);
+    const RenderedRayValues expected = render_ring(device, {}, tree_state);
     int n_wrong = 0;
-    for (std::size_t i = 0; i < kRays; ++i)
+    for (std::size_t i = 0; i < kTestRays; ++i)
         n_wrong += actual.hits[i] != expected.hits[i] ||
                    !(std::abs(actual.depth[i] - expected.depth[i]) <= 1e-4f * (1.0f + expected.depth[i]));
     return n_wrong;
 }
 
-DeviceTestResults test_device_capabilities(const DeviceOptions& options) {
+DeviceTestResults test_device(const DeviceOptions& options) {
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     Device device(options);
     DeviceTestResults trust;
-    if (device.info().float_atomics)
-        trust.float_atomics = test_atomic_adds_and_get_max_error(device, false) == 0.0;
-    trust.float_swaps = test_atomic_adds_and_get_max_error(device, true) == 0.0;
+    if (device.info().float_atomics) trust.float_atomics = test_atomic_adds(device, false) == 0.0;
+    trust.float_swaps = test_atomic_adds(device, true) == 0.0;
     // Only the kernels of the software ray tracer use subgroup operations.
     if (device.info().software)
-        if (const std::string wrong = test_subgroups_and_describe_error(device); !wrong.empty())
-            trust.subgroup_size = find_fallback_subgroup_size(options, device, wrong);
-    if (device.get_ray_tracing_backend() != RayTracingBackend::ray_query) return trust;
+        if (const std::string wrong = test_subgroups(device); !wrong.empty())
+            trust.subgroup_size = fallback_subgroup(options, device, wrong);
+    if (device.backend() != RayTracingBackend::ray_query) return trust;
     int n_wrong = 0;
     if (trust.subgroup_size == 0) {
-        n_wrong = count_wrongly_traced_rays(device);
+        n_wrong = count_wrong_rays(device);
     } else {
         const ScopedDeviceTestResults trusting_size(trust);
         Device other(options);
-        n_wrong = count_wrongly_traced_rays(other);
+        n_wrong = count_wrong_rays(other);
     }
     trust.ray_query = n_wrong == 0 ? CheckVerdict::right : CheckVerdict::wrong;
     return trust;

@@ -23,11 +23,11 @@ struct CollectedHits {
 
 /// Returns all hits of each ray, from near to far. Hits beyond `max_hits` per ray are
 /// only counted.
-/// @param scene from make_trace_scene_params(); this function adds the rays
+/// @param scene from trace_params(); this function adds the rays
 /// @param variant,constants of the kernel, see trace_scene.hpp
 /// @throws DeviceError if a ray has too many hits to be traced completely
-CollectedHits collect_ray_hits(Device& device, const KernelVariant& variant,
-                               const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
-                               const WorldRays& rays, std::uint32_t max_hits);
+CollectedHits collect_hits(Device& device, const KernelVariant& variant,
+                           const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
+                           const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar

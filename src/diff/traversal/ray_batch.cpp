@@ -13,15 +13,16 @@ std::vector<DeviceRay> to_device_rays(const WorldRays& rays) {
     return result;
 }
 
-std::size_t count_trace_threads(const RayBatch& batch) {
+std::size_t count_threads(const RayBatch& batch) {
     if (batch.columns == 0) return batch.n_rays;
     const std::size_t rows = batch.n_rays / batch.columns;
     return (rows + 1) / 2 * ((std::size_t(batch.columns) + 15) / 16) * 32;
 }
 
-std::uint32_t recommend_stored_hits_per_ray(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays) {
-    constexpr std::uint32_t kMost = 256;
-    return n_overflowed_rays > 0 ? std::max(hits_per_ray, std::min(2 * hits_per_ray, kMost)) : hits_per_ray;
+std::uint32_t grow_stored_hits(std::uint32_t hits_per_ray, std::uint64_t n_overflowed_rays) {
+    constexpr std::uint32_t kMaxStoredHits = 256;
+    return n_overflowed_rays > 0 ? std::max(hits_per_ray, std::min(2 * hits_per_ray, kMaxStoredHits))
+                                 : hits_per_ray;
 }
 
 }  // namespace relidar

@@ -14,17 +14,17 @@ namespace relidar {
 
 /// Returns the parameters that tracing kernels need for a scene, except the rays. The
 /// caller must add the rays.
-inline shared::TraceScene make_trace_scene_params(const DeviceScene& scene, const AccelAddresses& accel,
-                                                  const ImageFormationModel& model) {
+inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelAddresses& accel,
+                                       const ImageModel& model) {
     return {.tlas = accel.tlas,
             .proxy_reach = accel.proxy_reach,
             .moving = accel.moving,
             .model_radii = accel.model_radii,
             .bvh = accel.bvh,
             .rays = {},
-            .records = scene.get_surfel_records().address(),
-            .instances = scene.get_instance_table().address(),
-            .sh = scene.get_surfel_parameters().sh.address(),
+            .records = scene.surfel_records().address(),
+            .instances = scene.instance_table().address(),
+            .sh = scene.surfel_parameters().sh.address(),
             .pass_cap_count = {},
             .visits = {},
             .targets = {},
@@ -33,7 +33,7 @@ inline shared::TraceScene make_trace_scene_params(const DeviceScene& scene, cons
             .alpha_max = model.alpha_max,
             .transmittance_min = model.transmittance_min,
             .likelihood_scale_m = 1.0f,
-            .n_instances = static_cast<std::uint32_t>(scene.get_instance_table().size()),
+            .n_instances = static_cast<std::uint32_t>(scene.instance_table().size()),
             .n_moving = accel.n_moving,
             .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
             .n_rays = 0,
@@ -42,11 +42,11 @@ inline shared::TraceScene make_trace_scene_params(const DeviceScene& scene, cons
             .columns = 0};
 }
 
-inline shared::TraceScene make_trace_scene_params(
-    const DeviceScene& scene, const AccelerationStructure& accel, const RayBatch& batch,
-    const ImageFormationModel& model, const TraceOptions& options,
-    Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
-    shared::TraceScene traced = make_trace_scene_params(scene, accel.get_device_addresses(), model);
+inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelerationStructure& accel,
+                                       const RayBatch& batch, const ImageModel& model,
+                                       const TraceOptions& options,
+                                       Address<std::uint32_t, shared::PassCapCount> pass_cap_count) {
+    shared::TraceScene traced = trace_params(scene, accel.addresses(), model);
     traced.rays = batch.rays->address();
     traced.pass_cap_count = pass_cap_count;
     traced.n_rays = batch.n_rays;
@@ -54,23 +54,21 @@ inline shared::TraceScene make_trace_scene_params(
     traced.ray_stride = batch.stride;
     traced.columns = batch.columns;
     if (options.likelihood) {
-        traced.targets = get_device_address_or_null(batch.targets);
+        traced.targets = address_or_null(batch.targets);
         traced.likelihood_scale_m = options.likelihood->scale_m;
     }
     return traced;
 }
 
-inline KernelVariant get_traversal_kernel_variant(const Device& device) {
-    if (is_brute_force_tracing_forced(device)) return KernelVariant("@brute_force");
-    return KernelVariant(device.get_ray_tracing_backend() == RayTracingBackend::software ? "@software_bvh"
-                                                                                         : "@ray_query");
+inline KernelVariant kernel_variant(const Device& device) {
+    if (is_brute_force(device)) return KernelVariant("@brute_force");
+    return KernelVariant(device.backend() == RayTracingBackend::software ? "@software_bvh" : "@ray_query");
 }
 
 /// Returns the specialisation constant TOGETHER. 0: each ray traverses the tree
 /// separately (default on GPUs). 1: the rays of a subgroup traverse the tree together. 2
 /// (CPU only): these rays also load each surfel together.
-inline std::uint32_t get_subgroup_traversal_specialisation_value(const Device& device,
-                                                                 const TraceOptions& options) {
+inline std::uint32_t together_mode(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.traversal_mode == BvhTraversalMode::automatic
             ? !is_cpu
@@ -79,19 +77,18 @@ inline std::uint32_t get_subgroup_traversal_specialisation_value(const Device& d
     return is_cpu ? 2 : 1;
 }
 
-inline std::vector<SpecialisationConstant> make_trace_kernel_constants(const Device& device, ProxyShape proxy,
-                                                                       const TraceOptions& options,
-                                                                       const ImageFormationModel& model) {
-    return {
-        {SpecialisationConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
-        {SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
-        {SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-        {SpecialisationConstantId::TOGETHER, get_subgroup_traversal_specialisation_value(device, options)},
-        {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-        {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-        {SpecialisationConstantId::NORMAL, options.normals ? 1u : 0u},
-        {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
-        {SpecialisationConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
+inline std::vector<SpecialisationConstant> trace_constants(const Device& device, ProxyShape proxy,
+                                                           const TraceOptions& options,
+                                                           const ImageModel& model) {
+    return {{SpecialisationConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
+            {SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
+            {SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {SpecialisationConstantId::TOGETHER, together_mode(device, options)},
+            {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
+            {SpecialisationConstantId::NORMAL, options.normals ? 1u : 0u},
+            {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
+            {SpecialisationConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }
 
 }  // namespace relidar

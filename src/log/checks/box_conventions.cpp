@@ -21,11 +21,11 @@ namespace {
 constexpr double kShareAroundVehicle = 0.9, kAboveVehicle_m = 1.0, kLongestVehicle_m = 30.0;
 constexpr std::size_t kMaxFrames = 12, kMaxPoints = 30000;
 // The lowest part of a box does not count, because the ground may be there.
-constexpr double kGround_m = 0.3;
+constexpr double kGroundHeight_m = 0.3;
 // A box is turned only if its shape shows the direction of its length.
-constexpr double kElongated = 1.3, kShortestCar_m = 2.5;
+constexpr double kMinElongation = 1.3, kShortestCar_m = 2.5;
 // The space around an isolated box has fewer points than this share of its points.
-constexpr double kShell_m = 0.5, kMostInShell = 0.5;
+constexpr double kShellWidth_m = 0.5, kMaxShellShare = 0.5;
 // Maximum number of points of a box in a scan that count, so that near boxes do not
 // outvote the others. A convention is better if boxes gain at least kMinPoints points in
 // kMinViews scans, and several times the number of points that they lose.
@@ -39,8 +39,8 @@ struct BoxFault {
     bool is_bottom = false, is_turned = false, is_mirrored = false,
          is_in_vehicle = false;  ///< mirrored in the frame of the vehicle, not in the world
 };
-constexpr std::size_t kTurned = 1;
-constexpr std::array<BoxFault, 4> kFaults{
+constexpr std::size_t kTurnedFault = 1;
+constexpr std::array<BoxFault, 4> kBoxFaults{
     {{"the positions seem to be the centres of the bottom sides, expected the centres of the boxes", true},
      {"", false, true},
      {"y and yaw seem to have the opposite sign in the world", false, false, true},
@@ -58,16 +58,16 @@ struct PointGain {
         return gained >= kMinPoints && n_views >= kMinViews && double(gained) > kClearlyMore * double(lost);
     }
 };
-using PointGains = std::array<PointGain, kFaults.size()>;  // for each fault
+using PointGains = std::array<PointGain, kBoxFaults.size()>;  // for each fault
 
 bool is_elongated(const glm::dvec3& size_m) {
     const auto [shorter, longer] = std::minmax(size_m.x, size_m.y);
-    return longer >= kShortestCar_m && longer >= kElongated * shorter;
+    return longer >= kShortestCar_m && longer >= kMinElongation * shorter;
 }
 
 bool contains(const glm::dvec3& half_m, const glm::dvec3& local_m, double margin_m = 0.0) {
     return std::abs(local_m.x) <= half_m.x + margin_m && std::abs(local_m.y) <= half_m.y + margin_m &&
-           local_m.z >= kGround_m - half_m.z && local_m.z <= half_m.z;
+           local_m.z >= kGroundHeight_m - half_m.z && local_m.z <= half_m.z;
 }
 
 /// @param world_from_frame  frame whose y axis is mirrored
@@ -81,10 +81,10 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
     return world_from_frame * box;
 }
 
-void add_points_of_box(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
-                       const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
-                       PointGain& gain) {
-    const double reach_m = glm::length(half_m) + kShell_m;
+void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
+                   const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
+                   PointGain& gain) {
+    const double reach_m = glm::length(half_m) + kShellWidth_m;
     const glm::dvec3 centre_m = inverse(box_from_sensor).translation,
                      corrected_m = inverse(corrected_from_sensor).translation;
     std::size_t n_gained = 0, n_lost = 0, n_in_shell = 0;
@@ -95,58 +95,56 @@ void add_points_of_box(const std::vector<glm::dvec3>& points_m, const Pose& box_
         const bool was_inside = contains(half_m, before_m), is_inside = contains(half_m, after_m);
         n_gained += is_inside && !was_inside;
         // The ground is in the middle of a box whose position is the bottom.
-        n_lost += was_inside && !is_inside && (!fault.is_bottom || before_m.z < -0.5 * kGround_m);
-        n_in_shell += !is_inside && contains(half_m, after_m, kShell_m);
+        n_lost += was_inside && !is_inside && (!fault.is_bottom || before_m.z < -0.5 * kGroundHeight_m);
+        n_in_shell += !is_inside && contains(half_m, after_m, kShellWidth_m);
     }
-    const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMostInShell * double(n_gained);
+    const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMaxShellShare * double(n_gained);
     gain.add_view(is_isolated ? n_gained : 0, n_lost);
 }
 
-void add_points_of_frame(const LidarSequence& sequence, const LidarFrame& frame, PointGains& gains) {
+void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains) {
     std::vector<glm::dvec3> points_m;
     const std::size_t step = 1 + frame.scan.count_returns() / kMaxPoints;
     std::size_t n_returns = 0;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
         if (frame.scan.range_m[ray] > 0.0f && n_returns++ % step == 0)
-            points_m.emplace_back(frame.scan.compute_return_point_in_sensor_frame(ray));
-    const auto get_sensor_from_world = [&](double time_s) {
-        return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(
-            time_s, sequence.get_lidar(frame).vehicle_from_sensor));
+            points_m.emplace_back(frame.scan.return_point(ray));
+    const auto sensor_from_world_at = [&](double time_s) {
+        return inverse(sequence.world_from_vehicle.mounted_pose_at(
+            time_s, sequence.lidar_of(frame).vehicle_from_sensor));
     };
     for (const BoxTrack& box : sequence.boxes) {
-        if (!box.is_observed_at_time(frame.time_s)) continue;
+        if (!box.is_observed(frame.time_s)) continue;
         double time_s = frame.time_s;
         for (int round = 0; round < 2; ++round)
-            time_s = compute_time_when_lidar_faces_point_s(
-                sequence,
-                get_sensor_from_world(time_s) * box.world_from_box.interpolate_pose(time_s).translation,
-                get_sweep_timing_of_frame(frame));
-        const Pose world_from_sensor = inverse(get_sensor_from_world(time_s)),
-                   world_from_box = box.world_from_box.interpolate_pose(time_s);
-        for (std::size_t f = 0; f < kFaults.size(); ++f) {
-            const BoxFault& fault = kFaults[f];
+            time_s = facing_time_s(
+                sequence, sensor_from_world_at(time_s) * box.world_from_box.pose_at(time_s).translation,
+                timing_of(frame));
+        const Pose world_from_sensor = inverse(sensor_from_world_at(time_s)),
+                   world_from_box = box.world_from_box.pose_at(time_s);
+        for (std::size_t f = 0; f < kBoxFaults.size(); ++f) {
+            const BoxFault& fault = kBoxFaults[f];
             if (!fault.is_bottom && !fault.is_mirrored && !is_elongated(box.size_m)) continue;
-            const Pose mirrored_frame = fault.is_in_vehicle
-                                            ? sequence.world_from_vehicle.interpolate_pose(time_s)
-                                            : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};
+            const Pose mirrored_frame = fault.is_in_vehicle ? sequence.world_from_vehicle.pose_at(time_s)
+                                                            : Pose{{1, 0, 0, 0}, -sequence.world_offset_m};
             const Pose corrected = correct_box(world_from_box, box.size_m.z, mirrored_frame, fault);
-            add_points_of_box(points_m, inverse(world_from_box) * world_from_sensor,
-                              inverse(corrected) * world_from_sensor, 0.5 * box.size_m, fault, gains[f]);
+            add_box_gains(points_m, inverse(world_from_box) * world_from_sensor,
+                          inverse(corrected) * world_from_sensor, 0.5 * box.size_m, fault, gains[f]);
         }
     }
 }
 
-PointGains compare_points_in_boxes(const LidarSequence& sequence) {
-    std::vector<const LidarFrame*> frames;
-    for (const LidarFrame& frame : sequence.frames)
+PointGains compare_boxes(const Log& sequence) {
+    std::vector<const Frame*> frames;
+    for (const Frame& frame : sequence.frames)
         if (frame.scan.count_returns() > 0 && std::ranges::any_of(sequence.boxes, [&](const BoxTrack& box) {
-                return box.is_observed_at_time(frame.time_s);
+                return box.is_observed(frame.time_s);
             }))
             frames.push_back(&frame);
     const std::size_t n = std::min(kMaxFrames, frames.size());
     std::vector<PointGains> by_frame(n);
     parallel_for(int(n), [&](int k) {
-        add_points_of_frame(sequence, *frames[std::size_t(k) * frames.size() / n], by_frame[std::size_t(k)]);
+        add_frame_gains(sequence, *frames[std::size_t(k) * frames.size() / n], by_frame[std::size_t(k)]);
     });
     PointGains sum{};
     for (const PointGains& gains : by_frame)
@@ -160,7 +158,7 @@ PointGains compare_points_in_boxes(const LidarSequence& sequence) {
 
 }  // namespace
 
-void remove_boxes_of_vehicle(LidarSequence& sequence) {
+void remove_ego_boxes(Log& sequence) {
     std::vector<std::string> names;
     const auto is_around = [&](const BoxTrack& box, const Pose& world_from_vehicle,
                                const Pose& world_from_box) {
@@ -178,8 +176,8 @@ void remove_boxes_of_vehicle(LidarSequence& sequence) {
             const double time_s = box.world_from_box.time_s[k];
             if (!sequence.world_from_vehicle.contains_time(time_s)) continue;
             ++n;
-            n_around += is_around(box, sequence.world_from_vehicle.interpolate_pose(time_s),
-                                  box.world_from_box.pose[k]);
+            n_around +=
+                is_around(box, sequence.world_from_vehicle.pose_at(time_s), box.world_from_box.pose[k]);
         }
         if (n_around == 0 || double(n_around) < kShareAroundVehicle * double(n) ||
             std::max(box.size_m.x, box.size_m.y) > kLongestVehicle_m)
@@ -193,24 +191,24 @@ void remove_boxes_of_vehicle(LidarSequence& sequence) {
                         fmt::join(names, ", ")));
 }
 
-std::string describe_box_fault(const LidarSequence& sequence) {
-    const PointGains gains = compare_points_in_boxes(sequence);
-    const auto count_net_gain = [&](std::size_t fault) {
+std::string describe_fault(const Log& sequence) {
+    const PointGains gains = compare_boxes(sequence);
+    const auto net_gain = [&](std::size_t fault) {
         return gains[fault].is_clear() ? std::ptrdiff_t(gains[fault].gained - gains[fault].lost) : 0;
     };
     std::size_t best = 0;
     for (std::size_t fault = 1; fault < gains.size(); ++fault)
-        if (count_net_gain(fault) > count_net_gain(best)) best = fault;
-    if (count_net_gain(best) <= 0) return "";
+        if (net_gain(fault) > net_gain(best)) best = fault;
+    if (net_gain(best) <= 0) return "";
     int n_wider = 0;  // elongated boxes: wider than long minus longer than wide
     for (const BoxTrack& box : sequence.boxes)
         if (is_elongated(box.size_m)) n_wider += box.size_m.y > box.size_m.x ? 1 : -1;
     const char* turned =
         n_wider > 0 ? "length and width seem to be swapped" : "the yaw seems to be turned by 90 degrees";
     return fmt::format("{}{}: boxes that are corrected in this way gain {} points and lose {}",
-                       best == kTurned ? turned : kFaults[best].description,
-                       best > kTurned ? ", as in left-handed coordinates (CARLA)" : "", gains[best].gained,
-                       gains[best].lost);
+                       best == kTurnedFault ? turned : kBoxFaults[best].description,
+                       best > kTurnedFault ? ", as in left-handed coordinates (CARLA)" : "",
+                       gains[best].gained, gains[best].lost);
 }
 
 }  // namespace relidar::checks

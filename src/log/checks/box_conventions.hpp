@@ -11,10 +11,10 @@ namespace relidar::checks {
 
 /// Removes boxes around a LiDAR or the vehicle's origin, with a note. Trackers and
 /// simulators label the recording vehicle itself.
-void remove_boxes_of_vehicle(LidarSequence& sequence);
+void remove_ego_boxes(Log& sequence);
 
 /// Returns the probable fault of the boxes, or an empty text. Compares the points in the
 /// boxes with the points in boxes of other conventions.
-std::string describe_box_fault(const LidarSequence& sequence);
+std::string describe_fault(const Log& sequence);
 
 }  // namespace relidar::checks

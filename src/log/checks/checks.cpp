@@ -45,14 +45,14 @@ constexpr Check kChecks[] = {
      "times of frames seem to be in {}, expected seconds"},
     {"speed", test_speed,
      "the poses or their times are probably wrong: the vehicle moves faster than {} m/s in {} of {} steps "
-     "between frames, and at {:.0f} m/s from frame {} to frame {}; expected positions in metres and times "
-     "in seconds"},
+     "between frames, and at {:.0f} m/s from frame {} to frame {}; expected positions in metres and times in "
+     "seconds"},
     {"float_positions", test_float_positions,
      "the positions of the vehicle have lost their precision: all {} coordinates are multiples of {:.3g} m, "
      "which is the precision of float32 at {:.0f} m; expected double precision"},
     {"few_returns", test_few_returns,
-     "some scans are probably incomplete: {} of {} scans have fewer than half of the returns of "
-     "neighbouring scans; frame {} has only {} instead of about {}"},
+     "some scans are probably incomplete: {} of {} scans have fewer than half of the returns of neighbouring "
+     "scans; frame {} has only {} instead of about {}"},
     {"rotation", test_rotation,
      "the direction of rotation is probably wrong: by the times of the points, the head turns {}, but its "
      "sensor turns {}; check the sign of the times and of y"},
@@ -67,7 +67,7 @@ constexpr Check kChecks[] = {
 
 }  // namespace
 
-void note_faults(LidarSequence& sequence) {
+void note_faults(Log& sequence) {
     CheckedLog log{sequence, std::vector<ReturnStatistics>(sequence.frames.size())};
     parallel_for(int(log.scans.size()), [&](int index) {
         const Scan& scan = sequence.frames[std::size_t(index)].scan;
@@ -88,7 +88,7 @@ void note_faults(LidarSequence& sequence) {
 
 namespace relidar {
 
-void require_valid_sequence(const LidarSequence& sequence) {
+void check_sequence(const Log& sequence) {
     Notes none;
     for (const checks::Check& check : checks::kChecks)
         if (check.is_error) check.test({sequence}, {check, sequence, none});

@@ -27,7 +27,7 @@ struct ReturnStatistics {
 
 /// A log, and the statistics of its scans, which all tests share.
 struct CheckedLog {
-    const LidarSequence& sequence;
+    const Log& sequence;
     std::vector<ReturnStatistics> scans = {};  ///< [frames] empty for checks of errors
 };
 
@@ -46,7 +46,7 @@ struct Check {
 /// Makes the message of a fault from the text of its check.
 class FaultReport {
 public:
-    FaultReport(const Check& check, const LidarSequence& sequence, Notes& notes)
+    FaultReport(const Check& check, const Log& sequence, Notes& notes)
         : check_(check), sequence_(sequence), notes_(notes) {}
 
     /// Adds a note, or throws DataError if the fault is an error.
@@ -61,7 +61,7 @@ public:
 
 private:
     const Check& check_;
-    const LidarSequence& sequence_;
+    const Log& sequence_;
     Notes& notes_;
 };
 
@@ -71,7 +71,7 @@ Test test_time_gaps, test_time_unit, test_speed, test_float_positions, test_few_
     test_equal_intensities, test_dark, test_saturated, test_box_convention;
 
 /// Adds a note for each fault that a log probably has, such as wrong units or incomplete
-/// scans. require_valid_sequence() throws if a fault makes the log unusable.
-void note_faults(LidarSequence& sequence);
+/// scans. check_sequence() throws if a fault makes the log unusable.
+void note_faults(Log& sequence);
 
 }  // namespace relidar::checks

@@ -36,13 +36,13 @@ void test_lidar_names(const CheckedLog& log, const FaultReport& report) {
 
 void test_frame_numbers(const CheckedLog& log, const FaultReport& report) {
     std::set<std::pair<int, int>> numbers;
-    for (const LidarFrame& frame : log.sequence.frames)
+    for (const Frame& frame : log.sequence.frames)
         if (!numbers.insert({frame.lidar, frame.index}).second) report.add(-1, frame.index);
 }
 
 void test_frame_times(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t i = 1; i < log.sequence.frames.size(); ++i) {
-        const LidarFrame &before = log.sequence.frames[i - 1], &frame = log.sequence.frames[i];
+        const Frame &before = log.sequence.frames[i - 1], &frame = log.sequence.frames[i];
         const double step_s = frame.time_s - before.time_s;
         if (!(step_s >= kMinStep_s) && !(step_s == 0.0 && frame.lidar > before.lidar))
             report.add(-1, frame.index, frame.time_s, before.index, before.time_s, kMinStep_s);
@@ -67,7 +67,7 @@ void test_poses(const CheckedLog& log, const FaultReport& report) {
 }
 
 void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
-    for (const LidarFrame& frame : log.sequence.frames) {
+    for (const Frame& frame : log.sequence.frames) {
         const Scan& scan = frame.scan;
         const RayTable& rays = scan.rays;
         const auto test_size = [&](const char* field, std::size_t size) {
@@ -92,9 +92,9 @@ void test_array_sizes(const CheckedLog& log, const FaultReport& report) {
 
 void test_rays(const CheckedLog& log, const FaultReport& report) {
     parallel_for(int(log.sequence.frames.size()), [&](int index) {
-        const LidarFrame& frame = log.sequence.frames[std::size_t(index)];
+        const Frame& frame = log.sequence.frames[std::size_t(index)];
         const Scan& scan = frame.scan;
-        const std::size_t n_beams = log.sequence.get_lidar(frame).sensor.beams.size();
+        const std::size_t n_beams = log.sequence.lidar_of(frame).sensor.beams.size();
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const auto test_value = [&](const char* field, double value, double min, double max) {
                 if (!(value >= min && value <= max)) report.add(-1, frame.index, i, field, value, min, max);
@@ -110,7 +110,7 @@ void test_rays(const CheckedLog& log, const FaultReport& report) {
                        1.0 - kMaxLengthError, 1.0 + kMaxLengthError);
             test_value("rays.time_offset_s", double(scan.rays.time_offset_s[i]), -kMaxOffset_s, kMaxOffset_s);
             if (n_beams > 0) test_value("rays.channel", scan.rays.channel[i], 0.0, double(n_beams - 1));
-            test_value("divergence", double(scan.rays.get_beam_divergence_rad(i)), 0.0, kMaxDivergence_rad);
+            test_value("divergence", double(scan.rays.divergence_of_rad(i)), 0.0, kMaxDivergence_rad);
             test_return("range_m", "intensity", scan.range_m[i], scan.intensity[i], true);
             for (const AdditionalReturns& second : scan.second_returns)
                 test_return("second_returns.range_m", "second_returns.intensity", second.range_m[i],
@@ -138,9 +138,8 @@ void test_box_places(const CheckedLog& log, const FaultReport& report) {
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             if (!log.sequence.world_from_vehicle.contains_time(t_s)) continue;
-            const double distance_m =
-                glm::distance(box.world_from_box.pose[k].translation,
-                              log.sequence.world_from_vehicle.interpolate_pose(t_s).translation);
+            const double distance_m = glm::distance(box.world_from_box.pose[k].translation,
+                                                    log.sequence.world_from_vehicle.pose_at(t_s).translation);
             if (distance_m > kMaxBoxDistance_m) report.add(-1, box.id, k, distance_m, kMaxBoxDistance_m);
         }
 }

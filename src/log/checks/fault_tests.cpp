@@ -9,8 +9,8 @@
 #include <relidar/base/float_step.hpp>
 
 #include "base/median.hpp"
-#include "log/checks/checks.hpp"
 #include "log/checks/box_conventions.hpp"
+#include "log/checks/checks.hpp"
 #include "log/sequence/match_sweeps.hpp"
 
 namespace relidar::checks {
@@ -50,11 +50,11 @@ struct TimeGaps {
     int before = 0, after = 0;  ///< numbers of the frames at the longest gap
 };
 
-TimeGaps find_time_gaps(const LidarSequence& sequence) {
+TimeGaps find_time_gaps(const Log& sequence) {
     std::vector<double> steps_s;
     TimeGaps gaps;
     for (std::size_t i = 1; i < sequence.frames.size(); ++i) {
-        const LidarFrame &before = sequence.frames[i - 1], &after = sequence.frames[i];
+        const Frame &before = sequence.frames[i - 1], &after = sequence.frames[i];
         const double step_s = after.time_s - before.time_s;
         if (step_s > 0.0) steps_s.push_back(step_s);
         if (step_s > gaps.longest_s)
@@ -70,10 +70,10 @@ TimeGaps find_time_gaps(const LidarSequence& sequence) {
 
 /// Returns the duration of a sweep. Without a known period, returns the time between the
 /// first and the last ray of a scan.
-double find_sweep_duration_s(const LidarSequence& sequence) {
+double find_sweep_s(const Log& sequence) {
     for (const Lidar& lidar : sequence.lidars)
-        if (lidar.get_sweep_period_s() > 0.0) return lidar.get_sweep_period_s();
-    for (const LidarFrame& frame : sequence.frames) {
+        if (lidar.sweep_period_s() > 0.0) return lidar.sweep_period_s();
+    for (const Frame& frame : sequence.frames) {
         if (frame.scan.rays.size() == 0) continue;
         const auto [first_s, last_s] = std::ranges::minmax(frame.scan.rays.time_offset_s);
         if (last_s > first_s) return double(last_s) - double(first_s);
@@ -81,8 +81,8 @@ double find_sweep_duration_s(const LidarSequence& sequence) {
     return kUsualSweep_s;
 }
 
-int find_frame_number_at(const LidarSequence& sequence, double time_s) {
-    const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &LidarFrame::time_s);
+int find_frame_number(const Log& sequence, double time_s) {
+    const auto frame = std::ranges::lower_bound(sequence.frames, time_s, {}, &Frame::time_s);
     return frame == sequence.frames.end() ? sequence.frames.back().index : frame->index;
 }
 
@@ -114,7 +114,7 @@ void test_time_gaps(const CheckedLog& log, const FaultReport& report) {
 void test_time_unit(const CheckedLog& log, const FaultReport& report) {
     const std::vector<double>& times_s = log.sequence.world_from_vehicle.time_s;
     if (times_s.size() < 2) return;
-    const double step_s = compute_median_interval_s(times_s), sweep_s = find_sweep_duration_s(log.sequence);
+    const double step_s = median_interval_s(times_s), sweep_s = find_sweep_s(log.sequence);
     double per_second = 1.0;
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
         per_second *= 1000.0;
@@ -141,8 +141,8 @@ void test_speed(const CheckedLog& log, const FaultReport& report) {
     }
     if (n_too_fast > 0)
         report.add(-1, kMaxSpeed_mps, n_too_fast, pose.size() - 1, fastest_mps,
-                   find_frame_number_at(log.sequence, time_s[fastest - 1]),
-                   find_frame_number_at(log.sequence, time_s[fastest]));
+                   find_frame_number(log.sequence, time_s[fastest - 1]),
+                   find_frame_number(log.sequence, time_s[fastest]));
 }
 
 void test_float_positions(const CheckedLog& log, const FaultReport& report) {
@@ -152,7 +152,7 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
         bool is_rounded = true;
         for (const Pose& pose : log.sequence.world_from_vehicle.pose) {
             const double value_m = pose.translation[axis] + log.sequence.world_offset_m[axis];
-            step_m = compute_float_step_m(value_m);
+            step_m = float_step_m(value_m);
             const double n_steps = value_m / step_m;
             is_rounded = is_rounded && step_m > kMinFloatStep_m &&
                          std::abs(n_steps - std::round(n_steps)) < kMaxStepError;
@@ -166,14 +166,14 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
 void test_few_returns(const CheckedLog& log, const FaultReport& report) {
     for (std::size_t l = 0; l < log.sequence.lidars.size(); ++l) {
         std::vector<std::size_t> n_returns;
-        std::vector<int> frame_numbers;
+        std::vector<int> numbers;
         bool are_neighbours = true;  // false if only a few scans of the log are read
         for (std::size_t i = 0; i < log.scans.size(); ++i) {
-            const LidarFrame& frame = log.sequence.frames[i];
+            const Frame& frame = log.sequence.frames[i];
             if (frame.lidar != int(l)) continue;
             are_neighbours = are_neighbours && frame.scan.rays.rows > 0;
             n_returns.push_back(log.scans[i].n_returns);
-            frame_numbers.push_back(frame.index);
+            numbers.push_back(frame.index);
         }
         std::size_t n_small = 0, worst = 0, usual_of_worst = 0;
         for (std::size_t k = 0; k < n_returns.size() && are_neighbours; ++k) {
@@ -187,8 +187,7 @@ void test_few_returns(const CheckedLog& log, const FaultReport& report) {
             usual_of_worst = usual;
         }
         if (n_small > 0)
-            report.add(int(l), n_small, n_returns.size(), frame_numbers[worst], n_returns[worst],
-                       usual_of_worst);
+            report.add(int(l), n_small, n_returns.size(), numbers[worst], n_returns[worst], usual_of_worst);
     }
 }
 
@@ -241,8 +240,7 @@ void test_rotation(const CheckedLog& log, const FaultReport& report) {
 }
 
 void test_box_convention(const CheckedLog& log, const FaultReport& report) {
-    if (const std::string fault = checks::describe_box_fault(log.sequence); !fault.empty())
-        report.add(-1, fault);
+    if (const std::string fault = checks::describe_fault(log.sequence); !fault.empty()) report.add(-1, fault);
 }
 
 }  // namespace relidar::checks

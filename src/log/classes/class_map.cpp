@@ -13,17 +13,15 @@ namespace {
 // Farther from the centre of the nearest cell, the class is unknown.
 constexpr float kClassReach_m = 2.0f;
 
-std::uint64_t make_class_cell_key(const SurfaceClassCell& cell) {
-    return compute_grid_cell_key(glm::dvec3(cell.grid_index), 1.0);
-}
+std::uint64_t key_of(const SurfaceClassCell& cell) { return grid_key(glm::dvec3(cell.grid_index), 1.0); }
 
 }  // namespace
 
-void add_missing_cells_of_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map) {
+void merge_class_map(SurfaceClassMap& target_map, const SurfaceClassMap& source_map) {
     std::unordered_set<std::uint64_t> occupied_cells;
-    for (const SurfaceClassCell& cell : target_map) occupied_cells.insert(make_class_cell_key(cell));
+    for (const SurfaceClassCell& cell : target_map) occupied_cells.insert(key_of(cell));
     for (const SurfaceClassCell& cell : source_map)
-        if (occupied_cells.insert(make_class_cell_key(cell)).second) target_map.push_back(cell);
+        if (occupied_cells.insert(key_of(cell)).second) target_map.push_back(cell);
 }
 
 struct SurfaceClassLookup::Impl {
@@ -43,10 +41,10 @@ SurfaceClassLookup::SurfaceClassLookup(const SurfaceClassMap& map) {
 
 SurfaceClassLookup::~SurfaceClassLookup() = default;
 
-SurfaceClass SurfaceClassLookup::find_class_of_nearest_cell(const glm::dvec3& point_m) const {
+SurfaceClass SurfaceClassLookup::find_class(const glm::dvec3& point_m) const {
     const glm::vec3 point(point_m);
     if (!std::isfinite(point.x + point.y + point.z)) return SurfaceClass::unknown;
-    const auto [cell, squared_m] = impl_->centres.find_nearest_with_squared_distance(point);
+    const auto [cell, squared_m] = impl_->centres.nearest(point);
     return squared_m <= kClassReach_m * kClassReach_m ? impl_->classes[cell] : SurfaceClass::unknown;
 }
 

@@ -19,7 +19,7 @@ struct ClassPrefixMapping {
     SurfaceClass surface;
 };
 
-SurfaceClass find_class_by_number(const std::vector<ClassNumbers>& classes, int number) {
+SurfaceClass find_by_number(const std::vector<ClassNumbers>& classes, int number) {
     for (const auto& [surface, numbers] : classes)
         if (std::ranges::find(numbers, number) != numbers.end()) return surface;
     return SurfaceClass::unknown;
@@ -27,7 +27,7 @@ SurfaceClass find_class_by_number(const std::vector<ClassNumbers>& classes, int 
 
 }  // namespace
 
-SurfaceClass convert_semantic_kitti_label(int label) {
+SurfaceClass from_semantic_kitti(int label) {
     using enum SurfaceClass;
     // Labels from 252 are moving objects.
     static const std::vector<ClassNumbers> kClasses{
@@ -46,10 +46,10 @@ SurfaceClass convert_semantic_kitti_label(int label) {
         {person, {30, 254}},                                       // person
         {cyclist, {11, 15, 31, 32, 253, 255}},                     // bicycle, motorcycle, and their riders
     };
-    return find_class_by_number(kClasses, label);
+    return find_by_number(kClasses, label);
 }
 
-SurfaceClass convert_nuscenes_class(std::string_view category) {
+SurfaceClass from_nuscenes(std::string_view category) {
     using enum SurfaceClass;
     // the first row whose prefix matches
     static constexpr ClassPrefixMapping kClasses[] = {
@@ -73,7 +73,7 @@ SurfaceClass convert_nuscenes_class(std::string_view category) {
     return row == std::end(kClasses) ? unknown : row->surface;
 }
 
-SurfaceClass convert_waymo_class(int class_number) {
+SurfaceClass from_waymo(int class_number) {
     using enum SurfaceClass;
     static const std::vector<ClassNumbers> kClasses{
         {vehicle, {1, 2, 3, 4}},    // car, truck, bus, other vehicle
@@ -89,7 +89,7 @@ SurfaceClass convert_waymo_class(int class_number) {
         {pole, {10}},               // pole
         {object, {11}},             // construction cone
     };
-    return find_class_by_number(kClasses, class_number);
+    return find_by_number(kClasses, class_number);
 }
 
 }  // namespace relidar

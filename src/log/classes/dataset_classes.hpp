@@ -9,8 +9,8 @@
 
 namespace relidar {
 
-SurfaceClass convert_semantic_kitti_label(int label);
-SurfaceClass convert_nuscenes_class(std::string_view category);
-SurfaceClass convert_waymo_class(int class_number);
+SurfaceClass from_semantic_kitti(int label);
+SurfaceClass from_nuscenes(std::string_view category);
+SurfaceClass from_waymo(int class_number);
 
 }  // namespace relidar

@@ -17,10 +17,8 @@ namespace {
 
 /// Returns the world grid cell and the class of each labelled return outside of moving
 /// boxes.
-std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
-                                                  const PoseTrack& world_from_sensor,
-                                                  const std::vector<BoxTrack>& moving_boxes,
-                                                  const LidarFrame& frame) {
+std::vector<SurfaceClassCell> collect_votes(const Log& sequence, const PoseTrack& world_from_sensor,
+                                            const std::vector<BoxTrack>& moving_boxes, const Frame& frame) {
     const Scan& scan = frame.scan;
     std::vector<SurfaceClassCell> votes;
     for (std::size_t ray = 0; ray < scan.classes.size(); ++ray) {
@@ -28,7 +26,7 @@ std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
         const WorldRay world =
             make_world_ray(world_from_sensor, frame.time_s, scan.rays, ray, sequence.rolling_shutter);
         const glm::dvec3 point_m =
-            world.origin_m + double(compute_surface_return(sequence, frame, ray).range_m) * world.direction;
+            world.origin_m + double(surface_return(sequence, frame, ray).range_m) * world.direction;
         const double time_s =
             frame.time_s + (sequence.rolling_shutter ? double(scan.rays.time_offset_s[ray]) : 0.0);
         if (is_in_moving_box(moving_boxes, point_m, time_s, kMoverMargin_m)) continue;
@@ -39,29 +37,26 @@ std::vector<SurfaceClassCell> collect_class_votes(const LidarSequence& sequence,
 
 }  // namespace
 
-SurfaceClassMap compute_map_of_surface_classes(const LidarSequence& sequence,
-                                               const PoseTrack& world_from_vehicle,
-                                               const std::vector<BoxTrack>& boxes,
-                                               const std::vector<int>& frame_indices) {
+SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_vehicle,
+                            const std::vector<BoxTrack>& boxes, const std::vector<int>& frame_indices) {
     std::vector<PoseTrack> world_from_sensor;
     for (const Lidar& lidar : sequence.lidars)
-        world_from_sensor.push_back(compute_mounted_track(world_from_vehicle, lidar.vehicle_from_sensor));
+        world_from_sensor.push_back(mount_track(world_from_vehicle, lidar.vehicle_from_sensor));
     std::vector<BoxTrack> moving = boxes;
     std::erase_if(moving, [](const BoxTrack& box) { return !box.is_moving(); });
     std::vector<std::vector<SurfaceClassCell>> votes_of_frame(frame_indices.size());
     parallel_for(int(frame_indices.size()), [&](int index) {
-        const LidarFrame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
+        const Frame& frame = sequence.frames[std::size_t(frame_indices[std::size_t(index)])];
         votes_of_frame[std::size_t(index)] =
-            collect_class_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
+            collect_votes(sequence, world_from_sensor[std::size_t(frame.lidar)], moving, frame);
     });
     std::vector<SurfaceClassCell> votes;
     for (std::vector<SurfaceClassCell>& some : votes_of_frame) {
         votes.insert(votes.end(), some.begin(), some.end());
         some = {};
     }
-    const ItemCellIndices cells = number_cells_and_assign_items(votes.size(), [&](std::size_t vote) {
-        return compute_grid_cell_key(glm::dvec3(votes[vote].grid_index), 1.0);
-    });
+    const ItemCellIndices cells = number_cells(
+        votes.size(), [&](std::size_t vote) { return grid_key(glm::dvec3(votes[vote].grid_index), 1.0); });
     SurfaceClassMap map(cells.n_cells);
     std::vector<std::array<std::uint32_t, kSurfaceClasses>> counts(cells.n_cells);
     for (std::size_t i = 0; i < votes.size(); ++i) {

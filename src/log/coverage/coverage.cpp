@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kEdge = ObservedVoxelSet::kBlockCells;
+constexpr int kBlockEdgeCells = ObservedVoxelSet::kBlockCells;
 // Keys of blocks are unique only up to 8e6 m.
 constexpr double kFarthestPoint_m = 1e6;
 
@@ -20,24 +20,22 @@ struct VoxelAddress {
     std::uint32_t bit;
 };
 
-VoxelAddress find_block_and_bit_of_cell(const glm::ivec3& cell) {
+VoxelAddress locate_cell(const glm::ivec3& cell) {
     const glm::ivec3 block = cell >> 3, within = cell & 7;
-    return {block, std::uint32_t(within.x + kEdge * (within.y + kEdge * within.z))};
+    return {block, std::uint32_t(within.x + kBlockEdgeCells * (within.y + kBlockEdgeCells * within.z))};
 }
 
-std::uint64_t make_block_key(const glm::ivec3& block) {
-    return compute_grid_cell_key(glm::dvec3(block), 1.0);
-}
+std::uint64_t make_block_key(const glm::ivec3& block) { return grid_key(glm::dvec3(block), 1.0); }
 
-bool is_in_supported_range(const glm::dvec3& point_m) {
+bool is_addressable(const glm::dvec3& point_m) {
     return std::abs(point_m.x) < kFarthestPoint_m && std::abs(point_m.y) < kFarthestPoint_m &&
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
 /// Calls visit_cell(cell, length_m) for each crossed cell, in order along the segment.
 template <class Visit>
-void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit& visit_cell) {
-    if (!is_in_supported_range(start_m) || !is_in_supported_range(end_m)) return;
+void walk_cells(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit& visit_cell) {
+    if (!is_addressable(start_m) || !is_addressable(end_m)) return;
     const glm::dvec3 a = start_m / ObservedVoxelSet::kCell_m,
                      displacement = (end_m - start_m) / ObservedVoxelSet::kCell_m;
     glm::ivec3 cell(glm::floor(a));
@@ -71,11 +69,11 @@ void visit_cells_on_segment(const glm::dvec3& start_m, const glm::dvec3& end_m, 
 
 }  // namespace
 
-void ObservedVoxelSet::add_voxels_on_line_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
+void ObservedVoxelSet::add_segment(const glm::dvec3& start_m, const glm::dvec3& end_m) {
     // last used block; the next cell is usually in the same block
     VoxelBlock* block = nullptr;
-    visit_cells_on_segment(start_m, end_m, [&](const glm::ivec3& cell, double) {
-        const VoxelAddress cell_address = find_block_and_bit_of_cell(cell);
+    walk_cells(start_m, end_m, [&](const glm::ivec3& cell, double) {
+        const VoxelAddress cell_address = locate_cell(cell);
         if (!block || block->grid_index != cell_address.block) {
             block = &blocks_[make_block_key(cell_address.block)];
             block->grid_index = cell_address.block;
@@ -85,24 +83,23 @@ void ObservedVoxelSet::add_voxels_on_line_segment(const glm::dvec3& start_m, con
     });
 }
 
-void ObservedVoxelSet::add_voxels_of_block(const VoxelBlock& block) {
+void ObservedVoxelSet::add_block(const VoxelBlock& block) {
     VoxelBlock& target_block = blocks_[make_block_key(block.grid_index)];
     target_block.grid_index = block.grid_index;
-    for (std::size_t w = 0; w < kWords; ++w)
+    for (std::size_t w = 0; w < kBlockWords; ++w)
         target_block.cells[w] = std::uint16_t(target_block.cells[w] | block.cells[w]);
 }
 
-void ObservedVoxelSet::add_all_voxels_of_set(const ObservedVoxelSet& other_set) {
-    for (const auto& [key, block] : other_set.blocks_) add_voxels_of_block(block);
+void ObservedVoxelSet::merge(const ObservedVoxelSet& other_set) {
+    for (const auto& [key, block] : other_set.blocks_) add_block(block);
 }
 
-double ObservedVoxelSet::compute_observed_fraction_of_segment(const glm::dvec3& start_m,
-                                                              const glm::dvec3& end_m) const {
+double ObservedVoxelSet::observed_fraction(const glm::dvec3& start_m, const glm::dvec3& end_m) const {
     double within_m = 0.0, length_m = 0.0;
     const VoxelBlock* block = nullptr;
     glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
-    visit_cells_on_segment(start_m, end_m, [&](const glm::ivec3& cell, double crossed_m) {
-        const VoxelAddress cell_address = find_block_and_bit_of_cell(cell);
+    walk_cells(start_m, end_m, [&](const glm::ivec3& cell, double crossed_m) {
+        const VoxelAddress cell_address = locate_cell(cell);
         if (cell_address.block != at) {
             at = cell_address.block;
             const auto block_entry = blocks_.find(make_block_key(at));
@@ -114,7 +111,7 @@ double ObservedVoxelSet::compute_observed_fraction_of_segment(const glm::dvec3& 
     return length_m > 0.0 ? within_m / length_m : 0.0;
 }
 
-std::vector<ObservedVoxelSet::VoxelBlock> ObservedVoxelSet::list_voxel_blocks() const {
+std::vector<ObservedVoxelSet::VoxelBlock> ObservedVoxelSet::list_blocks() const {
     std::vector<VoxelBlock> all;
     for (const auto& [key, block] : blocks_) all.push_back(block);
     std::ranges::sort(all, {}, [](const VoxelBlock& b) {

@@ -16,7 +16,7 @@
 
 namespace relidar {
 
-const BasicChannels& get_basic_channels() {
+const BasicChannels& basic_channels() {
     using enum ChannelMergeRule;
     static const BasicChannels channels = {
         .range = {"range", "m", "range of the ray in metres, as the setting `render.range` defines it",
@@ -43,13 +43,13 @@ const BasicChannels& get_basic_channels() {
     return channels;
 }
 
-std::vector<ChannelInfo> list_channels_written_to_files() {
+std::vector<ChannelInfo> file_channels() {
     const auto& [range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance] =
-        get_basic_channels();
+        basic_channels();
     return {range, median_range, intensity, drop_prob, weight, time, ring, instance};
 }
 
-const std::vector<ChannelInfo>& get_optional_channels() {
+const std::vector<ChannelInfo>& optional_channels() {
     static const std::vector<ChannelInfo> channels = {
         {.name = "normal",
          .meaning = "unit normal towards the sensor, in the frame of the points",
@@ -81,21 +81,20 @@ const std::vector<ChannelInfo>& get_optional_channels() {
     return channels;
 }
 
-std::vector<std::string> list_optional_channel_names() {
+std::vector<std::string> optional_names() {
     std::vector<std::string> names;
-    for (const ChannelInfo& channel : get_optional_channels()) names.push_back(channel.name);
+    for (const ChannelInfo& channel : optional_channels()) names.push_back(channel.name);
     return names;
 }
 
-std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_names) {
+std::vector<ChannelInfo> parse_channels(const std::string& comma_separated_names) {
     std::vector<ChannelInfo> requested_channels;
-    for (const std::string& name : split_comma_separated_list(comma_separated_names)) {
-        const auto matching_channel = std::ranges::find(get_optional_channels(), name, &ChannelInfo::name);
-        if (matching_channel == get_optional_channels().end()) {
-            const std::vector<std::string> channel_names = list_optional_channel_names();
-            fail<UsageError>("the channel \"{}\" is unknown{}, expected some of {}",
-                             shorten_for_error_message(name), format_name_suggestion(name, channel_names),
-                             fmt::join(channel_names, ", "));
+    for (const std::string& name : split_list(comma_separated_names)) {
+        const auto matching_channel = std::ranges::find(optional_channels(), name, &ChannelInfo::name);
+        if (matching_channel == optional_channels().end()) {
+            const std::vector<std::string> channel_names = optional_names();
+            fail<UsageError>("the channel \"{}\" is unknown{}, expected some of {}", quote(name),
+                             did_you_mean(name, channel_names), fmt::join(channel_names, ", "));
         }
         if (std::ranges::find(requested_channels, name, &ChannelInfo::name) == requested_channels.end())
             requested_channels.push_back(*matching_channel);
@@ -103,11 +102,11 @@ std::vector<ChannelInfo> parse_channel_names(const std::string& comma_separated_
     return requested_channels;
 }
 
-std::size_t count_channel_values(const ChannelValues& values) {
+std::size_t count_values(const ChannelValues& values) {
     return std::visit([](const auto& v) { return v.size(); }, values);
 }
 
-std::vector<ScanChannel> copy_channels_without_values(const std::vector<ScanChannel>& channels) {
+std::vector<ScanChannel> copy_layout(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
     for (const auto& [info, values, second] : channels)
         result.push_back(
@@ -116,8 +115,8 @@ std::vector<ScanChannel> copy_channels_without_values(const std::vector<ScanChan
     return result;
 }
 
-std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& channels,
-                                                const std::string& axis_separator) {
+std::vector<ChannelColumn> list_columns(const std::vector<ScanChannel>& channels,
+                                        const std::string& axis_separator) {
     std::vector<ChannelColumn> numbers;
     for (const auto& [info, values, second] : channels) {
         if (std::holds_alternative<std::vector<glm::vec3>>(values))
@@ -128,33 +127,32 @@ std::vector<ChannelColumn> list_channel_columns(const std::vector<ScanChannel>& 
     return numbers;
 }
 
-void append_channel_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
-                           std::size_t element_index) {
+void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
+                   std::size_t element_index) {
     for (const ScanChannel& channel : channels)
-        std::visit([&](const auto& values) { append_binary_value(output_bytes, values[element_index]); },
+        std::visit([&](const auto& values) { append_raw(output_bytes, values[element_index]); },
                    channel.values);
 }
 
-void append_value_of_one_return(ScanChannel& point_channel, const ScanChannel& ray_channel,
-                                std::size_t index_of_ray, int return_number_from_1) {
+void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t index_of_ray,
+                   int return_number_from_1) {
     const ChannelInfo& channel = ray_channel.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second = return_number_from_1 == 2 && count_channel_values(ray_channel.second) > 0
+        const auto* second = return_number_from_1 == 2 && count_values(ray_channel.second) > 0
                                  ? std::get_if<std::vector<T>>(&ray_channel.second)
                                  : nullptr;
         auto& point_values = std::get<std::vector<T>>(point_channel.values);
         if (second) point_values.push_back((*second)[index_of_ray]);
         else if (return_number_from_1 == 1 || channel.of_ray) point_values.push_back(values[index_of_ray]);
-        else point_values.push_back(get_value_of_rays_without_hit<T>(channel));
+        else point_values.push_back(empty_value<T>(channel));
     };
     std::visit(append_one, ray_channel.values);
 }
 
-void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& channels,
-                                           std::size_t expected_size,
-                                           const std::string& element_name_for_errors) {
+void check_channels(const std::vector<ScanChannel>& channels, std::size_t expected_size,
+                    const std::string& element_name_for_errors) {
     std::set<std::string> used_names = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
-    for (const ChannelInfo& basic : list_channels_written_to_files()) used_names.insert(basic.name);
+    for (const ChannelInfo& basic : file_channels()) used_names.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
         const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char character) {
             return character == '_' || (character >= 'a' && character <= 'z') ||
@@ -162,24 +160,24 @@ void require_valid_channel_names_and_sizes(const std::vector<ScanChannel>& chann
         });
         if (!is_word)
             fail("channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
-                 element_name_for_errors, shorten_for_error_message(info.name));
+                 element_name_for_errors, quote(info.name));
         if (!used_names.insert(info.name).second)
             fail("channels of {}: the name {} occurs twice, expected different names",
                  element_name_for_errors, info.name);
-        if (count_channel_values(second) > 0 && !used_names.insert(info.name + "_2").second)
+        if (count_values(second) > 0 && !used_names.insert(info.name + "_2").second)
             fail(
                 "channels of {0}: the name {1}_2 occurs twice, because the second returns of the channel {1} "
                 "are stored under this name; rename one of the two channels",
                 element_name_for_errors, info.name);
-        if (count_channel_values(values) != expected_size)
+        if (count_values(values) != expected_size)
             fail("channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
-                 element_name_for_errors, info.name, count_channel_values(values), expected_size);
-        if (count_channel_values(second) > 0 &&
-            (count_channel_values(second) != expected_size || second.index() != values.index()))
+                 element_name_for_errors, info.name, count_values(values), expected_size);
+        if (count_values(second) > 0 &&
+            (count_values(second) != expected_size || second.index() != values.index()))
             fail(
                 "channels of {}: the channel {} has {} values{} for second returns, expected {} values of "
                 "the same type as its values for first returns",
-                element_name_for_errors, info.name, count_channel_values(second),
+                element_name_for_errors, info.name, count_values(second),
                 second.index() == values.index() ? "" : " of another type", expected_size);
     }
 }

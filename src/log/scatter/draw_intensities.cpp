@@ -18,11 +18,11 @@ namespace {
 constexpr int kTileColumns = 64;  // Number of columns of a tile. Each tile has one row.
 /// Tile t of a row depends on tile t - 1 of this row and, in the rows above, on tiles up
 /// to t + 1. Tiles with the same 2 * row + t are independent and run in parallel.
-static_assert(scatter::kAhead <= kTileColumns);
+static_assert(scatter::kMaxColumnsAhead <= kTileColumns);
 
 const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
-    const IntensityScatterModel& scatter, const scatter::RayFeatureExtractor& feature_extractor,
-    int row, int column) {
+    const IntensityScatterModel& scatter, const scatter::RayFeatureExtractor& feature_extractor, int row,
+    int column) {
     const IntensityScatterModel::DecisionTreeNode* node = &scatter.nodes.front();
     while (node->feature >= 0) {
         const float feature_value =
@@ -34,11 +34,11 @@ const IntensityScatterModel::DecisionTreeNode& find_tree_leaf(
 
 }  // namespace
 
-std::size_t count_intensity_features() { return scatter::kFeatures; }
+std::size_t count_features() { return scatter::kFeatures; }
 
-std::vector<float> sample_random_intensities(const IntensityScatterModel& scatter,
-                                             const RenderedIntensityImage& rendered,
-                                             std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
+std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
+                                    const RenderedIntensityImage& rendered,
+                                    std::span<const std::uint8_t> return_flags, std::uint64_t seed) {
     RELIDAR_ASSERT_EQ(return_flags.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(return_flags.size(), kNoIntensity);
     const scatter::RayFeatureExtractor context(rendered, drawn);
@@ -49,9 +49,8 @@ std::vector<float> sample_random_intensities(const IntensityScatterModel& scatte
             if (return_flags[i] == 0) continue;
             const IntensityScatterModel::DecisionTreeNode& leaf =
                 find_tree_leaf(scatter, context, row, column);
-            drawn[i] = scatter.values[leaf.first +
-                                      std::size_t(Random(hash_integer_pair(seed, i)).sample_uniform_number() *
-                                                  double(leaf.count))];
+            drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash_pair(seed, i)).sample_uniform() *
+                                                               double(leaf.count))];
         }
     };
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;

@@ -25,7 +25,7 @@ using scatter::kFeatures;
 using scatter::RayFeatureExtractor;
 using scatter::RayFeatures;
 
-constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
+constexpr std::size_t kMaxReturns = 2000000, kMinReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
 // Minimum gain in log-likelihood of a split. About 1 in 100 nodes of random intensities
 // is split by chance.
@@ -47,7 +47,7 @@ struct ScatterSampleSet {
 };
 
 /// Returns the values that divide a list into `n_parts` equal parts, without duplicates.
-std::vector<float> compute_unique_quantiles(std::vector<float> values, std::size_t n_parts) {
+std::vector<float> find_quantiles(std::vector<float> values, std::size_t n_parts) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
     for (std::size_t k = 1; k < n_parts; ++k) cuts.push_back(values[values.size() * k / n_parts]);
@@ -55,7 +55,7 @@ std::vector<float> compute_unique_quantiles(std::vector<float> values, std::size
     return cuts;
 }
 
-std::uint8_t find_quantile_bin(const std::vector<float>& quantiles, float value) {
+std::uint8_t find_bin(const std::vector<float>& quantiles, float value) {
     return std::uint8_t(std::lower_bound(quantiles.begin(), quantiles.end(), value) - quantiles.begin());
 }
 
@@ -63,61 +63,57 @@ struct ImageRayIndex {
     std::uint32_t image, ray;
 };
 
-bool is_measured_and_rendered_return(const PairedIntensities& paired_image, std::size_t ray_index) {
+bool has_both_returns(const PairedIntensities& paired_image, std::size_t ray_index) {
     return paired_image.measured[ray_index] != kNoIntensity &&
            paired_image.rendered.range_m[ray_index] > 0.0f;
 }
 
 /// Lists the measured points whose rays also hit a rendered surface, or a random part of
 /// about `max_returns` of them.
-std::vector<ImageRayIndex> sample_return_locations(std::span<const PairedIntensities> images,
-                                                   std::size_t max_returns) {
+std::vector<ImageRayIndex> sample_returns(std::span<const PairedIntensities> images,
+                                          std::size_t max_returns) {
     std::size_t n = 0;
     for (const PairedIntensities& image : images)
-        for (std::size_t i = 0; i < image.measured.size(); ++i)
-            n += is_measured_and_rendered_return(image, i);
+        for (std::size_t i = 0; i < image.measured.size(); ++i) n += has_both_returns(image, i);
     const double share = double(max_returns) / double(std::max<std::size_t>(n, 1));
     std::vector<std::vector<ImageRayIndex>> of_images(images.size());
     parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
-            if (is_measured_and_rendered_return(images[k], i) &&
-                Random(hash_integer_pair(k, i)).sample_uniform_number() < share)
+            if (has_both_returns(images[k], i) && Random(hash_pair(k, i)).sample_uniform() < share)
                 of_images[k].push_back({std::uint32_t(k), std::uint32_t(i)});
     });
-    return concatenate_vectors(std::move(of_images));
+    return concatenate(std::move(of_images));
 }
 
-RayFeatures compute_return_features(std::span<const PairedIntensities> images, ImageRayIndex return_index) {
+RayFeatures return_features(std::span<const PairedIntensities> images, ImageRayIndex return_index) {
     const PairedIntensities& image = images[return_index.image];
     const int columns = image.rendered.columns, ray = int(return_index.ray);
-    return RayFeatureExtractor(image.rendered, image.measured)
-        .compute_all_features(ray / columns, ray % columns);
+    return RayFeatureExtractor(image.rendered, image.measured).compute_features(ray / columns, ray % columns);
 }
 
-ScatterSampleSet make_scatter_samples_with_binned_features(std::span<const PairedIntensities> images,
-                                                           const std::vector<ImageRayIndex>& return_indices) {
+ScatterSampleSet make_samples(std::span<const PairedIntensities> images,
+                              const std::vector<ImageRayIndex>& return_indices) {
     ScatterSampleSet result{std::vector<ScatterSample>(return_indices.size())};
     const std::size_t stride = return_indices.size() / kQuantileReturns + 1;
     std::vector<RayFeatures> some((return_indices.size() + stride - 1) / stride);
-    parallel_for_in_blocks(some.size(), [&](std::size_t index) {
-        some[index] = compute_return_features(images, return_indices[index * stride]);
+    parallel_blocks(some.size(), [&](std::size_t index) {
+        some[index] = return_features(images, return_indices[index * stride]);
     });
     parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
         for (const RayFeatures& features : some) values.push_back(features[std::size_t(f)]);
-        result.cuts[std::size_t(f)] = compute_unique_quantiles(std::move(values), kBins);
+        result.cuts[std::size_t(f)] = find_quantiles(std::move(values), kBins);
     });
     std::vector<float> values;
     for (const ImageRayIndex& location : return_indices)
         values.push_back(images[location.image].measured[location.ray]);
-    const std::vector<float> classes = compute_unique_quantiles(values, kClasses);
-    parallel_for_in_blocks(return_indices.size(), [&](std::size_t index) {
-        const RayFeatures features = compute_return_features(images, return_indices[index]);
+    const std::vector<float> classes = find_quantiles(values, kClasses);
+    parallel_blocks(return_indices.size(), [&](std::size_t index) {
+        const RayFeatures features = return_features(images, return_indices[index]);
         ScatterSample& one = result.all[index];
-        for (std::size_t f = 0; f < kFeatures; ++f)
-            one.bins[f] = find_quantile_bin(result.cuts[f], features[f]);
-        one.of_class = find_quantile_bin(classes, values[index]);
+        for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = find_bin(result.cuts[f], features[f]);
+        one.of_class = find_bin(classes, values[index]);
         one.value = values[index];
     });
     return result;
@@ -134,13 +130,13 @@ std::vector<double> make_entropy_terms(std::size_t max_count) {
 struct ClassCounts {
     std::array<std::uint32_t, kClasses> of{};
 
-    std::uint32_t count_returns_of_all_classes() const { return std::accumulate(of.begin(), of.end(), 0u); }
+    std::uint32_t count_returns() const { return std::accumulate(of.begin(), of.end(), 0u); }
     void add_counts(const ClassCounts& other) {
         for (std::size_t c = 0; c < kClasses; ++c) of[c] += other.of[c];
     }
     /// Returns the sum of n_c ln(n_c / n).
-    double compute_log_likelihood(const std::vector<double>& k_log_k_table) const {
-        double sum = -k_log_k_table[count_returns_of_all_classes()];
+    double log_likelihood(const std::vector<double>& k_log_k_table) const {
+        double sum = -k_log_k_table[count_returns()];
         for (const std::uint32_t k : of) sum += k_log_k_table[k];
         return sum;
     }
@@ -154,46 +150,43 @@ struct TreeNodeSplit {
 };
 
 // Number of features whose histograms fit into the first-level cache.
-constexpr std::size_t kTogether = 4;
+constexpr std::size_t kFeaturesPerPass = 4;
 using ClassCountsByBin = std::array<ClassCounts, kBins>;
 
 /// @param class_counts_by_bin  number of returns of each class in each bin of the feature
-TreeNodeSplit find_best_feature_split(const ClassCountsByBin& class_counts_by_bin, std::size_t feature,
-                                      std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
+TreeNodeSplit split_by_feature(const ClassCountsByBin& class_counts_by_bin, std::size_t feature,
+                               std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
     TreeNodeSplit best;
     ClassCounts all, low;
     for (const ClassCounts& of_bin : class_counts_by_bin) all.add_counts(of_bin);
-    const std::uint32_t n = all.count_returns_of_all_classes();
-    const double before = all.compute_log_likelihood(k_log_k_table);
+    const std::uint32_t n = all.count_returns();
+    const double before = all.log_likelihood(k_log_k_table);
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_bin_borders; ++b) {
-        const std::uint32_t of_bin = class_counts_by_bin[b].count_returns_of_all_classes();
+        const std::uint32_t of_bin = class_counts_by_bin[b].count_returns();
         if (of_bin == 0) continue;  // the same split as before this bin
         low.add_counts(class_counts_by_bin[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
         ClassCounts high = all;
         for (std::size_t c = 0; c < kClasses; ++c) high.of[c] -= low.of[c];
-        const double gain =
-            low.compute_log_likelihood(k_log_k_table) + high.compute_log_likelihood(k_log_k_table) - before;
+        const double gain = low.log_likelihood(k_log_k_table) + high.log_likelihood(k_log_k_table) - before;
         if (gain > best.gain) best = {gain, int(feature), b};
     }
     return best;
 }
 
-/// Returns the best split by one of kTogether features from `first_feature`.
-TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& samples,
-                                          std::span<const ScatterSample> node_samples,
-                                          std::size_t first_feature,
-                                          const std::vector<double>& k_log_k_table) {
-    const std::size_t n = std::min(kTogether, kFeatures - first_feature);
-    std::array<ClassCountsByBin, kTogether> counts{};
+/// Returns the best split by one of kFeaturesPerPass features from `first_feature`.
+TreeNodeSplit split_by_features(const ScatterSampleSet& samples, std::span<const ScatterSample> node_samples,
+                                std::size_t first_feature, const std::vector<double>& k_log_k_table) {
+    const std::size_t n = std::min(kFeaturesPerPass, kFeatures - first_feature);
+    std::array<ClassCountsByBin, kFeaturesPerPass> counts{};
     for (const ScatterSample& one : node_samples)
         for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first_feature + f]].of[one.of_class];
     TreeNodeSplit best;
     for (std::size_t f = 0; f < n; ++f)
-        if (const TreeNodeSplit cut = find_best_feature_split(
-                counts[f], first_feature + f, samples.cuts[first_feature + f].size(), k_log_k_table);
+        if (const TreeNodeSplit cut = split_by_feature(counts[f], first_feature + f,
+                                                       samples.cuts[first_feature + f].size(), k_log_k_table);
             cut.gain > best.gain)
             best = cut;
     return best;
@@ -202,21 +195,21 @@ TreeNodeSplit find_best_split_of_features(const ScatterSampleSet& samples,
 /// Returns the best split of each tree node. If two splits are equally good, uses the one
 /// with the lower feature index. For large nodes, also processes the features in
 /// parallel.
-std::vector<TreeNodeSplit> find_best_layer_splits(
-    const ScatterSampleSet& samples, const std::vector<double>& k_log_k,
-    std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
-    constexpr std::size_t kLarge = 65536;
+std::vector<TreeNodeSplit> find_layer_splits(const ScatterSampleSet& samples,
+                                             const std::vector<double>& k_log_k,
+                                             std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
+    constexpr std::size_t kMinLargeNode = 65536;
     std::vector<TreeNodeSplit> best(nodes.size());
     parallel_for(int(nodes.size()), [&](int index) {
         const IntensityScatterModel::DecisionTreeNode& node = nodes[std::size_t(index)];
         const auto node_samples = std::span(samples.all).subspan(node.first, node.count);
         if (node.count < 2 * kFewestOfLeaf) return;
-        std::array<TreeNodeSplit, (kFeatures + kTogether - 1) / kTogether> cuts;
+        std::array<TreeNodeSplit, (kFeatures + kFeaturesPerPass - 1) / kFeaturesPerPass> cuts;
         const auto find_cut = [&](int k) {
             cuts[std::size_t(k)] =
-                find_best_split_of_features(samples, node_samples, std::size_t(k) * kTogether, k_log_k);
+                split_by_features(samples, node_samples, std::size_t(k) * kFeaturesPerPass, k_log_k);
         };
-        if (node.count >= kLarge) parallel_for(int(cuts.size()), find_cut);
+        if (node.count >= kMinLargeNode) parallel_for(int(cuts.size()), find_cut);
         else
             for (int k = 0; k < int(cuts.size()); ++k) find_cut(k);
         for (const TreeNodeSplit& cut : cuts)
@@ -227,10 +220,10 @@ std::vector<TreeNodeSplit> find_best_layer_splits(
 
 /// Splits the nodes of the decision tree with index `first_node` or higher. Reorders
 /// `samples` so that those of each node stay contiguous.
-void split_tree_layer(ScatterSampleSet& samples, const std::vector<double>& k_log_k_table,
-                      std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
+void split_layer(ScatterSampleSet& samples, const std::vector<double>& k_log_k_table,
+                 std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
-        find_best_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
+        find_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
     parallel_for(int(cuts.size()), [&](int k) {
         const TreeNodeSplit& cut = cuts[std::size_t(k)];
@@ -255,7 +248,7 @@ void split_tree_layer(ScatterSampleSet& samples, const std::vector<double>& k_lo
     }
 }
 
-void require_equal_image_array_sizes(std::span<const PairedIntensities> images) {
+void check_image_sizes(std::span<const PairedIntensities> images) {
     for (const auto& [r, measured] : images) {
         const std::size_t n = std::size_t(r.rows) * std::size_t(r.columns);
         for (const std::size_t size : {r.intensity.size(), r.range_m.size(), r.spread_m.size(),
@@ -267,7 +260,7 @@ void require_equal_image_array_sizes(std::span<const PairedIntensities> images) 
 }
 
 /// Euclid's algorithm for real numbers. Remainders below `tolerance` count as zero.
-double find_approximate_gcd(double first, double second, double tolerance) {
+double approximate_gcd(double first, double second, double tolerance) {
     while (second > tolerance) {
         const double rest = std::abs(std::remainder(first, second));
         first = second;
@@ -278,8 +271,9 @@ double find_approximate_gcd(double first, double second, double tolerance) {
 
 }  // namespace
 
-double find_quantisation_step(std::vector<float> values) {
-    constexpr double kError = 1e-6, kFinest = 1e-5;  // Both values are relative to the largest intensity.
+double find_step(std::vector<float> values) {
+    constexpr double kMaxRelativeError = 1e-6,
+                     kMinRelativeStep = 1e-5;  // Both values are relative to the largest intensity.
     constexpr std::size_t kFewestLevels = 8;
     parallel_sort(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
@@ -287,36 +281,36 @@ double find_quantisation_step(std::vector<float> values) {
     const double largest = double(values.back());
     double step = 0.0;
     for (const float value : values) {
-        step = step > 0.0 ? find_approximate_gcd(double(value), step, kError * largest) : double(value);
-        if (value > 0.0f && step < kFinest * largest) return 0.0;
+        step = step > 0.0 ? approximate_gcd(double(value), step, kMaxRelativeError * largest) : double(value);
+        if (value > 0.0f && step < kMinRelativeStep * largest) return 0.0;
         // `value` is n * step. A larger n gives a more accurate step.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {
-        return std::abs(std::remainder(double(v), step)) <= kError * largest;
+        return std::abs(std::remainder(double(v), step)) <= kMaxRelativeError * largest;
     };
     return std::ranges::all_of(values, is_multiple) ? step : 0.0;
 }
 
-float IntensityScatterModel::quantise_intensity(float intensity) const {
+float IntensityScatterModel::quantise(float intensity) const {
     return step > 0.0 ? static_cast<float>(std::round(double(intensity) / step) * step) : intensity;
 }
 
-IntensityScatterModel fit_intensity_scatter_model(std::span<const PairedIntensities> images) {
-    require_equal_image_array_sizes(images);
-    const std::vector<ImageRayIndex> return_locations = sample_return_locations(images, kMostReturns);
+IntensityScatterModel fit_scatter(std::span<const PairedIntensities> images) {
+    check_image_sizes(images);
+    const std::vector<ImageRayIndex> return_locations = sample_returns(images, kMaxReturns);
     IntensityScatterModel result;
-    if (return_locations.size() < kFewestReturns) return result;
-    ScatterSampleSet samples = make_scatter_samples_with_binned_features(images, return_locations);
+    if (return_locations.size() < kMinReturns) return result;
+    ScatterSampleSet samples = make_samples(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
     const std::vector<double> terms = make_entropy_terms(return_locations.size());
     for (std::size_t first = 0; first < result.nodes.size();) {
         const std::size_t end = result.nodes.size();
-        split_tree_layer(samples, terms, result.nodes, first);
+        split_layer(samples, terms, result.nodes, first);
         first = end;
     }
     for (const ScatterSample& one : samples.all) result.values.push_back(one.value);
-    result.step = find_quantisation_step(result.values);
+    result.step = find_step(result.values);
     return result;
 }
 

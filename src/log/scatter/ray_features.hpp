@@ -25,30 +25,31 @@ struct RayWindow {
     RayOffset first, last;
 };
 
-constexpr std::array<RayOffset, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
-constexpr std::array<RayWindow, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
+constexpr std::array<RayOffset, 4> kAdjacentOffsets{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
+constexpr std::array<RayWindow, 2> kSmoothingWindows{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
 /// Neighbouring rays whose residuals (known minus rendered intensity) are features.
 /// Lasers in adjacent rows fire alternately, so the ray two rows above is more similar.
-constexpr std::array<RayOffset, 7> kResiduals{
+constexpr std::array<RayOffset, 7> kResidualOffsets{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
-constexpr std::array<RayOffset, 10> kLevels{
+constexpr std::array<RayOffset, 10> kLevelOffsets{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
-constexpr std::array<RayWindow, 5> kMeans{
+constexpr std::array<RayWindow, 5> kMeanWindows{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
-constexpr std::array<RayWindow, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
+constexpr std::array<RayWindow, 2> kSizeWindows{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
 /// The features use known intensities of rays to the left and, in the rows above, of rays
 /// up to this many columns to the right.
-constexpr int kAhead = 3;
-constexpr bool is_known_before(RayOffset s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }
-static_assert(std::ranges::all_of(kMeans, is_known_before, &RayWindow::last) &&
-              std::ranges::all_of(kSizes, is_known_before, &RayWindow::last) &&
-              std::ranges::all_of(kLevels, is_known_before) &&
-              std::ranges::all_of(kResiduals, is_known_before));
+constexpr int kMaxColumnsAhead = 3;
+constexpr bool is_known_before(RayOffset s) { return s.columns <= (s.rows < 0 ? kMaxColumnsAhead : -1); }
+static_assert(std::ranges::all_of(kMeanWindows, is_known_before, &RayWindow::last) &&
+              std::ranges::all_of(kSizeWindows, is_known_before, &RayWindow::last) &&
+              std::ranges::all_of(kLevelOffsets, is_known_before) &&
+              std::ranges::all_of(kResidualOffsets, is_known_before));
 
 constexpr std::size_t kRenderedFeatures = 5;  // intensity, range, spread, cosine, elevation
-constexpr std::size_t kFeatures = kRenderedFeatures + 2 * kBeside.size() + kSmoothed.size() +
-                                  kResiduals.size() + kLevels.size() + kMeans.size() + kSizes.size();
+constexpr std::size_t kFeatures = kRenderedFeatures + 2 * kAdjacentOffsets.size() + kSmoothingWindows.size() +
+                                  kResidualOffsets.size() + kLevelOffsets.size() + kMeanWindows.size() +
+                                  kSizeWindows.size();
 using RayFeatures = std::array<float, kFeatures>;
 
 /// Computes the features with which a decision tree predicts the intensity of a ray.
@@ -59,7 +60,7 @@ public:
     RayFeatureExtractor(const RenderedIntensityImage& rendered, std::span<const float> known)
         : scan_(rendered), known_intensities_(known) {}
 
-    RayFeatures compute_all_features(int row, int column) const {
+    RayFeatures compute_features(int row, int column) const {
         RayFeatures result;
         for (std::size_t k = 0; k < kFeatures; ++k) result[k] = compute_feature(k, row, column);
         return result;
@@ -68,7 +69,7 @@ public:
     /// Returns one feature. A path through the decision tree needs only a few features.
     float compute_feature(std::size_t feature_index, int row, int column) const {
         const auto at = [&](RayOffset s) {
-            return get_pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
+            return pixel_index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
         // Intensities are sampled from left to right. A neighbour left of column 0 wraps
         // to the right edge, which is sampled later, so it counts as unknown.
@@ -91,26 +92,24 @@ public:
         const auto is_of = [&](std::size_t count) {
             return feature_index < count || (feature_index -= count, false);
         };
-        if (is_of(kRenderedFeatures))
-            return get_rendered_feature(feature_index, get_pixel_index(row, column));
-        if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[feature_index])];
-        if (is_of(kBeside.size()))
-            return compute_log_range_ratio(at(kBeside[feature_index]), get_pixel_index(row, column));
-        if (is_of(kSmoothed.size()))
-            return compute_mean_of_known_values_in_window(
-                kSmoothed[feature_index], [&](RayOffset s) { return scan_.intensity[at(s)]; });
-        if (is_of(kResiduals.size())) return residual(kResiduals[feature_index]);
-        if (is_of(kLevels.size())) return level(kLevels[feature_index]);
-        if (is_of(kMeans.size()))
-            return compute_mean_of_known_values_in_window(kMeans[feature_index], residual);
-        return compute_mean_of_known_values_in_window(kSizes[feature_index], size);
+        if (is_of(kRenderedFeatures)) return rendered_feature(feature_index, pixel_index(row, column));
+        if (is_of(kAdjacentOffsets.size())) return scan_.intensity[at(kAdjacentOffsets[feature_index])];
+        if (is_of(kAdjacentOffsets.size()))
+            return log_range_ratio(at(kAdjacentOffsets[feature_index]), pixel_index(row, column));
+        if (is_of(kSmoothingWindows.size()))
+            return window_mean(kSmoothingWindows[feature_index],
+                               [&](RayOffset s) { return scan_.intensity[at(s)]; });
+        if (is_of(kResidualOffsets.size())) return residual(kResidualOffsets[feature_index]);
+        if (is_of(kLevelOffsets.size())) return level(kLevelOffsets[feature_index]);
+        if (is_of(kMeanWindows.size())) return window_mean(kMeanWindows[feature_index], residual);
+        return window_mean(kSizeWindows[feature_index], size);
     }
 
 private:
     const RenderedIntensityImage& scan_;
     const std::span<const float> known_intensities_;
 
-    std::size_t get_pixel_index(int row, int column) const {
+    std::size_t pixel_index(int row, int column) const {
         const int columns = scan_.columns;
         // Divisions are slow, so the column is wrapped only if it is outside the range
         // image.
@@ -118,21 +117,21 @@ private:
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
-    float get_rendered_feature(std::size_t feature_index, std::size_t ray_index) const {
+    float rendered_feature(std::size_t feature_index, std::size_t ray) const {
         const std::array<const std::vector<float>*, kRenderedFeatures> values{
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
-        return (*values[feature_index])[ray_index];
+        return (*values[feature_index])[ray];
     }
     /// Returns log(range of another ray / range of this ray).
-    float compute_log_range_ratio(std::size_t other_ray_index, std::size_t ray_index) const {
-        return scan_.range_m[other_ray_index] > 0.0f && scan_.range_m[ray_index] > 0.0f
-                   ? std::log(scan_.range_m[other_ray_index] / scan_.range_m[ray_index])
+    float log_range_ratio(std::size_t other_ray_index, std::size_t ray) const {
+        return scan_.range_m[other_ray_index] > 0.0f && scan_.range_m[ray] > 0.0f
+                   ? std::log(scan_.range_m[other_ray_index] / scan_.range_m[ray])
                    : kNoIntensity;
     }
     /// Returns the mean of the known values in a window, or kNoIntensity if there are
     /// none.
     template <class Value>
-    static float compute_mean_of_known_values_in_window(const RayWindow& window, const Value& get_value) {
+    static float window_mean(const RayWindow& window, const Value& get_value) {
         float sum = 0.0f;
         int n = 0;
         for (int row = window.first.rows; row <= window.last.rows; ++row)

@@ -33,7 +33,7 @@ public:
         return ray;
     }
 
-    double compute_head_azimuth(const glm::dvec3& point_m) const {
+    double azimuth_facing(const glm::dvec3& point_m) const {
         const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
         return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left_of_axis_m_ / reach, -1.0, 1.0)) -
                beam_.azimuth_offset_rad;
@@ -45,7 +45,7 @@ private:
     double left_of_axis_m_;  ///< horizontal distance between the beam and the axis of rotation
 };
 
-inline std::vector<BeamRayGenerator> make_beam_ray_generators(const std::vector<Beam>& beams) {
+inline std::vector<BeamRayGenerator> make_generators(const std::vector<Beam>& beams) {
     return {beams.begin(), beams.end()};
 }
 

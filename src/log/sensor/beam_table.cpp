@@ -38,7 +38,7 @@ struct FieldRule {
 };
 constexpr double kFarthestLimit_m = 10'000.0;
 // clang 14 cannot create the std::string in SpinningSensor at compile time.
-const std::array<FieldRule, kFieldCount> kFields{
+const std::array<FieldRule, kFieldCount> kFieldRules{
     {{"elevation_deg", -90.0, 90.0, 0.0},
      {"azimuth_offset_deg", -180.0, 180.0, 0.0},
      {"origin_offset_m", -10.0, 10.0, 0.0},
@@ -51,17 +51,17 @@ const std::array<FieldRule, kFieldCount> kFields{
 
 using BeamTableRow = std::array<double, kFieldCount>;
 
-BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
-                              const std::vector<int>& column_of_field, const std::string& error_location) {
+BeamTableRow parse_beam_row(const std::vector<std::string_view>& cells,
+                            const std::vector<int>& column_of_field, const std::string& where) {
     BeamTableRow value{};
-    for (std::size_t f = 0; f < kFields.size(); ++f) {
-        const FieldRule& rule = kFields[f];
+    for (std::size_t f = 0; f < kFieldRules.size(); ++f) {
+        const FieldRule& rule = kFieldRules[f];
         value[f] = rule.missing;
         if (column_of_field[f] < 0) continue;
         const std::string_view cell = cells[std::size_t(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !(*number >= rule.low && *number <= rule.high))
-            fail("{}: {} is '{}', expected a number in [{}, {}]", error_location, rule.name, cell, rule.low,
+            fail("{}: {} is '{}', expected a number in [{}, {}]", where, rule.name, cell, rule.low,
                  rule.high);
         value[f] = *number;
     }
@@ -70,7 +70,7 @@ BeamTableRow parse_beam_cells(const std::vector<std::string_view>& cells,
 
 /// @throws DataError if the beam is higher than the previous one, or if its range limits
 /// differ from the first line
-void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const std::string& error_location) {
+void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const std::string& where) {
     // The head turns clockwise.
     const double turned_rad = -2.0 * kPi / sensor.period_s * row_values[kFiring] * 1e-6;
     const Beam beam{row_values[kElevation] * kPi / 180.0,
@@ -84,21 +84,19 @@ void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const s
         fail(
             "{}: found range limits of {} to {} m, expected {} to {} m like in the first line, because all "
             "beams have the same limits",
-            error_location, row_values[kMinRange], row_values[kMaxRange], sensor.min_range_m,
-            sensor.max_range_m);
+            where, row_values[kMinRange], row_values[kMaxRange], sensor.min_range_m, sensor.max_range_m);
     if (!(row_values[kMinRange] < row_values[kMaxRange]))
-        fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", error_location,
+        fail("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
              row_values[kMinRange], row_values[kMaxRange]);
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad)
-        fail("{}: elevation_deg increases, expected rows from the highest beam to the lowest",
-             error_location);
+        fail("{}: elevation_deg increases, expected rows from the highest beam to the lowest", where);
     sensor.beams.push_back(beam);
 }
 
 }  // namespace
 
-SpinningSensor parse_beam_table(const std::string& text, const std::string& error_location, int n_columns,
-                                double rotation_rate_hz) {
+SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns,
+                           double rotation_rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto first =
         std::size_t(std::find_if(lines.begin(), lines.end(),
@@ -107,26 +105,25 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& erro
     const std::vector<std::string_view> header =
         first == lines.size() ? std::vector<std::string_view>{} : split_csv_cells(lines[first]);
     std::vector<std::string> column_names;
-    for (const FieldRule& field : kFields) column_names.emplace_back(field.name);
+    for (const FieldRule& field : kFieldRules) column_names.emplace_back(field.name);
     const std::vector<int> at =
-        find_column_indices(header, column_names, fmt::format("{} line {}", error_location, first + 1));
+        find_columns(header, column_names, fmt::format("{} line {}", where, first + 1));
     if (at[kElevation] < 0)
-        fail("{}: the first line has no column 'elevation_deg', expected a CSV beam table", error_location);
+        fail("{}: the first line has no column 'elevation_deg', expected a CSV beam table", where);
 
     SpinningSensor sensor;
     sensor.columns = n_columns;
     sensor.period_s = 1.0 / rotation_rate_hz;
     sensor.first_azimuth_rad = kPi - kPi / n_columns;
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
-        if (trim_blanks_at_both_ends(lines[l]).empty() || lines[l].starts_with('#')) continue;
-        const std::string line = fmt::format("{} line {}", error_location, l + 1);
+        if (trim(lines[l]).empty() || lines[l].starts_with('#')) continue;
+        const std::string line = fmt::format("{} line {}", where, l + 1);
         const auto cells = split_csv_cells(lines[l]);
         if (cells.size() != header.size())
             fail("{}: found {} values, expected {} like in the header", line, cells.size(), header.size());
-        append_beam(sensor, parse_beam_cells(cells, at, line), line);
+        append_beam(sensor, parse_beam_row(cells, at, line), line);
     }
-    if (sensor.beams.empty())
-        fail("{}: found no beams after the header, expected at least one", error_location);
+    if (sensor.beams.empty()) fail("{}: found no beams after the header, expected at least one", where);
     return sensor;
 }
 

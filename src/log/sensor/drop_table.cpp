@@ -9,8 +9,7 @@
 
 namespace relidar {
 
-std::size_t RayDropTable::compute_drop_table_index_of_ray(std::uint16_t channel,
-                                                          const glm::vec3& direction) const {
+std::size_t RayDropTable::index_of(std::uint16_t channel, const glm::vec3& direction) const {
     // Bin 0 begins at +180 degrees; bins continue clockwise, like columns.
     const double revolution_fraction =
         (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
@@ -18,9 +17,8 @@ std::size_t RayDropTable::compute_drop_table_index_of_ray(std::uint16_t channel,
     return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);
 }
 
-float RayDropTable::get_drop_probability(std::uint16_t channel, const glm::vec3& direction) const {
-    return empty() || channel >= channels ? 0.0f
-                                          : probability[compute_drop_table_index_of_ray(channel, direction)];
+float RayDropTable::probability_of(std::uint16_t channel, const glm::vec3& direction) const {
+    return empty() || channel >= channels ? 0.0f : probability[index_of(channel, direction)];
 }
 
 }  // namespace relidar

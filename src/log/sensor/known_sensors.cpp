@@ -23,7 +23,7 @@
 
 namespace relidar {
 
-std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();
+std::span<const std::pair<std::string_view, std::string_view>> table_texts();
 
 namespace {
 
@@ -35,7 +35,7 @@ struct BeamTableSensor {
     double min_range_m, max_range_m, divergence_rad;
 };
 
-constexpr BeamTableSensor kTabled[] = {
+constexpr BeamTableSensor kTabledSensors[] = {
     {"HDL-64E-S2", 2083, 0.9, 120.0, 2.0e-3},
     {"HDL-64E-S3", 2083, 0.9, 120.0, 2.0e-3},
     {"HDL-64E-KITTI", 2083, 0.9, 120.0, 2.0e-3},
@@ -61,7 +61,7 @@ constexpr BeamTableSensor kTabled[] = {
     {"waymo-top", 2650, 0.0, 75.0, 0.0},
 };
 
-SpinningSensor make_spinning_sensor_without_beams(const std::string& name, int n_columns, double rate_hz) {
+SpinningSensor make_spinning(const std::string& name, int n_columns, double rate_hz) {
     SpinningSensor sensor;
     sensor.name = name;
     sensor.columns = n_columns;
@@ -70,54 +70,52 @@ SpinningSensor make_spinning_sensor_without_beams(const std::string& name, int n
     return sensor;
 }
 
-void append_evenly_spaced_beams(SpinningSensor& sensor, int n_beams, double top_deg, double bottom_deg) {
+void append_beams(SpinningSensor& sensor, int n_beams, double top_deg, double bottom_deg) {
     for (int i = 0; i < n_beams; ++i)
         sensor.beams.push_back(
             {.elevation_rad = (top_deg + (bottom_deg - top_deg) * i / (n_beams - 1)) * kDegree});
 }
 
-SensorModel make_sensor_model(SpinningSensor sensor, const std::string& description) {
-    return {sensor.name, description, sensor.range_limits(), std::move(sensor)};
+SensorModel make_model(SpinningSensor sensor, const std::string& text) {
+    return {sensor.name, text, sensor.range_limits(), std::move(sensor)};
 }
 
 /// The upper 32 beams start at +2 degrees, with steps of 1/3 degree. The lower 32 beams
 /// end at -24.33 degrees, with steps of 1/2 degree.
-SensorModel make_hdl64e_sensor(int columns, double rate_hz) {
-    SpinningSensor sensor = make_spinning_sensor_without_beams("HDL-64E", columns ? columns : 2083, rate_hz);
-    append_evenly_spaced_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
-    append_evenly_spaced_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
+SensorModel make_hdl64e(int columns, double rate_hz) {
+    SpinningSensor sensor = make_spinning("HDL-64E", columns ? columns : 2083, rate_hz);
+    append_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
+    append_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
     sensor.divergence_rad = 2.0e-3;
-    return make_sensor_model(std::move(sensor), "evenly spaced beams as in the data sheet");
+    return make_model(std::move(sensor), "evenly spaced beams as in the data sheet");
 }
 
 /// Waymo publishes only the highest and the lowest elevation.
-SensorModel make_waymo_side_sensor(int columns, double rate_hz) {
-    SpinningSensor sensor =
-        make_spinning_sensor_without_beams("waymo-side", columns ? columns : 600, rate_hz);
+SensorModel make_waymo_side(int columns, double rate_hz) {
+    SpinningSensor sensor = make_spinning("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
-    append_evenly_spaced_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
+    append_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
-    return make_sensor_model(
+    return make_model(
         std::move(sensor),
         "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 degrees");
 }
 
 /// The rays are the pixels of the KITTI-360 range images that publications use.
-SensorModel make_kitti360_sensor(int columns, double rate_hz) {
-    const RangeImageGrid grid = make_kitti360_grid();
-    SpinningSensor sensor =
-        make_spinning_sensor_without_beams(grid.name, columns ? columns : grid.columns, rate_hz);
+SensorModel make_kitti360(int columns, double rate_hz) {
+    const RangeImageGrid grid = kitti360_grid();
+    SpinningSensor sensor = make_spinning(grid.name, columns ? columns : grid.columns, rate_hz);
     sensor.first_azimuth_rad = kPi;
     sensor.max_range_m = grid.max_range_m;
     for (int row = 0; row < grid.rows; ++row)
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
-    return make_sensor_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
+    return make_model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
 /// The first line begins with # and names the source of the values.
 std::string find_beam_table(const std::string& name) {
-    const auto tables = sensor_table_texts();
+    const auto tables = table_texts();
     const auto table =
         std::ranges::find(tables, name + ".csv", [](const auto& t) { return std::string(t.first); });
     RELIDAR_ASSERT_EQ(table != tables.end(), true);
@@ -126,34 +124,33 @@ std::string find_beam_table(const std::string& name) {
 
 std::string source_of(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
-SensorModel make_built_in_beam_table_sensor(const BeamTableSensor& data_sheet, int columns, double rate_hz) {
+SensorModel make_tabled(const BeamTableSensor& data_sheet, int columns, double rate_hz) {
     const std::string table = find_beam_table(data_sheet.name);
     SpinningSensor sensor =
-        parse_beam_table(table, data_sheet.name, columns ? columns : data_sheet.columns, rate_hz);
+        parse_beams(table, data_sheet.name, columns ? columns : data_sheet.columns, rate_hz);
     sensor.name = data_sheet.name;
     // exactly backward
     if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = data_sheet.min_range_m;
     sensor.max_range_m = data_sheet.max_range_m;
     sensor.divergence_rad = data_sheet.divergence_rad;
-    return make_sensor_model(std::move(sensor), source_of(table));
+    return make_model(std::move(sensor), source_of(table));
 }
 
 /// Mirrors scan 120 degrees from left to right in 0.1 s. Azimuth offsets of beams are
 /// relative to the mirrors.
-SensorModel make_at128_sensor() {
+SensorModel make_at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
     const std::string table = find_beam_table("AT128");
-    const std::vector<Beam> beams = parse_beam_table(table, "AT128", kColumns, 1.0 / period_s).beams;
+    const std::vector<Beam> beams = parse_beams(table, "AT128", kColumns, 1.0 / period_s).beams;
     RayTable rays;
     rays.rows = int(beams.size());
     rays.columns = kColumns;
     for (std::size_t row = 0; row < beams.size(); ++row)
         for (int column = 0; column < kColumns; ++column) {
             const double left_of_middle = 0.5 * (kColumns - 1) - column;
-            rays.direction.emplace_back(
-                compute_beam_ray(beams[row], left_of_middle * step_deg * kDegree).direction);
+            rays.direction.emplace_back(aim_beam(beams[row], left_of_middle * step_deg * kDegree).direction);
             rays.origin.emplace_back(0.0f);
             rays.time_offset_s.push_back(float(-left_of_middle / kColumns * period_s));
             rays.channel.push_back(std::uint16_t(row));
@@ -162,7 +159,7 @@ SensorModel make_at128_sensor() {
 }
 
 /// data sheet of the AT128
-SensorModel make_scanning_window_sensor_of_128_rows() {
+SensorModel make_window_128() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 columns of "
             "128 rows",
@@ -172,7 +169,7 @@ SensorModel make_scanning_window_sensor_of_128_rows() {
 }
 
 /// Data sheet of the Mid-40. The rotation rates of the prisms were measured on a Mid-40.
-SensorModel make_rosette_sensor() {
+SensorModel make_rosette() {
     return {"rosette",
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays "
             "per second",
@@ -182,7 +179,7 @@ SensorModel make_rosette_sensor() {
 
 }  // namespace
 
-std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name) {
+std::vector<BeamFiring> read_firings(const std::string& sensor_name) {
     const std::vector<std::string> lines = split_lines(find_beam_table(sensor_name));
     const std::vector<std::string_view> header = split_csv_cells(lines[1]);  // after the line with the source
     std::vector<BeamFiring> firings;
@@ -197,36 +194,35 @@ std::vector<BeamFiring> get_beam_firings(const std::string& sensor_name) {
     return firings;
 }
 
-std::optional<double> find_specified_max_range_m(const std::string& sensor_name) {
-    const auto sensor = find_built_in_sensor(sensor_name.substr(0, sensor_name.find(" fitted to ")));
+std::optional<double> nominal_max_range_m(const std::string& sensor_name) {
+    const auto sensor = find_built_in(sensor_name.substr(0, sensor_name.find(" fitted to ")));
     return sensor ? std::optional(sensor->limits.max_m) : std::nullopt;
 }
 
-std::vector<std::string> list_sensor_names() {
+std::vector<std::string> list_sensors() {
     std::vector<std::string> names{"kitti360", "HDL-64E"};
-    for (const BeamTableSensor& row : kTabled) names.emplace_back(row.name);
+    for (const BeamTableSensor& row : kTabledSensors) names.emplace_back(row.name);
     for (const char* name : {"waymo-side", "AT128", "window-128", "rosette"}) names.emplace_back(name);
     return names;
 }
 
-std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns, double rate_hz) {
-    const auto sensor_name = find_name_ignoring_case(name, list_sensor_names());
+std::optional<SensorModel> find_built_in(const std::string& name, int columns, double rate_hz) {
+    const auto sensor_name = find_name(name, list_sensors());
     if (!sensor_name) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;
     const bool spins = *sensor_name != "AT128" && *sensor_name != "window-128" && *sensor_name != "rosette";
     if (!spins && (columns > 0 || rate_hz > 0.0))
         fail<UsageError>(
             "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name);
-    if (*sensor_name == "kitti360") return make_kitti360_sensor(columns, rate);
-    if (*sensor_name == "HDL-64E") return make_hdl64e_sensor(columns, rate);
-    if (*sensor_name == "waymo-side") return make_waymo_side_sensor(columns, rate);
-    if (*sensor_name == "AT128") return make_at128_sensor();
-    if (*sensor_name == "window-128") return make_scanning_window_sensor_of_128_rows();
-    if (*sensor_name == "rosette") return make_rosette_sensor();
-    return make_built_in_beam_table_sensor(
-        *std::ranges::find(kTabled, *sensor_name,
-                           [](const BeamTableSensor& row) { return std::string(row.name); }),
-        columns, rate);
+    if (*sensor_name == "kitti360") return make_kitti360(columns, rate);
+    if (*sensor_name == "HDL-64E") return make_hdl64e(columns, rate);
+    if (*sensor_name == "waymo-side") return make_waymo_side(columns, rate);
+    if (*sensor_name == "AT128") return make_at128();
+    if (*sensor_name == "window-128") return make_window_128();
+    if (*sensor_name == "rosette") return make_rosette();
+    return make_tabled(*std::ranges::find(kTabledSensors, *sensor_name,
+                                          [](const BeamTableSensor& row) { return std::string(row.name); }),
+                       columns, rate);
 }
 
 }  // namespace relidar

@@ -33,7 +33,7 @@ struct PatternKind {
 /// @tparam Functions  struct with the type Pattern and the static functions parse, write,
 /// make_rays and describe
 template <class Functions>
-PatternKind make_scan_pattern_kind(const char* kind_name, const char* json_member_names) {
+PatternKind make_kind(const char* kind_name, const char* json_member_names) {
     using Pattern = typename Functions::Pattern;
     return {kind_name,
             json_member_names,
@@ -44,24 +44,24 @@ PatternKind make_scan_pattern_kind(const char* kind_name, const char* json_membe
             [](const SensorPattern& p) { return Functions::describe(std::get<Pattern>(p)); }};
 }
 
-const std::vector<PatternKind>& list_pattern_kinds();
+const std::vector<PatternKind>& all_pattern_kinds();
 /// In a log folder, a JSON object without a kind is of this kind.
-PatternKind make_spinning_pattern_kind();
+PatternKind spinning_kind();
 /// In a sensor file, an object with the member "directions" is of this kind.
-PatternKind make_ray_table_pattern_kind();
-const PatternKind* find_pattern_kind(const JsonField& field);
+PatternKind ray_table_kind();
+const PatternKind* find_kind(const JsonField& field);
 
 namespace sensor {
 
 /// Reads NAME_rad or NAME_deg and returns radians.
 /// @throws DataError if both are missing, or the angle is outside +-max_abs_deg
-double read_angle_member_as_rad(const JsonField& field, const std::string& name, double max_abs_deg);
-double read_angle_member_or_default_rad(const JsonField& field, const std::string& name, double default_rad,
-                                        double max_abs_deg);
-double read_number_member_or_default(const JsonField& field, const char* key, double default_value,
-                                     double min_value, double max_value);
+double read_angle_rad(const JsonField& field, const std::string& name, double max_abs_deg);
+double read_angle_or_rad(const JsonField& field, const std::string& name, double default_rad,
+                         double max_abs_deg);
+double read_number_or(const JsonField& field, const char* key, double default_value, double min_value,
+                      double max_value);
 /// Reads divergence_rad or divergence_mrad; 0 if both are missing.
-double read_divergence_rad_or_zero(const JsonField& field);
+double read_divergence_rad(const JsonField& field);
 
 /// Members of all kinds. A missing max_range_m means infinity.
 struct CommonSensorMembers {
@@ -69,22 +69,21 @@ struct CommonSensorMembers {
     RangeLimits limits;
     double period_s, divergence_rad;
 };
-CommonSensorMembers read_common_sensor_members(const JsonField& field, const std::string& default_name,
-                                               double min_period_s = 1e-6);
+CommonSensorMembers read_common(const JsonField& field, const std::string& default_name,
+                                double min_period_s = 1e-6);
 /// Members of all sensors are allowed, too. An angle NAME is NAME_rad or NAME_deg.
 /// @throws DataError for an unknown member
-void require_only_known_sensor_members(const JsonField& field, std::vector<std::string> allowed_member_names,
-                                       const std::vector<std::string>& allowed_angle_names);
+void check_members(const JsonField& field, std::vector<std::string> allowed_member_names,
+                   const std::vector<std::string>& allowed_angle_names);
 
-double compute_evenly_spaced_value(double first_value, double last_value, int index, int count);
-void append_ray_from_sensor_origin(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
+double spaced_value(double first_value, double last_value, int index, int count);
+void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
-void require_allowed_ray_count(const std::string& sensor_name, double n_rays);
+void check_ray_count(const std::string& sensor_name, double n_rays);
 /// @param sum_of_values  sum of all angles and rates, which is not finite if one of them
 /// is not
 /// @throws UsageError if a value is not finite or the period is not positive
-void require_finite_sum_and_valid_period(const std::string& sensor_name, double sum_of_values,
-                                         double period_s);
+void check_finite_sum(const std::string& sensor_name, double sum_of_values, double period_s);
 
 }  // namespace sensor
 }  // namespace relidar

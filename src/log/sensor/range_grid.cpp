@@ -17,7 +17,7 @@
 
 namespace relidar {
 
-RangeImageGrid make_kitti360_grid() {
+RangeImageGrid kitti360_grid() {
     return {.name = "kitti360",
             .rows = 66,
             .columns = 1030,
@@ -26,12 +26,12 @@ RangeImageGrid make_kitti360_grid() {
             .max_range_m = 80.0};
 }
 
-RangeImageGrid get_range_image_grid_by_name(const std::string& name) {
-    if (find_name_ignoring_case(name, {"kitti360"})) return make_kitti360_grid();
+RangeImageGrid find_grid(const std::string& name) {
+    if (find_name(name, {"kitti360"})) return kitti360_grid();
     fail<UsageError>("the range image grid '{}' is unknown, expected kitti360", name);
 }
 
-std::optional<int> project_to_pixel_index(const RangeImageGrid& grid, const glm::dvec3& point_m) {
+std::optional<int> project_to_pixel(const RangeImageGrid& grid, const glm::dvec3& point_m) {
     const double range = glm::length(point_m);
     if (!(range > 0.0) || range > grid.max_range_m) return std::nullopt;
     const double elevation = std::asin(glm::clamp(point_m.z / range, -1.0, 1.0));  // Eq. 6
@@ -55,7 +55,7 @@ ProjectedRangeImage project_points(const RangeImageGrid& grid, const std::vector
     image.intensity.assign(n, 0.0f);
     image.source.assign(n, -1);
     for (std::size_t i = 0; i < points_m.size(); ++i) {
-        const std::optional<int> pixel = project_to_pixel_index(grid, glm::dvec3(points_m[i]));
+        const std::optional<int> pixel = project_to_pixel(grid, glm::dvec3(points_m[i]));
         if (!pixel) continue;
         const std::size_t at = std::size_t(*pixel);
         const float range = glm::length(points_m[i]);

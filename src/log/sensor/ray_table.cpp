@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-double RayTable::find_max_divergence_rad() const {
+double RayTable::max_divergence_rad() const {
     return ray_divergence_rad.empty() ? divergence_rad : *std::ranges::max_element(ray_divergence_rad);
 }
 
@@ -24,7 +24,7 @@ void RayTable::append_ray(const RayTable& source_table, std::size_t ray_index) {
         ray_divergence_rad.push_back(source_table.ray_divergence_rad[ray_index]);
 }
 
-std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
+std::vector<glm::dvec2> spread_sub_rays(int n_sub_rays) {
     std::vector<glm::dvec2> offsets{{0.0, 0.0}};
     const auto add_ring = [&](double radius, double first) {
         for (int k = 0; k < 4; ++k)
@@ -38,11 +38,11 @@ std::vector<glm::dvec2> make_footprint_offsets(int n_sub_rays) {
         add_ring(std::sqrt(7.0 / 8.0), 0.0);
     }
     if (n_sub_rays == 1 || n_sub_rays == 5 || n_sub_rays == 9) return offsets;
-    constexpr double kGolden_rad = 2.399963229728653;
+    constexpr double kGoldenAngle_rad = 2.399963229728653;
     offsets.clear();
     for (int k = 0; k < n_sub_rays; ++k)
         offsets.push_back(std::sqrt((k + 0.5) / n_sub_rays) *
-                          glm::dvec2(std::cos(k * kGolden_rad), std::sin(k * kGolden_rad)));
+                          glm::dvec2(std::cos(k * kGoldenAngle_rad), std::sin(k * kGoldenAngle_rad)));
     return offsets;
 }
 

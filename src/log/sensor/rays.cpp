@@ -20,7 +20,7 @@
 namespace relidar {
 namespace {
 
-RayTable make_empty_ray_table(int rows, int columns, double divergence_rad) {
+RayTable make_ray_table(int rows, int columns, double divergence_rad) {
     RayTable rays;
     rays.rows = rows;
     rays.columns = columns;
@@ -33,9 +33,9 @@ RayTable make_empty_ray_table(int rows, int columns, double divergence_rad) {
     return rays;
 }
 
-void require_valid_spinning_sensor(const SpinningSensor& sensor) {
-    const auto refuse = [&](const std::string& description) {
-        fail<UsageError>("sensor '{}': found {}", sensor.name, description);
+void check_spinning(const SpinningSensor& sensor) {
+    const auto refuse = [&](const std::string& text) {
+        fail<UsageError>("sensor '{}': found {}", sensor.name, text);
     };
     if (sensor.beams.empty()) refuse("no beams, expected at least one");
     if (sensor.beams.size() > 65535)
@@ -67,7 +67,7 @@ void require_valid_spinning_sensor(const SpinningSensor& sensor) {
 
 }  // namespace
 
-RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& second) {
+RangeLimits intersect(const RangeLimits& first, const RangeLimits& second) {
     const RangeLimits both{std::max(first.min_m, second.min_m), std::min(first.max_m, second.max_m)};
     if (!(both.max_m > both.min_m))
         fail<UsageError>(
@@ -78,27 +78,27 @@ RangeLimits intersect_range_limits(const RangeLimits& first, const RangeLimits& 
     return both;
 }
 
-BeamRay compute_beam_ray(const Beam& beam, double head_azimuth_rad) {
+BeamRay aim_beam(const Beam& beam, double head_azimuth_rad) {
     return BeamRayGenerator(beam).compute_ray(head_azimuth_rad);
 }
 
-double compute_head_azimuth_facing_point_rad(const Beam& beam, const glm::dvec3& point_m) {
-    return BeamRayGenerator(beam).compute_head_azimuth(point_m);
+double azimuth_facing_rad(const Beam& beam, const glm::dvec3& point_m) {
+    return BeamRayGenerator(beam).azimuth_facing(point_m);
 }
 
-int compute_beam_azimuth_offset_columns(const Beam& beam, int n_columns) {
+int offset_columns(const Beam& beam, int n_columns) {
     return int(std::lround(beam.azimuth_offset_rad / (2.0 * kPi) * n_columns));
 }
 
 RayTable make_rays(const SpinningSensor& sensor) {
-    require_valid_spinning_sensor(sensor);
+    check_spinning(sensor);
     const int rows = int(sensor.beams.size()), columns = sensor.columns;
-    RayTable rays = make_empty_ray_table(rows, columns, sensor.divergence_rad);
+    RayTable rays = make_ray_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[std::size_t(row)];
         const BeamRayGenerator geometry(beam);
-        const int shift = compute_beam_azimuth_offset_columns(beam, columns);
+        const int shift = offset_columns(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;

@@ -35,15 +35,15 @@ namespace {
 namespace fs = std::filesystem;
 
 // Smaller arrays stay in memory, because each array in the file starts a new page.
-constexpr std::size_t kSmall = 16 << 10;
-constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
+constexpr std::size_t kMinCountedBytes = 16 << 10;
+constexpr std::size_t kReservedBytes = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
-std::size_t round_up_to_page_size(std::size_t bytes) {
+std::size_t round_to_page(std::size_t bytes) {
     static const auto page = std::size_t(::sysconf(_SC_PAGESIZE));
     return (bytes + page - 1) / page * page;
 }
 
-[[noreturn]] void throw_scan_storage_error(const fs::path& folder, std::size_t missing_bytes, int error) {
+[[noreturn]] void fail_storage(const fs::path& folder, std::size_t missing_bytes, int error) {
     fail(
         "the scans do not fit into memory, and relidar cannot store the remainder in the folder '{}': {} "
         "({}set TMPDIR to a folder with enough space, or increase dataset.memory_mib to keep more scans in "
@@ -58,33 +58,33 @@ public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
         std::string name = (folder_ / "relidar-scans-XXXXXX").string();
         file_ = ::mkostemp(name.data(), O_CLOEXEC);
-        if (file_ < 0) throw_scan_storage_error(folder_, 0, errno);
+        if (file_ < 0) fail_storage(folder_, 0, errno);
         ::unlink(name.c_str());
         void* begin =
-            ::mmap(nullptr, kReserved, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
+            ::mmap(nullptr, kReservedBytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_NORESERVE, file_, 0);
         if (begin == MAP_FAILED) {
             const int error = errno;
             ::close(file_);
-            throw_scan_storage_error(folder_, 0, error);
+            fail_storage(folder_, 0, error);
         }
         begin_ = static_cast<std::byte*>(begin);
     }
     ~MappedFile() {
-        ::munmap(begin_, kReserved);
+        ::munmap(begin_, kReservedBytes);
         ::close(file_);
     }
     MappedFile(const MappedFile&) = delete;
     MappedFile& operator=(const MappedFile&) = delete;
 
-    void* allocate_block_in_file(std::size_t bytes) {
-        const std::size_t size = round_up_to_page_size(bytes);
+    void* allocate_block(std::size_t bytes) {
+        const std::size_t size = round_to_page(bytes);
         const std::lock_guard lock(mutex_);
         const auto free_range =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = free_range == free_.end() ? end_ : free_range->first;
         // A write to a mapped page kills the process if the disk is full.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
-            throw_scan_storage_error(folder_, size, error);
+            fail_storage(folder_, size, error);
         if (free_range == free_.end()) end_ += size;
         else {
             if (free_range->second > size) free_.emplace(offset + size, free_range->second - size);
@@ -94,12 +94,12 @@ public:
         return begin_ + offset;
     }
 
-    bool contains_address(const void* address) const {
-        return address >= begin_ && address < begin_ + kReserved;
+    bool has_address(const void* address) const {
+        return address >= begin_ && address < begin_ + kReservedBytes;
     }
 
-    void free_block_in_file(void* block_address, std::size_t bytes) noexcept {
-        const std::size_t size = round_up_to_page_size(bytes),
+    void free_block(void* block_address, std::size_t bytes) noexcept {
+        const std::size_t size = round_to_page(bytes),
                           offset = std::size_t(static_cast<std::byte*>(block_address) - begin_);
         // Frees the disk space, if the file system can make holes.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
@@ -117,7 +117,7 @@ public:
         }
     }
 
-    std::uint64_t get_used_bytes() const { return used_; }
+    std::uint64_t used_bytes() const { return used_; }
 
 private:
     fs::path folder_;
@@ -136,7 +136,7 @@ struct ScanMemoryState {
     std::mutex mutex;  ///< protects the members below
     fs::path folder;
 
-    MappedFile& get_or_create_mapped_file() {
+    MappedFile& mapped_file() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
         // Never closed, because static objects may free arrays after main().
@@ -145,13 +145,13 @@ struct ScanMemoryState {
     }
 };
 
-ScanMemoryState& get_scan_memory_state() {
+ScanMemoryState& memory_state() {
     // Never destroyed, for the same reason.
     static ScanMemoryState* const all = new ScanMemoryState;
     return *all;
 }
 
-std::uint64_t get_physical_or_cgroup_memory_bytes() {
+std::uint64_t physical_bytes() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
     // control group: version 2, then version 1
@@ -163,32 +163,29 @@ std::uint64_t get_physical_or_cgroup_memory_bytes() {
 
 }  // namespace
 
-void store_scans_above_limit_in_file(std::uint64_t max_bytes, fs::path overflow_folder) {
+void limit_scan_memory(std::uint64_t max_bytes, fs::path overflow_folder) {
     std::error_code failed;
     if (overflow_folder.empty()) overflow_folder = fs::temp_directory_path(failed);
     if (failed) overflow_folder = "/tmp";
-    ScanMemoryState& m = get_scan_memory_state();
+    ScanMemoryState& m = memory_state();
     const std::lock_guard lock(m.mutex);
     m.folder = std::move(overflow_folder);
-    m.limit =
-        max_bytes > 0 ? max_bytes : get_physical_or_cgroup_memory_bytes() / 2 / std::uint64_t(m.processes);
+    m.limit = max_bytes > 0 ? max_bytes : physical_bytes() / 2 / std::uint64_t(m.processes);
 }
 
-void divide_scan_memory_among_processes(int n_processes) {
-    get_scan_memory_state().processes = std::max(n_processes, 1);
+void share_scan_memory(int n_processes) { memory_state().processes = std::max(n_processes, 1); }
+
+ScanMemoryUse scan_memory_use() {
+    const MappedFile* file = memory_state().file;
+    return {memory_state().used, file ? file->used_bytes() : 0};
 }
 
-ScanMemoryUse get_scan_memory_use() {
-    const MappedFile* file = get_scan_memory_state().file;
-    return {get_scan_memory_state().used, file ? file->get_used_bytes() : 0};
-}
-
-void* allocate_scan_array(std::size_t bytes) {
-    if (bytes < kSmall) return ::operator new(bytes);
-    ScanMemoryState& m = get_scan_memory_state();
+void* allocate_array(std::size_t bytes) {
+    if (bytes < kMinCountedBytes) return ::operator new(bytes);
+    ScanMemoryState& m = memory_state();
     if (m.used.fetch_add(bytes) + bytes > m.limit) {
         m.used -= bytes;
-        return m.get_or_create_mapped_file().allocate_block_in_file(bytes);
+        return m.mapped_file().allocate_block(bytes);
     }
     try {
         return ::operator new(bytes);
@@ -199,11 +196,10 @@ void* allocate_scan_array(std::size_t bytes) {
 }
 
 void free_scan_array(void* array, std::size_t bytes) noexcept {
-    ScanMemoryState& m = get_scan_memory_state();
+    ScanMemoryState& m = memory_state();
     MappedFile* file = m.file;
-    if (bytes >= kSmall && file && file->contains_address(array))
-        return file->free_block_in_file(array, bytes);
-    if (bytes >= kSmall) m.used -= bytes;
+    if (bytes >= kMinCountedBytes && file && file->has_address(array)) return file->free_block(array, bytes);
+    if (bytes >= kMinCountedBytes) m.used -= bytes;
     ::operator delete(array);
 }
 

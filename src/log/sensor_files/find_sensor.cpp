@@ -29,7 +29,7 @@ struct SensorSpecifier {
 
 /// Parses "OS1-64:1024x20": name, columns and rate in Hz. Columns and rate are optional.
 /// @throws UsageError if the columns or the rate are out of range
-SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_text) {
+SensorSpecifier parse_specifier(const std::string& specifier_text) {
     const std::size_t colon = specifier_text.rfind(':');
     if (colon == std::string::npos || colon == 0) return {specifier_text};
     const std::string_view suffix = std::string_view(specifier_text).substr(colon + 1);
@@ -49,11 +49,11 @@ SensorSpecifier parse_sensor_name_columns_and_rate(const std::string& specifier_
     return {specifier_text.substr(0, colon), int(*columns), *rate_hz};
 }
 
-SensorModel parse_beam_table_sensor(const std::string& csv_text, const SensorSpecifier& sensor_specifier) {
+SensorModel parse_beam_sensor(const std::string& csv_text, const SensorSpecifier& sensor_specifier) {
     const int columns = sensor_specifier.columns > 0 ? sensor_specifier.columns : kTableColumns;
     SpinningSensor sensor =
-        parse_beam_table(csv_text, sensor_specifier.name, columns,
-                         sensor_specifier.rate_hz > 0.0 ? sensor_specifier.rate_hz : kTableRate_hz);
+        parse_beams(csv_text, sensor_specifier.name, columns,
+                    sensor_specifier.rate_hz > 0.0 ? sensor_specifier.rate_hz : kTableRate_hz);
     sensor.name = fs::path(sensor_specifier.name).stem().string();
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
@@ -65,59 +65,57 @@ SensorModel read_sensor_file(const SensorSpecifier& sensor_specifier, double def
         if (path.extension() == ".npz") return sensor_files::read_ray_npz(sensor_specifier.name, stem);
         const std::string text = read_text_file(path);
         if (path.extension() == ".json")
-            return sensor_files::parse_sensor_json(text, stem, sensor_specifier.name,
+            return sensor_files::parse_json_sensor(text, stem, sensor_specifier.name,
                                                    sensor_specifier.columns, sensor_specifier.rate_hz);
         // Only a table of rays has this column.
         const std::string header = text.substr(0, text.find('\n'));
         const bool is_ray_table = header.find("azimuth_deg") != std::string::npos;
         return is_ray_table ? sensor_files::parse_ray_csv(text, stem, sensor_specifier.name)
-                            : parse_beam_table_sensor(text, sensor_specifier);
+                            : parse_beam_sensor(text, sensor_specifier);
     }();
     if (sensor_specifier.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         fail<UsageError>(
             "sensor '{}:{}': the file describes a sensor that does not spin, so it accepts no number of "
             "columns; use only the file name",
             sensor_specifier.name, sensor_specifier.columns);
-    sensor_files::set_max_range_if_missing(sensor, default_max_range_m, sensor_specifier.name);
+    sensor_files::set_missing_range(sensor, default_max_range_m, sensor_specifier.name);
     return sensor;
 }
 
 }  // namespace
 
-void sensor_files::set_max_range_if_missing(SensorModel& sensor, double max_range_m,
-                                            const std::string& error_location) {
+void sensor_files::set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where) {
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         fail(
             "{}: min_range_m is {} m, but max_range_m is not given and has the default value of {} m; "
             "expected min_range_m < max_range_m; give a larger max_range_m",
-            error_location, sensor.limits.min_m, max_range_m);
+            where, sensor.limits.min_m, max_range_m);
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
 }
 
-SensorModel parse_sensor_json_text(const std::string& text, const std::string& name,
-                                   const std::string& error_location) {
-    return sensor_files::parse_sensor_json(text, name, error_location, 0, 0.0);
+SensorModel parse_sensor(const std::string& text, const std::string& name, const std::string& where) {
+    return sensor_files::parse_json_sensor(text, name, where, 0, 0.0);
 }
 
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& other_known_names,
                         double default_max_range_m) {
-    const SensorSpecifier name = parse_sensor_name_columns_and_rate(name_or_file);
-    if (const auto built_in_sensor = find_built_in_sensor(name.name, name.columns, name.rate_hz))
+    const SensorSpecifier name = parse_specifier(name_or_file);
+    if (const auto built_in_sensor = find_built_in(name.name, name.columns, name.rate_hz))
         return *built_in_sensor;
     const std::string extension = fs::path(name.name).extension().string();
     if (extension == ".csv" || extension == ".json" || extension == ".npz" || does_path_exist(name.name))
         return read_sensor_file(name, default_max_range_m);
     std::vector<std::string> known_names = other_known_names;
-    for (const std::string& sensor : list_sensor_names()) known_names.push_back(sensor);
+    for (const std::string& sensor : list_sensors()) known_names.push_back(sensor);
     fail<UsageError>(
         "the sensor '{}' is unknown{} (known: {}; or the path of a file, such as beams.csv:1024x10, rays.npz "
         "or the metadata.json of an Ouster sensor)",
-        name_or_file, format_name_suggestion(name_or_file, known_names, "'"), fmt::join(known_names, ", "));
+        name_or_file, did_you_mean(name_or_file, known_names, "'"), fmt::join(known_names, ", "));
 }
 
-std::string make_sensor_file_help() {
+std::string sensor_file_help() {
     return "NAME is one of `relidar list sensors`. A FILE contains a custom sensor:\n"
            "  beams.csv   a spinning sensor: a header line, then one line per beam, from the highest to the "
            "lowest. Columns: elevation_deg\n"
@@ -140,7 +138,7 @@ std::string make_sensor_file_help() {
            "divergence (radians,\n"
            "              one value per ray) or divergence_mrad (one value for all rays).\n"
            "  FILE.json   lists with the same names, the metadata of an Ouster sensor, or one of\n" +
-           format_pattern_kinds_help() +
+           pattern_help() +
            "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), max_range_m "
            "(80); defaults in parentheses.\n"
            "              NAME_rad can be used instead of NAME_deg.\n"

@@ -26,25 +26,23 @@ struct RayFileArrays {
     bool keeps_floats = false;
 };
 
-SensorModel make_sensor_from_ray_arrays(const RayFileArrays& ray_arrays, const std::string& sensor_name,
-                                        const std::string& error_location);
+SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& name,
+                            const std::string& where);
 
 /// @param ray_divergence_rad  [n] radians, or empty
 /// @throws DataError if the file contains both forms
-std::vector<double> select_per_ray_or_common_divergence(std::vector<double> ray_divergence_rad,
-                                                        std::optional<double> common_divergence_mrad,
-                                                        const std::string& error_location);
+std::vector<double> choose_divergence(std::vector<double> ray_divergence_rad,
+                                      std::optional<double> common_divergence_mrad, const std::string& where);
 
-SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor_name,
-                          const std::string& error_location);
-SensorModel read_ray_npz(const std::string& path, const std::string& sensor_name);
+SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, const std::string& where);
+SensorModel read_ray_npz(const std::string& path, const std::string& name);
 /// Parses a pattern, a ray table, or the metadata of an Ouster.
 /// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the values in Ouster
 /// metadata
 /// @throws DataError naming the key that is wrong
-SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
-                              const std::string& error_location, int columns_or_zero, double rate_hz_or_zero);
+SensorModel parse_json_sensor(const std::string& json_text, const std::string& name, const std::string& where,
+                              int columns_or_zero, double rate_hz_or_zero);
 
-void set_max_range_if_missing(SensorModel& sensor, double max_range_m, const std::string& error_location);
+void set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where);
 
 }  // namespace relidar::sensor_files

@@ -30,19 +30,19 @@ enum RayCsvField {
     kMaxRange,
     kFieldCount
 };
-const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
-                                      "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
-                                      "min_range_m", "max_range_m"};
+const std::vector<std::string> kColumnNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
+                                            "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
+                                            "min_range_m", "max_range_m"};
 // limits of the sensor: the same value in every line
 constexpr std::array<RayCsvField, 2> kOfSensor{kMinRange, kMaxRange};
 
 using RayCsvRow = std::array<double, kFieldCount>;
 
 RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column_of_field,
-                         std::size_t n_cells, const std::string& error_location) {
+                         std::size_t n_cells, const std::string& where) {
     const std::vector<std::string_view> cells = split_csv_cells(line);
     if (cells.size() != n_cells)
-        fail("{}: found {} values, expected {} like in the header", error_location, cells.size(), n_cells);
+        fail("{}: found {} values, expected {} like in the header", where, cells.size(), n_cells);
     RayCsvRow value{};
     value[kMaxRange] = RayFileArrays{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
@@ -50,8 +50,7 @@ RayCsvRow parse_ray_line(const std::string& line, const std::vector<int>& column
         const std::string_view cell = cells[std::size_t(column_of_field[f])];
         const auto number = parse_number(cell);
         if (!number || !std::isfinite(*number))
-            fail("{}: {} is '{}', expected a number", error_location, kNames[f],
-                 shorten_for_error_message(cell));
+            fail("{}: {} is '{}', expected a number", where, kColumnNames[f], quote(cell));
         value[f] = *number;
     }
     return value;
@@ -70,20 +69,19 @@ void append_ray_row(RayFileArrays& rays, const RayCsvRow& row_values) {
 
 }  // namespace
 
-SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor_name,
-                          const std::string& error_location) {
+SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, const std::string& where) {
     const std::vector<std::string> lines = split_lines(csv_text);
     const std::vector<std::string_view> header =
         lines.empty() ? std::vector<std::string_view>{} : split_csv_cells(lines[0]);
-    const std::vector<int> at = find_column_indices(header, kNames, error_location + " line 1");
+    const std::vector<int> at = find_columns(header, kColumnNames, where + " line 1");
     if (at[kAzimuth] < 0 || at[kElevation] < 0)
         fail("{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray table",
-             error_location);
+             where);
     RayFileArrays rays;
     RayCsvRow first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
-        if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
-        const std::string line = fmt::format("{} line {}", error_location, l + 1);
+        if (trim(lines[l]).empty()) continue;
+        const std::string line = fmt::format("{} line {}", where, l + 1);
         const RayCsvRow v = parse_ray_line(lines[l], at, header.size(), line);
         if (rays.time_s.empty()) first = v;
         for (const RayCsvField f : kOfSensor)
@@ -91,12 +89,12 @@ SensorModel parse_ray_csv(const std::string& csv_text, const std::string& sensor
                 fail(
                     "{}: {} is {}, expected {} like in the first line; this column needs one value for all "
                     "rays",
-                    line, kNames[f], v[f], first[f]);
+                    line, kColumnNames[f], v[f], first[f]);
         append_ray_row(rays, v);
     }
     rays.columns = int(std::min(rays.time_s.size(), kMaxRays + 1));
     rays.limits = {first[kMinRange], first[kMaxRange]};
-    return make_sensor_from_ray_arrays(rays, sensor_name, error_location);
+    return make_ray_sensor(rays, name, where);
 }
 
 }  // namespace relidar::sensor_files

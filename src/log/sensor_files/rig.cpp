@@ -22,10 +22,10 @@ namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
 constexpr std::size_t kMostSensors = 64;
-constexpr double kFarthest_m = 1000.0;
+constexpr double kMaxOffset_m = 1000.0;
 
-glm::dvec3 read_vector_or_zero(const Json& sensor_json, const char* key, double max_abs_value,
-                               const std::string& error_location) {
+glm::dvec3 read_vector(const Json& sensor_json, const char* key, double max_abs_value,
+                       const std::string& place) {
     if (!sensor_json.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor_json.at(key);
     glm::dvec3 v(0.0);
@@ -34,56 +34,53 @@ glm::dvec3 read_vector_or_zero(const Json& sensor_json, const char* key, double 
     for (int k = 0; numbers && k < 3; ++k) v[k] = list[std::size_t(k)].get<double>();
     if (!numbers ||
         !(std::abs(v.x) <= max_abs_value && std::abs(v.y) <= max_abs_value && std::abs(v.z) <= max_abs_value))
-        fail("{}: the value of {} is invalid, expected three numbers of at most {}", error_location, key,
+        fail("{}: the value of {} is invalid, expected three numbers of at most {}", place, key,
              max_abs_value);
     return v;
 }
 
-std::string read_required_text(const Json& sensor_json, const char* key, const std::string& error_location) {
+std::string read_text(const Json& sensor_json, const char* key, const std::string& place) {
     if (!sensor_json.is_object() || !sensor_json.contains(key) || !sensor_json.at(key).is_string())
-        fail("{}: the value of {} is missing or is not a text, expected a text", error_location, key);
+        fail("{}: the value of {} is missing or is not a text, expected a text", place, key);
     return sensor_json.at(key).get<std::string>();
 }
 
 /// The entry contains the name of a sensor, the name of a file, or a JSON object.
-SensorModel read_sensor_model(const Json& sensor_json, const std::string& sensor_name,
-                              const std::string& rig_file, const std::string& error_location) {
+SensorModel read_rig_sensor(const Json& sensor_json, const std::string& sensor_name,
+                            const std::string& rig_file, const std::string& place) {
     if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object()) {
         // a file in the folder of the rig, a sensor name, or another path
-        const std::string name_or_file = read_required_text(sensor_json, "sensor", error_location);
+        const std::string name_or_file = read_text(sensor_json, "sensor", place);
         const fs::path path = fs::path(rig_file).parent_path() / name_or_file;
         const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
-        const bool is_beside_rig = !find_name_ignoring_case(name_or_file, list_sensor_names()) &&
+        const bool is_beside_rig = !find_name(name_or_file, list_sensors()) &&
                                    (does_path_exist(path) || does_path_exist(without_columns));
         return find_sensor(is_beside_rig ? path.string() : name_or_file);
     }
-    const std::string object = error_location + ": sensor";
-    SensorModel model = parse_sensor_json_text(sensor_json.at("sensor").dump(), sensor_name, object);
-    sensor_files::set_max_range_if_missing(model, kDefaultMaxRange_m, object);
+    const std::string object = place + ": sensor";
+    SensorModel model = parse_sensor(sensor_json.at("sensor").dump(), sensor_name, object);
+    sensor_files::set_missing_range(model, kDefaultMaxRange_m, object);
     return model;
 }
 
-void require_valid_new_sensor_name(const std::string& name, const std::set<std::string>& used_names,
-                                   const std::string& error_location) {
+void check_sensor_name(const std::string& name, const std::set<std::string>& used_names,
+                       const std::string& place) {
     const auto allowed = [](char character) {
         return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
                character == '.';
     };
     if (name.empty() || name.size() > 64 || name.starts_with('.') ||
         !std::all_of(name.begin(), name.end(), allowed))
-        fail("{}: name: found \"{}\", expected letters, digits, -, _ and .", error_location,
-             shorten_for_error_message(name));
-    if (used_names.contains(name))
-        fail("{}: name: \"{}\" occurs twice, expected it once", error_location, name);
+        fail("{}: name: found \"{}\", expected letters, digits, -, _ and .", place, quote(name));
+    if (used_names.contains(name)) fail("{}: name: \"{}\" occurs twice, expected it once", place, name);
 }
 
 /// A misspelt "translation" would mount the sensor at the origin.
-void require_only_known_json_keys(const Json& object, const std::vector<std::string>& known_keys,
-                                  const std::string& error_location) {
+void check_keys(const Json& object, const std::vector<std::string>& known_keys, const std::string& place) {
     for (const auto& [key, value] : object.items())
         if (std::find(known_keys.begin(), known_keys.end(), key) == known_keys.end())
-            fail("{}: unknown key '{}'{} (known: {})", error_location, shorten_for_error_message(key),
-                 format_name_suggestion(key, known_keys, "'"), fmt::join(known_keys, ", "));
+            fail("{}: unknown key '{}'{} (known: {})", place, quote(key), did_you_mean(key, known_keys, "'"),
+                 fmt::join(known_keys, ", "));
 }
 
 }  // namespace
@@ -98,7 +95,7 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
         return {};
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
-    require_only_known_json_keys(json, {"sensors"}, path);
+    check_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
         fail("{}: the key \"sensors\" is invalid, expected a list with 1 to {} entries", path, kMostSensors);
@@ -106,16 +103,14 @@ std::optional<std::vector<MountedSensor>> read_sensor_rig(const std::string& pat
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {
         const std::string where = fmt::format("{}: sensor {}", path, rig.size());
-        const std::string name = read_required_text(sensor, "name", where);
-        require_valid_new_sensor_name(name, names, where);
+        const std::string name = read_text(sensor, "name", where);
+        check_sensor_name(name, names, where);
         names.insert(name);
-        require_only_known_json_keys(
-            sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
-        SensorModel model = read_sensor_model(sensor, name, path, where);
-        const glm::dvec3 angle_rad =
-            read_vector_or_zero(sensor, "yaw_pitch_roll_deg", 360.0, where) * (kPi / 180.0);
+        check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
+        SensorModel model = read_rig_sensor(sensor, name, path, where);
+        const glm::dvec3 angle_rad = read_vector(sensor, "yaw_pitch_roll_deg", 360.0, where) * (kPi / 180.0);
         const Pose rig_from_sensor{make_rotation(angle_rad.x, angle_rad.y, angle_rad.z),
-                                   read_vector_or_zero(sensor, "translation_m", kFarthest_m, where)};
+                                   read_vector(sensor, "translation_m", kMaxOffset_m, where)};
         const Json returns = sensor.contains("returns") ? sensor.at("returns") : Json(1);
         if (returns != 1 && returns != 2) fail("{}: the value of returns is invalid, expected 1 or 2", where);
         rig.push_back({name, std::move(model), rig_from_sensor, returns.get<int>()});

@@ -37,18 +37,17 @@ const Json* find_json_value(const Json& json, const std::string& key,
     return nullptr;
 }
 
-RangeLimits get_ouster_range_limits(const Json& metadata) {
+RangeLimits ouster_limits(const Json& metadata) {
     const Json* line = find_json_value(metadata, "prod_line", {"sensor_info"});
     const std::string product = line && line->is_string() ? line->get<std::string>() : "";
     const char* sensor_name = "OS1-128";
     if (product.starts_with("OS-0")) sensor_name = "OS0-128";
     else if (product.starts_with("OS-2")) sensor_name = "OS2-128";
-    return find_built_in_sensor(sensor_name)->limits;
+    return find_built_in(sensor_name)->limits;
 }
 
 /// "1024x10" means 1024 columns at 10 Hz.
-std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
-                                                     const std::string& error_location) {
+std::pair<int, double> ouster_mode(const Json& metadata, const std::string& where) {
     const Json* mode = find_json_value(metadata, "lidar_mode", {"config_params"});
     const std::string text = mode && mode->is_string() ? mode->get<std::string>() : "";
     const std::size_t x = text.find('x');
@@ -56,40 +55,37 @@ std::pair<int, double> parse_ouster_columns_and_rate(const Json& metadata,
     const auto rate =
         x == std::string::npos ? std::nullopt : parse_number(std::string_view(text).substr(x + 1));
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
-        fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", error_location,
-             shorten_for_error_message(text));
+        fail("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", where,
+             quote(text));
     return {int(*columns), *rate};
 }
 
-SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
-                                const std::string& error_location, int columns_or_zero,
-                                double rate_hz_or_zero) {
+SensorModel parse_ouster(const Json& metadata, const std::string& name, const std::string& where,
+                         int columns_or_zero, double rate_hz_or_zero) {
     const auto list = [&](const char* key) {
         const Json* numbers = find_json_value(metadata, key, {"beam_intrinsics"});
-        const std::string list_location = fmt::format("{}: {}", error_location, key);
-        return numbers ? JsonField(*numbers, list_location, "").get_flattened_numbers(1)
-                       : std::vector<double>{};
+        const std::string list_location = fmt::format("{}: {}", where, key);
+        return numbers ? JsonField(*numbers, list_location, "").flat_numbers(1) : std::vector<double>{};
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size())
         fail(
             "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number of both "
             "and at most {}",
-            error_location, altitude.size(), azimuth.size(), kMostBeams);
+            where, altitude.size(), azimuth.size(), kMostBeams);
     const Json* offset_mm = find_json_value(metadata, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"});
     if (offset_mm && (!offset_mm->is_number() || !std::isfinite(offset_mm->get<double>())))
         fail("{}: lidar_origin_to_beam_origin_mm: the value is not a number, expected a finite number",
-             error_location);
+             where);
     const double offset_m = offset_mm ? 1e-3 * offset_mm->get<double>() : 0.0;
     SpinningSensor sensor;
-    const auto [mode_columns, mode_rate_hz] = columns_or_zero > 0
-                                                  ? std::pair(columns_or_zero, rate_hz_or_zero)
-                                                  : parse_ouster_columns_and_rate(metadata, error_location);
+    const auto [mode_columns, mode_rate_hz] =
+        columns_or_zero > 0 ? std::pair(columns_or_zero, rate_hz_or_zero) : ouster_mode(metadata, where);
     sensor.name = name;
     sensor.columns = mode_columns;
     sensor.period_s = 1.0 / mode_rate_hz;
     sensor.first_azimuth_rad = kPi;
-    const RangeLimits limits = get_ouster_range_limits(metadata);
+    const RangeLimits limits = ouster_limits(metadata);
     sensor.min_range_m = limits.min_m;
     sensor.max_range_m = limits.max_m;
     for (std::size_t b = 0; b < altitude.size(); ++b) {
@@ -97,7 +93,7 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
             fail(
                 "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected angles "
                 "in degrees and less than 1 m",
-                error_location, b, altitude[b], azimuth[b], offset_m);
+                where, b, altitude[b], azimuth[b], offset_m);
         sensor.beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
                                 .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
                                 .origin_offset_m = offset_m});
@@ -108,34 +104,32 @@ SensorModel parse_ouster_sensor(const Json& metadata, const std::string& name,
 
 }  // namespace
 
-SensorModel parse_sensor_json(const std::string& json_text, const std::string& sensor_name,
-                              const std::string& error_location, int columns_or_zero,
-                              double rate_hz_or_zero) {
+SensorModel parse_json_sensor(const std::string& json_text, const std::string& sensor_name,
+                              const std::string& where, int columns_or_zero, double rate_hz_or_zero) {
     Json json;
     try {
         json = Json::parse(json_text);
     } catch (const Json::exception& error) {
-        fail("{} is not valid JSON ({}), expected a sensor", error_location,
-             shorten_for_error_message(error.what()));
+        fail("{} is not valid JSON ({}), expected a sensor", where, quote(error.what()));
     }
-    const JsonField root(json, error_location, "");
+    const JsonField root(json, where, "");
     // It does not name the kind "rays".
-    if (root.has_member("directions")) return make_ray_table_pattern_kind().parse(root, sensor_name);
-    if (find_pattern_kind(root)) {
+    if (root.has_member("directions")) return ray_table_kind().parse(root, sensor_name);
+    if (find_kind(root)) {
         SensorModel sensor = read_sensor_json(root, sensor_name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
         if (spinning && spinning->beams.empty())
-            root.at("spinning").throw_field_error("found no beams", "expected at least one");
+            root.at("spinning").reject("found no beams", "expected at least one");
         return sensor;
     }
     if (json.is_object() && find_json_value(json, "beam_altitude_angles", {"beam_intrinsics"}))
-        return parse_ouster_sensor(json, sensor_name, error_location, columns_or_zero, rate_hz_or_zero);
+        return parse_ouster(json, sensor_name, where, columns_or_zero, rate_hz_or_zero);
     std::string kinds;
-    for (const PatternKind& kind : list_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
+    for (const PatternKind& kind : all_pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     fail(
         "{}: found no sensor; expected a JSON object with one of the keys {}\"directions\" (a table of rays) "
         "or \"beam_altitude_angles\" (metadata of an Ouster)",
-        error_location, kinds);
+        where, kinds);
 }
 
 }  // namespace relidar::sensor_files

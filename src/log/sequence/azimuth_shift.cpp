@@ -13,21 +13,19 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kFewest = 3;   // minimum number of returns of a firing
-constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
+constexpr std::size_t kMinFiringReturns = 3;  // minimum number of returns of a firing
+constexpr double kRounding_rad = 1e-5;        // shifts below this value are rounding errors
 // The lasers of a firing rotate together and should have equal azimuth errors. If they
 // differ by more than this (median of all rays, in columns), none is estimated.
-constexpr double kAgree_columns = 0.1;
+constexpr double kMaxMismatch_columns = 0.1;
 
 /// Calls visit_ray(ray, firing) for each ray of a scan. A firing is all lasers at one
 /// azimuth.
 template <class Visit>
-void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray) {
+void visit_firings(const SpinningSensor& sensor, const Visit& visit_ray) {
     const auto columns = std::size_t(sensor.columns);
     for (std::size_t row = 0; row < sensor.beams.size(); ++row) {
-        const int shift =
-            compute_beam_azimuth_offset_columns(sensor.beams[row], sensor.columns) % sensor.columns +
-            sensor.columns;
+        const int shift = offset_columns(sensor.beams[row], sensor.columns) % sensor.columns + sensor.columns;
         for (std::size_t column = 0; column < columns; ++column)
             visit_ray(row * columns + column, (column + std::size_t(shift)) % columns);
     }
@@ -35,7 +33,7 @@ void visit_rays_with_firing(const SpinningSensor& sensor, const Visit& visit_ray
 
 /// Replaces unknown azimuth shifts (NAN) by interpolation between the nearest known ones.
 /// Clears the list if all are unknown.
-void interpolate_nan_azimuth_shifts(std::vector<float>& azimuth_shifts_rad) {
+void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(azimuth_shifts_rad, is_known);
     if (last == azimuth_shifts_rad.end()) return azimuth_shifts_rad.clear();
@@ -50,14 +48,14 @@ void interpolate_nan_azimuth_shifts(std::vector<float>& azimuth_shifts_rad) {
 
 }  // namespace
 
-std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
-                                              const RayTable& nominal_rays) {
+std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
+                                      const RayTable& nominal_rays) {
     const RayTable& rays = scan.rays;
     if (nominal_rays.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() ||
         rays.columns != sensor.columns)
         return {};
     std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
-    visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
+    visit_firings(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
         const glm::vec3 &nominal = nominal_rays.direction[ray], &measured = rays.direction[ray];
         // measured azimuth minus nominal azimuth, positive to the left
@@ -68,20 +66,22 @@ std::vector<float> measure_azimuth_shifts_rad(const Scan& scan, const SpinningSe
     });
     std::vector<float> shift_rad(shifts_by_firing.size(), NAN), off;
     for (std::size_t firing = 0; firing < shifts_by_firing.size(); ++firing) {
-        if (shifts_by_firing[firing].size() < kFewest) continue;
+        if (shifts_by_firing[firing].size() < kMinFiringReturns) continue;
         shift_rad[firing] = compute_median(shifts_by_firing[firing]);
         for (const float shift : shifts_by_firing[firing]) off.push_back(std::abs(shift - shift_rad[firing]));
     }
-    interpolate_nan_azimuth_shifts(shift_rad);
-    if (shift_rad.empty() || compute_median(off) > kAgree_columns * 2.0 * kPi / sensor.columns) return {};
-    if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kExact_rad; })) return {};
+    fill_nan_shifts(shift_rad);
+    if (shift_rad.empty() || compute_median(off) > kMaxMismatch_columns * 2.0 * kPi / sensor.columns)
+        return {};
+    if (std::ranges::all_of(shift_rad, [](float shift) { return std::abs(shift) < kRounding_rad; }))
+        return {};
     return shift_rad;
 }
 
-RayTable rotate_firings_by_azimuth_shifts(RayTable nominal_rays, const SpinningSensor& sensor,
-                                          const std::vector<float>& azimuth_shifts_rad) {
+RayTable rotate_firings(RayTable nominal_rays, const SpinningSensor& sensor,
+                        const std::vector<float>& azimuth_shifts_rad) {
     if (azimuth_shifts_rad.empty()) return nominal_rays;
-    visit_rays_with_firing(sensor, [&](std::size_t ray, std::size_t firing) {
+    visit_firings(sensor, [&](std::size_t ray, std::size_t firing) {
         const double cosine = std::cos(double(azimuth_shifts_rad[firing])),
                      sine = std::sin(double(azimuth_shifts_rad[firing]));
         for (glm::vec3* v : {&nominal_rays.direction[ray], &nominal_rays.origin[ray]}) {

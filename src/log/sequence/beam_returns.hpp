@@ -10,19 +10,18 @@
 #include "base/parallel.hpp"
 
 namespace relidar {
-/// Returns the number of the beam that measured a ray (find_global_beam_number()), or
+/// Returns the number of the beam that measured a ray (find_global_beam()), or
 /// nothing if the ray has no return closer than max_range_m.
-inline std::optional<std::uint16_t> find_beam_of_return(const LidarSequence& sequence,
-                                                        const LidarFrame& frame, std::size_t ray_index,
-                                                        double max_range_m) {
-    const float range_m = frame.scan.range_m[ray_index];
+inline std::optional<std::uint16_t> beam_of_return(const Log& sequence, const Frame& frame, std::size_t ray,
+                                                   double max_range_m) {
+    const float range_m = frame.scan.range_m[ray];
     return range_m > 0.0f && range_m < max_range_m
-               ? sequence.find_global_beam_number(frame.lidar, frame.scan.rays.channel[ray_index])
+               ? sequence.find_global_beam(frame.lidar, frame.scan.rays.channel[ray])
                : std::nullopt;
 }
 
-/// Returns the beams of all LiDARs, in the order of find_beam_of_return().
-inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
+/// Returns the beams of all LiDARs, in the order of beam_of_return().
+inline std::vector<Beam*> list_beams(Log& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
         for (Beam& beam : lidar.sensor.beams) beams.push_back(&beam);
@@ -32,8 +31,8 @@ inline std::vector<Beam*> list_beams_of_all_lidars(LidarSequence& sequence) {
 /// Calls process_frame(frame) for frames and returns the results. If all frames together
 /// have more than max_rays rays, processes only every n-th frame.
 template <class Read>
-auto process_frames_in_parallel(const LidarSequence& sequence, const std::vector<int>& frame_indices,
-                                std::size_t max_rays, const Read& process_frame) {
+auto map_frames(const Log& sequence, const std::vector<int>& frame_indices, std::size_t max_rays,
+                const Read& process_frame) {
     std::size_t rays = 0;
     for (const int position : frame_indices)
         rays += sequence.frames[std::size_t(position)].scan.range_m.size();

@@ -6,8 +6,8 @@
 
 #include "base/geometry/cell_key.hpp"
 #include "base/geometry/cell_numbers.hpp"
-#include "base/joined.hpp"
 #include "base/geometry/plane_sums.hpp"
+#include "base/joined.hpp"
 #include "log/sequence/beam_returns.hpp"
 
 namespace relidar {
@@ -18,7 +18,7 @@ namespace {
 constexpr double kIntensityCell_m = 0.1;
 // Size of the grid cells in which planes are fitted. The normal of the plane gives the
 // angle of incidence of all returns in the cell.
-constexpr double kSurface_m = 0.4;
+constexpr double kNormalCell_m = 0.4;
 constexpr double kMinPoints = 8.0;
 // Points form a plane only if their standard deviation along the normal is small. The
 // limit is this fraction of the smaller standard deviation within the plane.
@@ -31,39 +31,38 @@ struct ReturnWithPoint {
     CellReturn cell_return;  ///< the return; `cell` and `cosine` are computed later
 };
 
-std::vector<ReturnWithPoint> collect_frame_returns(const LidarSequence& sequence, const LidarFrame& frame) {
+std::vector<ReturnWithPoint> collect_returns(const Log& sequence, const Frame& frame) {
     std::vector<ReturnWithPoint> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        const auto beam =
-            find_beam_of_return(sequence, frame, ray, sequence.get_lidar(frame).sensor.max_range_m);
+        const auto beam = beam_of_return(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
         if (!beam) continue;
-        const WorldReturn w = compute_world_return(sequence, frame, ray);
+        const WorldReturn w = locate_return(sequence, frame, ray);
         result.push_back(
             {w.point_m,
              glm::vec3(w.direction),
-             {0, *beam, compute_surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
+             {0, *beam, surface_return(sequence, frame, ray).range_m, 0.0f, scan.intensity[ray]}});
     }
     return result;
 }
 
 /// Numbers the cells of a world grid that contain returns.
-ItemCellIndices assign_returns_to_cells(const std::vector<ReturnWithPoint>& returns, double cell_size_m) {
-    return number_cells_and_assign_items(returns.size(), [&](std::size_t index) {
-        return compute_grid_cell_key(returns[index].point_m, cell_size_m);
-    });
+ItemCellIndices cells_of_returns(const std::vector<ReturnWithPoint>& returns, double cell_size_m) {
+    return number_cells(returns.size(),
+                        [&](std::size_t index) { return grid_key(returns[index].point_m, cell_size_m); });
 }
 
 /// Returns a normal of length zero for cells whose returns do not form a plane.
-std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>& returns,
-                                             const ItemCellIndices& cells) {
+std::vector<glm::vec3> estimate_normals(const std::vector<ReturnWithPoint>& returns,
+                                        const ItemCellIndices& cells) {
     const CellItemLists items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
-    parallel_for_in_blocks(cells.n_cells, [&](std::size_t cell) {
-        if (double(items.get_item_indices_of_cell(cell).size()) < kMinPoints) return;
+    parallel_blocks(cells.n_cells, [&](std::size_t cell) {
+        if (double(items.items_of(cell).size()) < kMinPoints) return;
         PointMomentSums sums;
-        for (const std::uint32_t i : items.get_item_indices_of_cell(cell))
-            sums.add_point(returns[i].point_m - kSurface_m * glm::floor(returns[i].point_m / kSurface_m));
+        for (const std::uint32_t i : items.items_of(cell))
+            sums.add_point(returns[i].point_m -
+                           kNormalCell_m * glm::floor(returns[i].point_m / kNormalCell_m));
         const PlaneFit fit = sums.fit_plane();
         if (fit.variance[0] <= kMaxThickness * kMaxThickness * fit.variance[1])
             normals[cell] = glm::vec3(fit.axes[0]);
@@ -73,15 +72,14 @@ std::vector<glm::vec3> estimate_cell_normals(const std::vector<ReturnWithPoint>&
 
 }  // namespace
 
-RepeatedCellReturns collect_repeatedly_hit_cells(const LidarSequence& sequence,
-                                                 const std::vector<int>& frame_indices) {
-    std::vector<ReturnWithPoint> returns = concatenate_vectors(process_frames_in_parallel(
-        sequence, frame_indices, kMostCompared,
-        [&](const LidarFrame& frame) { return collect_frame_returns(sequence, frame); }));
+RepeatedCellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
+    std::vector<ReturnWithPoint> returns =
+        concatenate(map_frames(sequence, frames, kMostCompared,
+                               [&](const Frame& frame) { return collect_returns(sequence, frame); }));
     {
-        const ItemCellIndices cells = assign_returns_to_cells(returns, kSurface_m);
-        const std::vector<glm::vec3> normals = estimate_cell_normals(returns, cells);
-        parallel_for_in_blocks(returns.size(), [&](std::size_t index) {
+        const ItemCellIndices cells = cells_of_returns(returns, kNormalCell_m);
+        const std::vector<glm::vec3> normals = estimate_normals(returns, cells);
+        parallel_blocks(returns.size(), [&](std::size_t index) {
             returns[index].cell_return.cosine =
                 std::abs(glm::dot(normals[cells.of[index]], returns[index].direction));
         });
@@ -90,12 +88,12 @@ RepeatedCellReturns collect_repeatedly_hit_cells(const LidarSequence& sequence,
             if (normals[cells.of[i]] != glm::vec3(0.0f)) returns[n++] = returns[i];
         returns.resize(n);
     }
-    const ItemCellIndices cell_numbers = assign_returns_to_cells(returns, kIntensityCell_m);
+    const ItemCellIndices cell_numbers = cells_of_returns(returns, kIntensityCell_m);
     const CellItemLists items(cell_numbers);
     std::vector<CellReturn> returns_by_cell;  // cells with a single return are left out
     for (std::uint32_t cell = 0; cell < cell_numbers.n_cells; ++cell) {
-        if (items.get_item_indices_of_cell(cell).size() < 2) continue;
-        for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) {
+        if (items.items_of(cell).size() < 2) continue;
+        for (const std::uint32_t i : items.items_of(cell)) {
             returns_by_cell.push_back(returns[i].cell_return);
             returns_by_cell.back().cell = cell;
         }

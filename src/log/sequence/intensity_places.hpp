@@ -25,7 +25,6 @@ struct RepeatedCellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;
 };
-RepeatedCellReturns collect_repeatedly_hit_cells(const LidarSequence& sequence,
-                                                 const std::vector<int>& frame_indices);
+RepeatedCellReturns collect_cells(const Log& sequence, const std::vector<int>& frames);
 
 }  // namespace relidar

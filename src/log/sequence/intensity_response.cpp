@@ -24,15 +24,15 @@ namespace relidar {
 namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
-constexpr std::size_t kReference = 3;  // index of the range at which the intensity factor is fixed to 1
+constexpr std::size_t kReferenceKnot = 3;  // index of the range at which the intensity factor is fixed to 1
 // Weight of the prior in this fit, as a number of returns. The prior keeps beams with few
 // returns similar to the mean beam. It also smooths the intensity factor over range.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
 // The intensity model has two parts: range and incidence terms, and beam terms. A part is
 // used only if (RMS error with it / RMS error without it) is below this ratio.
-constexpr double kLeastResponseGain = 0.95;
-constexpr int kSteps = 12;
+constexpr double kMaxErrorRatio = 0.95;
+constexpr int kFitSteps = 12;
 constexpr double kDamping = 1e-3;
 constexpr std::size_t kChunks = 64;  // number of partial sums, independent of the number of threads
 
@@ -55,8 +55,7 @@ struct FittedIntensityTerms {
 /// Calls process_cell_returns(returns, chunk) for each grid cell. `returns` are the
 /// returns in the cell. The cells are divided into chunks, which run in parallel.
 template <class Task>
-void group_returns_by_cell_in_parallel(const std::vector<CellReturn>& returns_sorted_by_cell,
-                                       const Task& process_cell_returns) {
+void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const Task& process_cell_returns) {
     const std::span all(returns_sorted_by_cell);
     const auto find_end_of_cell = [&](std::size_t at) {
         while (at > 0 && at < all.size() && all[at].cell == all[at - 1].cell) ++at;
@@ -73,33 +72,32 @@ void group_returns_by_cell_in_parallel(const std::vector<CellReturn>& returns_so
     });
 }
 
-void fit_albedo_of_each_cell(IntensityFit& model, const RepeatedCellReturns& returns) {
-    group_returns_by_cell_in_parallel(
-        returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
-            double sum = 0.0, weight = 0.0;
-            for (const CellReturn& r : place) {
-                const BeamGainOffset& beam = model.beams[r.beam];
-                const double x = beam.gain * model.shared.compute_intensity_factor_at_range(r.range_m) *
-                                 model.shared.compute_intensity_factor_at_incidence(r.cosine);
-                sum += x * (double(r.intensity) - beam.offset);
-                weight += x * x;
-            }
-            model.albedo[place.front().cell] = std::max(sum / std::max(weight, 1e-12), 0.0);
-        });
+void fit_albedos(IntensityFit& model, const RepeatedCellReturns& returns) {
+    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
+        double sum = 0.0, weight = 0.0;
+        for (const CellReturn& r : place) {
+            const BeamGainOffset& beam = model.beams[r.beam];
+            const double x =
+                beam.gain * model.shared.range_factor(r.range_m) * model.shared.incidence_factor(r.cosine);
+            sum += x * (double(r.intensity) - beam.offset);
+            weight += x * x;
+        }
+        model.albedo[place.front().cell] = std::max(sum / std::max(weight, 1e-12), 0.0);
+    });
 }
 
 /// Indices of the variables of the linear system: intensity factor at each sampled range,
 /// incidence factor, then gain and offset of each beam.
 struct VariableIndices {
-    static constexpr auto kIncidence = Eigen::Index(kKnots_m.size());
+    static constexpr auto kIncidenceChannel = Eigen::Index(kKnots_m.size());
     FittedIntensityTerms parts;
     std::size_t n_beams;
 
     /// The index of the offset is the next one.
-    Eigen::Index get_variable_index_of_beam_gain(std::size_t beam_index) const {
-        return (parts.shared ? kIncidence + 1 : 0) + 2 * Eigen::Index(beam_index);
+    Eigen::Index gain_variable(std::size_t beam_index) const {
+        return (parts.shared ? kIncidenceChannel + 1 : 0) + 2 * Eigen::Index(beam_index);
     }
-    Eigen::Index size() const { return get_variable_index_of_beam_gain(parts.beams ? n_beams : 0); }
+    Eigen::Index size() const { return gain_variable(parts.beams ? n_beams : 0); }
 };
 /// Nonzero derivatives of the expected intensity of one return: by two range factors,
 /// incidence factor, beam gain and beam offset, in this order.
@@ -111,9 +109,8 @@ struct IntensityJacobianRow {
     double by_albedo, error;
 };
 
-IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
-                                                    const VariableIndices& variable_indices,
-                                                    const CellReturn& measured_return) {
+IntensityJacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
+                                  const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
     // `s` is 0 at kKnots_m[knot] and 1 at the next sampled range.
     const double range_m = measured_return.range_m;
@@ -121,8 +118,8 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
     const std::size_t knot = std::size_t(
         std::clamp<std::ptrdiff_t>(after - kKnots_m.begin() - 1, 0, std::ptrdiff_t(kKnots_m.size()) - 2));
     const double s = std::clamp((range_m - kKnots_m[knot]) / (kKnots_m[knot + 1] - kKnots_m[knot]), 0.0, 1.0);
-    const double rho = model.shared.compute_intensity_factor_at_range(measured_return.range_m),
-                 kappa = model.shared.compute_intensity_factor_at_incidence(measured_return.cosine),
+    const double rho = model.shared.range_factor(measured_return.range_m),
+                 kappa = model.shared.incidence_factor(measured_return.cosine),
                  albedo = model.albedo[measured_return.cell], mean_beam = albedo * rho * kappa;
     IntensityJacobianRow row{{},
                              0,
@@ -134,11 +131,11 @@ IntensityJacobianRow compute_intensity_jacobian_row(const IntensityFit& model,
     if (variable_indices.parts.shared) {
         append(Eigen::Index(knot), beam.gain * albedo * kappa * (1.0 - s));
         append(Eigen::Index(knot) + 1, beam.gain * albedo * kappa * s);
-        append(VariableIndices::kIncidence,
+        append(VariableIndices::kIncidenceChannel,
                -beam.gain * albedo * rho * (1.0 - double(measured_return.cosine)));
     }
     if (variable_indices.parts.beams) {
-        const Eigen::Index gain = variable_indices.get_variable_index_of_beam_gain(measured_return.beam);
+        const Eigen::Index gain = variable_indices.gain_variable(measured_return.beam);
         append(gain, mean_beam);
         append(gain + 1, 1.0);
     }
@@ -164,12 +161,12 @@ struct alignas(64) Sums {
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
 
-    void add_equations_of_cell_returns(const IntensityFit& model, const VariableIndices& variable_indices,
-                                       std::span<const CellReturn> cell_returns) {
+    void add_cell(const IntensityFit& model, const VariableIndices& variable_indices,
+                  std::span<const CellReturn> cell_returns) {
         double cc = 0.0, ce = 0.0;
         touched.clear();
         for (const CellReturn& r : cell_returns) {
-            const IntensityJacobianRow row = compute_intensity_jacobian_row(model, variable_indices, r);
+            const IntensityJacobianRow row = jacobian_row(model, variable_indices, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
@@ -193,13 +190,12 @@ struct alignas(64) Sums {
     }
 };
 
-NormalEquations build_normal_equations(const IntensityFit& model, const VariableIndices& variable_indices,
-                                       const RepeatedCellReturns& returns) {
+NormalEquations build_equations(const IntensityFit& model, const VariableIndices& variable_indices,
+                                const RepeatedCellReturns& returns) {
     std::vector<Sums> sums(kChunks, Sums(variable_indices.size()));
-    group_returns_by_cell_in_parallel(
-        returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
-            sums[chunk].add_equations_of_cell_returns(model, variable_indices, place);
-        });
+    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
+        sums[chunk].add_cell(model, variable_indices, place);
+    });
     for (std::size_t c = 1; c < kChunks; ++c) {
         sums[0].system.h += sums[c].system.h;
         sums[0].system.g += sums[c].system.g;
@@ -213,8 +209,8 @@ NormalEquations build_normal_equations(const IntensityFit& model, const Variable
     return sys;
 }
 
-void add_intensity_priors_to_equations(NormalEquations& equations, const IntensityFit& model,
-                                       const VariableIndices& variable_indices) {
+void add_priors(NormalEquations& equations, const IntensityFit& model,
+                const VariableIndices& variable_indices) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         equations.h(i, i) += weight;
         equations.g[i] += weight * error;
@@ -235,16 +231,16 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
     if (variable_indices.parts.shared) {
         // Doubling all albedos and halving all range factors gives the same intensities.
         // Therefore the range factor is fixed to 1 at one range.
-        pull(kReference, 1e3 * prior, 1.0 - model.shared.factor[kReference]);
+        pull(kReferenceKnot, 1e3 * prior, 1.0 - model.shared.factor[kReferenceKnot]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
             pull(Eigen::Index(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
-        pull(VariableIndices::kIncidence, 1e-3 * prior, -model.shared.incidence);
+        pull(VariableIndices::kIncidenceChannel, 1e-3 * prior, -model.shared.incidence);
     }
     for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b)
         for (const double x : {equations.mean - equations.spread, equations.mean + equations.spread}) {
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
-            const Eigen::Index gain = variable_indices.get_variable_index_of_beam_gain(b);
+            const Eigen::Index gain = variable_indices.gain_variable(b);
             equations.h(gain, gain) += weight * x * x;
             equations.h(gain + 1, gain + 1) += weight;
             equations.h(gain + 1, gain) += weight * x;
@@ -253,17 +249,16 @@ void add_intensity_priors_to_equations(NormalEquations& equations, const Intensi
         }
 }
 
-void add_solver_step_to_model(IntensityFit& model, const VariableIndices& variable_indices,
-                              const Eigen::VectorXd& step) {
+void apply_step(IntensityFit& model, const VariableIndices& variable_indices, const Eigen::VectorXd& step) {
     if (variable_indices.parts.shared) {
         for (std::size_t k = 0; k < model.shared.factor.size(); ++k)
             model.shared.factor[k] =
                 std::clamp(model.shared.factor[k] + step[Eigen::Index(k)], kMinFactor, kMaxFactor);
         model.shared.incidence =
-            std::clamp(model.shared.incidence + step[VariableIndices::kIncidence], 0.0, kMaxIncidence);
+            std::clamp(model.shared.incidence + step[VariableIndices::kIncidenceChannel], 0.0, kMaxIncidence);
     }
     for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b) {
-        const Eigen::Index gain = variable_indices.get_variable_index_of_beam_gain(b);
+        const Eigen::Index gain = variable_indices.gain_variable(b);
         model.beams[b].gain = std::clamp(model.beams[b].gain + step[gain], kMinGain, kMaxGain);
         model.beams[b].offset += step[gain + 1];
     }
@@ -271,8 +266,7 @@ void add_solver_step_to_model(IntensityFit& model, const VariableIndices& variab
 
 /// Scales and shifts all beams so that the mean beam (weighted by number of returns) has
 /// gain 1 and offset 0. A common gain would look the same as brighter surfaces.
-void normalise_mean_beam_gain_and_offset(std::vector<BeamGainOffset>& beams,
-                                         const RepeatedCellReturns& returns) {
+void normalise_beams(std::vector<BeamGainOffset>& beams, const RepeatedCellReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const CellReturn& r : returns.sorted_returns) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
@@ -287,58 +281,56 @@ void normalise_mean_beam_gain_and_offset(std::vector<BeamGainOffset>& beams,
     }
 }
 
-double compute_rms_intensity_error(const IntensityFit& model, const RepeatedCellReturns& returns) {
+double rms_error(const IntensityFit& model, const RepeatedCellReturns& returns) {
     struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;
-    group_returns_by_cell_in_parallel(
-        returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
-            for (const CellReturn& r : place) {
-                const BeamGainOffset& beam = model.beams[r.beam];
-                const double mean_beam = model.albedo[r.cell] *
-                                         model.shared.compute_intensity_factor_at_range(r.range_m) *
-                                         model.shared.compute_intensity_factor_at_incidence(r.cosine),
-                             error = beam.gain * mean_beam + beam.offset - double(r.intensity);
-                squares[chunk].of += error * error;
-            }
-        });
+    for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
+        for (const CellReturn& r : place) {
+            const BeamGainOffset& beam = model.beams[r.beam];
+            const double mean_beam = model.albedo[r.cell] * model.shared.range_factor(r.range_m) *
+                                     model.shared.incidence_factor(r.cosine),
+                         error = beam.gain * mean_beam + beam.offset - double(r.intensity);
+            squares[chunk].of += error * error;
+        }
+    });
     double all = 0.0;
     for (const Sum& sum : squares) all += sum.of;
     return std::sqrt(all / double(returns.sorted_returns.size()));
 }
 
-IntensityFit fit_intensity_model(const RepeatedCellReturns& returns, std::size_t n_beams,
-                                 FittedIntensityTerms terms_to_fit) {
+IntensityFit fit_intensity(const RepeatedCellReturns& returns, std::size_t n_beams,
+                           FittedIntensityTerms terms_to_fit) {
     IntensityFit m;
     m.albedo.resize(returns.n_cells);
     m.beams.resize(n_beams);
-    fit_albedo_of_each_cell(m, returns);
-    m.rms = compute_rms_intensity_error(m, returns);
+    fit_albedos(m, returns);
+    m.rms = rms_error(m, returns);
     const VariableIndices at{terms_to_fit, n_beams};
     double damping = kDamping;
-    for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
-        NormalEquations sys = build_normal_equations(m, at, returns);
-        add_intensity_priors_to_equations(sys, m, at);
+    for (int i = 0; i < kFitSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
+        NormalEquations sys = build_equations(m, at, returns);
+        add_priors(sys, m, at);
         sys.h.diagonal() *= 1.0 + damping;
         IntensityFit next = m;
-        add_solver_step_to_model(next, at, sys.h.ldlt().solve(sys.g));
-        fit_albedo_of_each_cell(next, returns);
-        next.rms = compute_rms_intensity_error(next, returns);
+        apply_step(next, at, sys.h.ldlt().solve(sys.g));
+        fit_albedos(next, returns);
+        next.rms = rms_error(next, returns);
         const bool is_better = next.rms < m.rms;
         damping *= is_better ? 0.1 : 10.0;
         if (is_better) m = std::move(next);
     }
     if (terms_to_fit.beams) {
-        normalise_mean_beam_gain_and_offset(m.beams, returns);
-        fit_albedo_of_each_cell(m, returns);
+        normalise_beams(m.beams, returns);
+        fit_albedos(m, returns);
     }
     return m;
 }
 
 }  // namespace
 
-double IntensityResponse::compute_intensity_factor_at_range(double distance_m) const {
+double IntensityResponse::range_factor(double distance_m) const {
     if (factor.empty()) return 1.0;
     const auto after = std::upper_bound(range_m.begin(), range_m.end(), distance_m);
     if (after == range_m.begin()) return factor.front();
@@ -348,27 +340,26 @@ double IntensityResponse::compute_intensity_factor_at_range(double distance_m) c
     return (1.0 - s) * factor[right - 1] + s * factor[right];
 }
 
-IntensityCalibrationResult fit_and_set_intensity_calibration(LidarSequence& sequence,
-                                                             const std::vector<int>& frame_indices) {
+IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<int>& frames) {
     sequence.intensity_response = {};
-    const std::vector<Beam*> beams = list_beams_of_all_lidars(sequence);
+    const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) {
         beam->intensity_gain = 1.0;
         beam->intensity_offset = 0.0;
     }
-    const RepeatedCellReturns returns = collect_repeatedly_hit_cells(sequence, frame_indices);
+    const RepeatedCellReturns returns = collect_cells(sequence, frames);
     IntensityCalibrationResult result;
     result.returns = returns.sorted_returns.size();
     if (returns.sorted_returns.empty()) return result;
     const std::size_t n = beams.size();
     const auto better = [](const IntensityFit& first, const IntensityFit& second) {
-        return first.rms < kLeastResponseGain * second.rms;
+        return first.rms < kMaxErrorRatio * second.rms;
     };
-    IntensityFit best = fit_intensity_model(returns, n, {false, false});
+    IntensityFit best = fit_intensity(returns, n, {false, false});
     result.rms_before = best.rms;
-    const IntensityFit shared = fit_intensity_model(returns, n, {true, false}),
-                       each_beam = fit_intensity_model(returns, n, {false, true}),
-                       both = fit_intensity_model(returns, n, {true, true});
+    const IntensityFit shared = fit_intensity(returns, n, {true, false}),
+                       each_beam = fit_intensity(returns, n, {false, true}),
+                       both = fit_intensity(returns, n, {true, true});
     const bool first_shared = shared.rms <= each_beam.rms;
     const IntensityFit& single = first_shared ? shared : each_beam;
     if (better(single, best)) {

@@ -10,34 +10,34 @@
 namespace relidar {
 namespace {
 
-constexpr std::int64_t kSecond_ns = 1'000'000'000;
+constexpr std::int64_t kNsPerSecond = 1'000'000'000;
 
 }  // namespace
 
-void set_log_start(LidarSequence& sequence, std::int64_t unix_ns, const std::string& clock) {
+void set_log_start(Log& sequence, std::int64_t unix_ns, const std::string& clock) {
     sequence.start_unix_ns = unix_ns >= 0 && unix_ns <= kLatestLogStart_ns ? unix_ns : 0;
-    sequence.conventions += fmt::format(" Time 0 s is {}.{:09} s {}.", unix_ns / kSecond_ns,
-                                        std::abs(unix_ns % kSecond_ns), clock);
+    sequence.conventions += fmt::format(" Time 0 s is {}.{:09} s {}.", unix_ns / kNsPerSecond,
+                                        std::abs(unix_ns % kNsPerSecond), clock);
 }
 
-std::int64_t compute_time_shift_ns(const LidarSequence& sequence, double first_s) {
+std::int64_t time_shift_of(const Log& sequence, double first_s) {
     const std::int64_t log_start_ns = sequence.start_unix_ns;
-    for (const LidarFrame& frame : sequence.frames)
+    for (const Frame& frame : sequence.frames)
         // Rays are fired up to a sweep before the time of their frame. The first packet
         // can begin slightly earlier.
-        first_s = std::min(first_s, frame.time_s - 1.01 * sequence.get_lidar(frame).get_sweep_period_s());
+        first_s = std::min(first_s, frame.time_s - 1.01 * sequence.lidar_of(frame).sweep_period_s());
     if (!std::isfinite(first_s)) return log_start_ns;
     const double earliest_s = 1e-9 * double(log_start_ns) + first_s;
-    return log_start_ns + kSecond_ns * std::int64_t(std::ceil(std::max(0.0, -earliest_s)));
+    return log_start_ns + kNsPerSecond * std::int64_t(std::ceil(std::max(0.0, -earliest_s)));
 }
 
-std::string format_time_shift_note(const LidarSequence& sequence, std::int64_t time_shift_ns) {
+std::string time_shift_note(const Log& sequence, std::int64_t time_shift_ns) {
     const std::int64_t added_ns = time_shift_ns - sequence.start_unix_ns;
     if (added_ns == 0) return {};
     return fmt::format(
         "times of recordings and packets are {} s later than times of the log, because they cannot be "
         "negative",
-        added_ns / kSecond_ns);
+        added_ns / kNsPerSecond);
 }
 
 }  // namespace relidar

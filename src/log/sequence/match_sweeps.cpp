@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-double compute_median_interval_s(std::vector<double> sweep_times_s) {
+double median_interval_s(std::vector<double> sweep_times_s) {
     if (sweep_times_s.size() < 2) return 0.1;
     std::ranges::sort(sweep_times_s);
     std::vector<double> steps;
@@ -18,11 +18,11 @@ double compute_median_interval_s(std::vector<double> sweep_times_s) {
     return step_s > 1e-3 ? step_s : 0.1;
 }
 
-std::vector<std::optional<std::size_t>> find_nearest_other_sweep_per_sweep(
-    const std::vector<double>& main_times_s, const std::vector<double>& other_times_s,
-    double max_difference_s) {
+std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_times_s,
+                                                     const std::vector<double>& other_times_s,
+                                                     double max_difference_s) {
     // Sweeps half a period apart have two nearest sweeps. All use the earlier one.
-    constexpr double kTie = 0.05;  // in units of max_difference_s
+    constexpr double kTieShare = 0.05;  // in units of max_difference_s
     std::vector<std::optional<std::size_t>> beside(main_times_s.size());
     for (std::size_t i = 0; i < other_times_s.size(); ++i) {
         const auto distance_s = [&](std::size_t index, std::size_t other) {
@@ -30,7 +30,7 @@ std::vector<std::optional<std::size_t>> find_nearest_other_sweep_per_sweep(
         };
         const auto after = std::ranges::lower_bound(main_times_s, other_times_s[i]);
         std::size_t k = std::min(std::size_t(after - main_times_s.begin()), main_times_s.size() - 1);
-        if (k > 0 && distance_s(k - 1, i) < distance_s(k, i) + kTie * max_difference_s) --k;
+        if (k > 0 && distance_s(k - 1, i) < distance_s(k, i) + kTieShare * max_difference_s) --k;
         if (distance_s(k, i) <= max_difference_s &&
             (!beside[k] || distance_s(k, i) < distance_s(k, *beside[k])))
             beside[k] = i;

@@ -18,25 +18,25 @@
 namespace relidar {
 namespace {
 
-constexpr std::array kRanges_m = {10.0, 20.0, 30.0, 45.0, 80.0};
-constexpr std::array kCosines = {0.3, 0.6, 1.0};
-constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
+constexpr std::array kRangeBinEnds_m = {10.0, 20.0, 30.0, 45.0, 80.0};
+constexpr std::array kCosineBinEnds = {0.3, 0.6, 1.0};
+constexpr std::size_t kBins = kRangeBinEnds_m.size() * kCosineBinEnds.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
 // Second differences of ranges above this limit are caused by edges and not by noise.
-constexpr float kEdge_m = 0.5f;
+constexpr float kMaxDifference_m = 0.5f;
 // Standard deviation / median absolute value of a normal distribution.
 constexpr double kOfMedian = 1.4826;
 
 using DifferencesByBin = std::array<std::vector<float>, kBins>;
 
-std::size_t find_bin_clamped_to_last(const auto& bin_upper_ends, double value) {
+std::size_t find_bin(const auto& bin_upper_ends, double value) {
     return std::min<std::size_t>(
         std::size_t(std::lower_bound(bin_upper_ends.begin(), bin_upper_ends.end(), value) -
                     bin_upper_ends.begin()),
         bin_upper_ends.size() - 1);
 }
 
-DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
+DifferencesByBin collect_differences(const Frame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;
     const RangeImageRays image{
@@ -45,15 +45,15 @@ DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
         scan.range_m,     is_full_turn(scan.rays.rows, scan.rays.columns, scan.rays.direction)};
     const auto columns = std::size_t(std::max(scan.rays.columns, 1));
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        const double cosine = compute_incidence_cosine(image, i);
+        const double cosine = incidence_cosine(image, i);
         const std::size_t row = i / columns * columns, left = row + (i + columns - 1) % columns,
                           right = row + (i + 1) % columns;
         if (cosine < 0.0 || !(scan.range_m[left] > 0.0f && scan.range_m[right] > 0.0f)) continue;
         const float difference_m =
             std::abs(scan.range_m[left] - 2.0f * scan.range_m[i] + scan.range_m[right]);
-        if (difference_m > kEdge_m) continue;
-        const std::size_t b = find_bin_clamped_to_last(kRanges_m, double(scan.range_m[i])) * kCosines.size() +
-                              find_bin_clamped_to_last(kCosines, cosine);
+        if (difference_m > kMaxDifference_m) continue;
+        const std::size_t b = find_bin(kRangeBinEnds_m, double(scan.range_m[i])) * kCosineBinEnds.size() +
+                              find_bin(kCosineBinEnds, cosine);
         result[b].push_back(difference_m);
     }
     return result;
@@ -61,8 +61,8 @@ DifferencesByBin collect_neighbour_range_differences(const LidarFrame& frame) {
 
 /// Fills bins that have too few returns, at the same incidence from the next nearer range
 /// or else from the next farther range. If neither exists, uses the maximum of all bins.
-void fill_empty_bins_from_neighbour_ranges(RangeNoiseTable& noise) {
-    const std::size_t n_cosines = kCosines.size();
+void fill_empty_bins(RangeNoiseTable& noise) {
+    const std::size_t n_cosines = kCosineBinEnds.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
         if (noise.sigma_m[i] == 0.0 && i >= n_cosines) noise.sigma_m[i] = noise.sigma_m[i - n_cosines];
     for (std::size_t i = noise.sigma_m.size(); i-- > 0;)
@@ -75,10 +75,10 @@ void fill_empty_bins_from_neighbour_ranges(RangeNoiseTable& noise) {
 
 /// Estimates the range noise of one LiDAR, and counts the returns that were used. Without
 /// a bin of enough returns, the table is empty.
-std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
+std::pair<RangeNoiseTable, std::size_t> estimate_noise(
     const std::vector<DifferencesByBin>& differences_by_frame) {
-    RangeNoiseTable noise{{kRanges_m.begin(), kRanges_m.end()},
-                          {kCosines.begin(), kCosines.end()},
+    RangeNoiseTable noise{{kRangeBinEnds_m.begin(), kRangeBinEnds_m.end()},
+                          {kCosineBinEnds.begin(), kCosineBinEnds.end()},
                           std::vector<double>(kBins, 0.0)};
     std::size_t n = 0;
     for (std::size_t b = 0; b < kBins; ++b) {
@@ -90,27 +90,26 @@ std::pair<RangeNoiseTable, std::size_t> estimate_range_noise(
             noise.sigma_m[b] = kOfMedian * double(compute_median(all)) / std::sqrt(6.0);
     }
     if (*std::max_element(noise.sigma_m.begin(), noise.sigma_m.end()) == 0.0) return {};
-    fill_empty_bins_from_neighbour_ranges(noise);
+    fill_empty_bins(noise);
     return {std::move(noise), n};
 }
 
 }  // namespace
 
-double RangeNoiseTable::get_range_noise_sigma_m(double measured_range_m, double incidence_cosine) const {
+double RangeNoiseTable::lookup_sigma_m(double measured_range_m, double incidence_cosine) const {
     if (sigma_m.empty()) return 0.0;
-    return sigma_m[find_bin_clamped_to_last(range_m, measured_range_m) * cosine.size() +
-                   find_bin_clamped_to_last(cosine, incidence_cosine)];
+    return sigma_m[find_bin(range_m, measured_range_m) * cosine.size() + find_bin(cosine, incidence_cosine)];
 }
 
-std::size_t measure_and_set_range_noise(LidarSequence& sequence, const std::vector<int>& frame_indices) {
+std::size_t calibrate_noise(Log& sequence, const std::vector<int>& frame_indices) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < sequence.lidars.size(); ++i) {
         std::vector<int> lidar_frame_indices;
         for (const int position : frame_indices)
             if (sequence.frames[std::size_t(position)].lidar == int(i))
                 lidar_frame_indices.push_back(position);
-        const auto [noise, n_returns] = estimate_range_noise(process_frames_in_parallel(
-            sequence, lidar_frame_indices, kMostNoiseReturns, collect_neighbour_range_differences));
+        const auto [noise, n_returns] =
+            estimate_noise(map_frames(sequence, lidar_frame_indices, kMostNoiseReturns, collect_differences));
         sequence.lidars[i].range_noise = noise;
         n += n_returns;
     }

@@ -9,8 +9,8 @@
 
 #include "base/geometry/cell_key.hpp"
 #include "base/geometry/cell_numbers.hpp"
-#include "base/joined.hpp"
 #include "base/geometry/plane_sums.hpp"
+#include "base/joined.hpp"
 #include "log/sequence/beam_returns.hpp"
 
 namespace relidar {
@@ -18,7 +18,7 @@ namespace {
 
 // Edge length of the grid cells in which planes are fitted. In a smaller cell, noise
 // would hide the plane. In a larger cell, a street would not be flat.
-constexpr double kCell_m = 0.3;
+constexpr double kPlaneCell_m = 0.3;
 // Farther cells contain too few returns for a plane.
 constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
@@ -34,7 +34,7 @@ constexpr double kPriorReturns = 20.0;
 // to less than this ratio. Smaller improvements can be noise.
 constexpr double kLeastGain = 0.97;
 // Iterations of fitting planes and beam offsets. Few beams on a plane need many.
-constexpr int kRounds = 30;
+constexpr int kMaxRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
 struct UncorrectedReturn {
@@ -43,13 +43,12 @@ struct UncorrectedReturn {
     std::uint32_t beam;
 };
 
-std::vector<UncorrectedReturn> collect_frame_returns_in_world(const LidarSequence& sequence,
-                                                              const LidarFrame& frame) {
+std::vector<UncorrectedReturn> world_returns(const Log& sequence, const Frame& frame) {
     std::vector<UncorrectedReturn> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        const auto beam = find_beam_of_return(sequence, frame, ray, kMaxRange_m);
+        const auto beam = beam_of_return(sequence, frame, ray, kMaxRange_m);
         if (!beam) continue;
-        const WorldReturn w = compute_world_return(sequence, frame, ray);
+        const WorldReturn w = locate_return(sequence, frame, ray);
         result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), *beam});
     }
     return result;
@@ -62,30 +61,30 @@ struct ReturnsByCell {
     std::vector<std::size_t> first;  ///< [cells + 1] index into `returns`
 
     std::size_t size() const { return first.size() - 1; }
-    std::span<const UncorrectedReturn> get_cell_returns(std::size_t cell_index) const {
+    std::span<const UncorrectedReturn> returns_in(std::size_t cell_index) const {
         return std::span(returns).subspan(first[cell_index], first[cell_index + 1] - first[cell_index]);
     }
 };
 
-ReturnsByCell group_returns_by_cell(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
-    const std::vector<UncorrectedReturn> all = concatenate_vectors(process_frames_in_parallel(
-        sequence, frame_indices, kMostOffsetReturns,
-        [&](const LidarFrame& frame) { return collect_frame_returns_in_world(sequence, frame); }));
-    const CellItemLists items(number_cells_and_assign_items(all.size(), [&](std::size_t index) {
-        return compute_grid_cell_key(glm::dvec3(all[index].point_m), kCell_m);
+ReturnsByCell group_by_cell(const Log& sequence, const std::vector<int>& frames) {
+    const std::vector<UncorrectedReturn> all =
+        concatenate(map_frames(sequence, frames, kMostOffsetReturns,
+                               [&](const Frame& frame) { return world_returns(sequence, frame); }));
+    const CellItemLists items(number_cells(all.size(), [&](std::size_t index) {
+        return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
     ReturnsByCell cells{std::vector<UncorrectedReturn>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell)
-        cells.first.push_back(cells.first.back() + items.get_item_indices_of_cell(cell).size());
-    parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
-        for (std::size_t k = 0; k < items.get_item_indices_of_cell(cell).size(); ++k)
-            cells.returns[cells.first[cell] + k] = all[items.get_item_indices_of_cell(cell)[k]];
+        cells.first.push_back(cells.first.back() + items.items_of(cell).size());
+    parallel_blocks(items.size(), [&](std::size_t cell) {
+        for (std::size_t k = 0; k < items.items_of(cell).size(); ++k)
+            cells.returns[cells.first[cell] + k] = all[items.items_of(cell)[k]];
     });
     return cells;
 }
 
-glm::dvec3 compute_offset_corrected_point(const UncorrectedReturn& uncorrected_return,
-                                          const std::vector<double>& beam_offsets_m) {
+glm::dvec3 corrected_point(const UncorrectedReturn& uncorrected_return,
+                           const std::vector<double>& beam_offsets_m) {
     return glm::dvec3(uncorrected_return.point_m) -
            beam_offsets_m[uncorrected_return.beam] * glm::dvec3(uncorrected_return.direction);
 }
@@ -94,13 +93,13 @@ struct CellPlane {
     glm::dvec3 point, normal;
 };
 
-std::optional<CellPlane> fit_plane_to_returns(std::span<const UncorrectedReturn> cell_returns,
-                                              const std::vector<double>& beam_offsets_m) {
+std::optional<CellPlane> fit_cell_plane(std::span<const UncorrectedReturn> cell_returns,
+                                        const std::vector<double>& beam_offsets_m) {
     if (cell_returns.size() < std::size_t(kMinReturns)) return std::nullopt;
-    const glm::dvec3 about = compute_offset_corrected_point(cell_returns[0], beam_offsets_m);
+    const glm::dvec3 about = corrected_point(cell_returns[0], beam_offsets_m);
     PointMomentSums sums;
     for (const UncorrectedReturn& o : cell_returns)
-        sums.add_point(compute_offset_corrected_point(o, beam_offsets_m) - about);
+        sums.add_point(corrected_point(o, beam_offsets_m) - about);
     const PlaneFit fit = sums.fit_plane();
     if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
         fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
@@ -133,22 +132,20 @@ struct BeamResiduals {
 
 /// Subtracts the current range offsets, fits a plane in each cell, and sums the distances
 /// of returns from planes by beam. The result does not depend on the number of threads.
-BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
-                                          const std::vector<double>& beam_offsets_m) {
-    constexpr std::size_t kBlock = 2048;
+BeamResiduals sum_residuals(const ReturnsByCell& cells, const std::vector<double>& beam_offsets_m) {
+    constexpr std::size_t kCellsPerBlock = 2048;
     BeamResiduals all{
         .fits = std::vector<BeamOffsetSums>(beam_offsets_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
-    all += parallel_sum_over_ranges(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
+    all += parallel_sum(cells.size(), kCellsPerBlock, [&](std::size_t begin, std::size_t end) {
         BeamResiduals block{.fits = std::vector<BeamOffsetSums>(beam_offsets_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
-            const std::span<const UncorrectedReturn> cell_returns = cells.get_cell_returns(cell);
-            const std::optional<CellPlane> plane = fit_plane_to_returns(cell_returns, beam_offsets_m);
+            const std::span<const UncorrectedReturn> cell_returns = cells.returns_in(cell);
+            const std::optional<CellPlane> plane = fit_cell_plane(cell_returns, beam_offsets_m);
             if (!plane) continue;
             for (const UncorrectedReturn& o : cell_returns) {
                 const double facing = glm::dot(plane->normal, glm::dvec3(o.direction)),
                              residual =
-                                 glm::dot(plane->normal,
-                                          compute_offset_corrected_point(o, beam_offsets_m) - plane->point);
+                                 glm::dot(plane->normal, corrected_point(o, beam_offsets_m) - plane->point);
                 if (facing == 0.0 || std::abs(residual) > kMaxResidual_m) continue;
                 ++block.n;
                 block.squares += residual * residual;
@@ -165,16 +162,15 @@ BeamResiduals sum_plane_residuals_by_beam(const ReturnsByCell& cells,
 
 }  // namespace
 
-RangeCalibrationResult fit_and_set_range_offset_of_beams(LidarSequence& sequence,
-                                                         const std::vector<int>& frame_indices) {
-    const std::vector<Beam*> beams = list_beams_of_all_lidars(sequence);
+RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& frames) {
+    const std::vector<Beam*> beams = list_beams(sequence);
     for (Beam* beam : beams) beam->range_offset_m = 0.0;
-    const ReturnsByCell cells = group_returns_by_cell(sequence, frame_indices);
+    const ReturnsByCell cells = group_by_cell(sequence, frames);
     RangeCalibrationResult result;
     if (cells.returns.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
-    for (int round = 0; round < kRounds; ++round) {
-        const BeamResiduals r = sum_plane_residuals_by_beam(cells, offset_m);
+    for (int round = 0; round < kMaxRounds; ++round) {
+        const BeamResiduals r = sum_residuals(cells, offset_m);
         double mean = 0.0, weight = 0.0;
         for (std::size_t b = 0; b < offset_m.size(); ++b) {
             offset_m[b] = r.fits[b].sum / r.fits[b].weight;

@@ -15,7 +15,7 @@
 
 namespace relidar {
 
-bool BoxTrack::is_observed_at_time(double t_s) const {
+bool BoxTrack::is_observed(double t_s) const {
     const PoseTrack& track = world_from_box;
     if (track.pose.size() < 2) return track.contains_time(t_s);
     const double half_step =
@@ -23,7 +23,7 @@ bool BoxTrack::is_observed_at_time(double t_s) const {
     return t_s >= track.time_s.front() - half_step && t_s <= track.time_s.back() + half_step;
 }
 
-BoxTrack BoxTrack::copy_track_of_labelled_poses() const {
+BoxTrack BoxTrack::labelled_part() const {
     BoxTrack part = *this;
     part.n_before = part.n_after = 0;
     const auto first = std::ptrdiff_t(n_before), last = std::ptrdiff_t(world_from_box.pose.size() - n_after);
@@ -39,17 +39,17 @@ bool BoxTrack::contains_point(const glm::dvec3& point_m, double t_s, double marg
     // For a moving box, first rejects points outside the bounding sphere. This fast test
     // avoids the slow interpolation of the rotation for most points.
     if (track.pose.size() > 1) {
-        const TrackInterpolation at = track.find_poses_before_and_after_time(t_s);
+        const TrackInterpolation at = track.find_segment(t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
         if (glm::dot(d, d) > glm::dot(half, half)) return false;
     }
-    const glm::dvec3 local = glm::abs(inverse(track.interpolate_pose(t_s)) * point_m);
+    const glm::dvec3 local = glm::abs(inverse(track.pose_at(t_s)) * point_m);
     return local.x <= half.x && local.y <= half.y && local.z <= half.z;
 }
 
-TrackInterpolation PoseTrack::find_poses_before_and_after_time(double t_s) const {
+TrackInterpolation PoseTrack::find_segment(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size())
         fail("found a pose track with {} poses at {} times, expected the same number, at least one",
              pose.size(), time_s.size());
@@ -61,13 +61,13 @@ TrackInterpolation PoseTrack::find_poses_before_and_after_time(double t_s) const
     return {left, span > 0.0 ? (t_s - time_s[left]) / span : 0.0};
 }
 
-Pose PoseTrack::interpolate_pose(double t_s) const {
-    const auto [left, s] = find_poses_before_and_after_time(t_s);
+Pose PoseTrack::pose_at(double t_s) const {
+    const auto [left, s] = find_segment(t_s);
     return pose.size() == 1 ? pose.front() : interpolate(pose[left], pose[left + 1], s);
 }
 
-Pose PoseTrack::interpolate_mounted_pose(double t_s, const Pose& carrier_from_mounted) const {
-    const auto [left, s] = find_poses_before_and_after_time(t_s);
+Pose PoseTrack::mounted_pose_at(double t_s, const Pose& carrier_from_mounted) const {
+    const auto [left, s] = find_segment(t_s);
     return pose.size() == 1
                ? pose.front() * carrier_from_mounted
                : interpolate(pose[left] * carrier_from_mounted, pose[left + 1] * carrier_from_mounted, s);
@@ -77,7 +77,7 @@ std::size_t Scan::count_returns() const {
     return std::size_t(std::ranges::count_if(range_m, [](float r) { return r > 0.0f; }));
 }
 
-void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits) {
+void limit_ranges(Scan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         if (scan.range_m[i] > 0.0f && !limits.contains(scan.range_m[i])) {
             scan.range_m[i] = scan.intensity[i] = 0.0f;
@@ -89,7 +89,7 @@ void remove_returns_outside_limits(Scan& scan, const RangeLimits& limits) {
     }
 }
 
-std::size_t LidarSequence::get_vehicle_pose_index_of_frame(const LidarFrame& frame) const {
+std::size_t Log::find_pose_index(const Frame& frame) const {
     const std::vector<double>& times = world_from_vehicle.time_s;
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
@@ -98,11 +98,11 @@ std::size_t LidarSequence::get_vehicle_pose_index_of_frame(const LidarFrame& fra
     return std::size_t(at - times.begin());
 }
 
-PoseTrack LidarSequence::get_world_from_sensor(int lidar_index) const {
-    return compute_mounted_track(world_from_vehicle, lidars[std::size_t(lidar_index)].vehicle_from_sensor);
+PoseTrack Log::lidar_track(int lidar_index) const {
+    return mount_track(world_from_vehicle, lidars[std::size_t(lidar_index)].vehicle_from_sensor);
 }
 
-int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& name) {
+int find_lidar(const Log& sequence, const std::string& name) {
     std::vector<std::string> lidar_names;
     for (const Lidar& lidar : sequence.lidars) lidar_names.push_back(lidar.name);
     const auto it = std::find(lidar_names.begin(), lidar_names.end(), name);
@@ -115,27 +115,26 @@ int find_lidar_index_by_name(const LidarSequence& sequence, const std::string& n
     return name.empty() ? 0 : static_cast<int>(it - lidar_names.begin());
 }
 
-std::size_t LidarSequence::count_beams_of_all_lidars() const {
+std::size_t Log::count_beams() const {
     return std::accumulate(
         lidars.begin(), lidars.end(), std::size_t(0),
         [](std::size_t count, const Lidar& lidar) { return count + lidar.sensor.beams.size(); });
 }
 
-std::optional<std::uint16_t> LidarSequence::find_global_beam_number(int lidar_index,
-                                                                    std::uint16_t channel) const {
+std::optional<std::uint16_t> Log::find_global_beam(int lidar_index, std::uint16_t channel) const {
     std::size_t number = channel;
     if (number >= lidars[std::size_t(lidar_index)].sensor.beams.size()) return std::nullopt;
     for (int i = 0; i < lidar_index; ++i) number += lidars[std::size_t(i)].sensor.beams.size();
     return static_cast<std::uint16_t>(number);
 }
 
-const BoxTrack* find_box_track_by_id(const LidarSequence& sequence, const std::string& box_id) {
+const BoxTrack* find_box(const Log& sequence, const std::string& box_id) {
     if (box_id.empty()) return nullptr;
     const auto box = std::ranges::find(sequence.boxes, box_id, &BoxTrack::id);
     return box == sequence.boxes.end() ? nullptr : &*box;
 }
 
-LidarSequence copy_without_frames(const LidarSequence& sequence) {
+Log strip_frames(const Log& sequence) {
     return {sequence.name,
             sequence.source,
             sequence.lidars,
@@ -152,12 +151,12 @@ LidarSequence copy_without_frames(const LidarSequence& sequence) {
             sequence.rolling_shutter};
 }
 
-PoseTrack compute_mounted_track(PoseTrack carrier_track, const Pose& carrier_from_mounted) {
+PoseTrack mount_track(PoseTrack carrier_track, const Pose& carrier_from_mounted) {
     for (Pose& pose : carrier_track.pose) pose = pose * carrier_from_mounted;
     return carrier_track;
 }
 
-PoseTrack subdivide_turning_segments(const PoseTrack& track) {
+PoseTrack subdivide_turns(const PoseTrack& track) {
     // Maximum rotation between two poses. Linear interpolation of an object 10 m away
     // then deviates by at most 0.03 mm from the true arc.
     constexpr double kMaxRotation_rad = 5e-3;
@@ -179,23 +178,25 @@ PoseTrack subdivide_turning_segments(const PoseTrack& track) {
     return fine;
 }
 
-PoseTrack add_offset_to_track_positions(PoseTrack track, const glm::dvec3& offset_m) {
+PoseTrack shift_track(PoseTrack track, const glm::dvec3& offset_m) {
     for (Pose& pose : track.pose) pose.translation += offset_m;
     return track;
 }
 
 bool BoxTrack::is_moving() const {
-    constexpr double kSmooth_s = 1.0, kJitter_m = 0.2, kDrift_m = 2.0, kDrift_mps = 0.5, kSame_s = 1e-6;
+    constexpr double kAveraging_s = 1.0, kMaxJitter_m = 0.2, kMaxDrift_m = 2.0, kMaxDrift_mps = 0.5,
+                     kTimeTolerance_s = 1e-6;
     const std::vector<double>& t = world_from_box.time_s;
     if (t.size() < 2) return false;
-    const double window_s = std::min(kSmooth_s, 0.5 * (t.back() - t.front())), last_s = t.back() - window_s;
-    const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
-    const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
+    const double window_s = std::min(kAveraging_s, 0.5 * (t.back() - t.front())),
+                 last_s = t.back() - window_s;
+    const double drift_m = std::max(kMaxJitter_m, std::min(kMaxDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
+    const double step_m = std::max(kMaxJitter_m, kMaxDrift_mps * window_s);
     const auto compute_window_mean = [&](double first_s) -> std::optional<glm::dvec3> {
         glm::dvec3 sum(0.0);
         std::size_t n = 0;
-        for (auto i = std::size_t(std::ranges::lower_bound(t, first_s - kSame_s) - t.begin());
-             i < t.size() && t[i] <= first_s + window_s + kSame_s; ++i, ++n)
+        for (auto i = std::size_t(std::ranges::lower_bound(t, first_s - kTimeTolerance_s) - t.begin());
+             i < t.size() && t[i] <= first_s + window_s + kTimeTolerance_s; ++i, ++n)
             sum += world_from_box.pose[i].translation;
         return n == 0 ? std::nullopt : std::optional(sum / double(n));
     };
@@ -212,13 +213,13 @@ bool BoxTrack::is_moving() const {
     return false;
 }
 
-void set_vehicle_poses(LidarSequence& sequence, PoseTrack world_from_vehicle) {
+void set_trajectory(Log& sequence, PoseTrack world_from_vehicle) {
     for (BoxTrack& box : sequence.boxes)
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
             box.world_from_box.pose[k] =
-                world_from_vehicle.interpolate_pose(t_s) *
-                (inverse(sequence.world_from_vehicle.interpolate_pose(t_s)) * box.world_from_box.pose[k]);
+                world_from_vehicle.pose_at(t_s) *
+                (inverse(sequence.world_from_vehicle.pose_at(t_s)) * box.world_from_box.pose[k]);
         }
     sequence.world_from_vehicle = std::move(world_from_vehicle);
 }
@@ -227,14 +228,13 @@ namespace {
 
 // If the start of a sweep differs from the default by at most this fraction of the
 // period, the default start is used.
-constexpr double kUsual = 0.02;
+constexpr double kStartTolerance = 0.02;
 
-double compute_firing_time_s(double frame_time_s, const RayTable& rays, std::size_t ray,
-                             bool rolling_shutter) {
+double firing_time_s(double frame_time_s, const RayTable& rays, std::size_t ray, bool rolling_shutter) {
     return rolling_shutter ? frame_time_s + static_cast<double>(rays.time_offset_s[ray]) : frame_time_s;
 }
 
-WorldRay transform_ray_to_world(const Pose& world_from_sensor, const RayTable& rays, std::size_t ray_index) {
+WorldRay ray_to_world(const Pose& world_from_sensor, const RayTable& rays, std::size_t ray_index) {
     return {world_from_sensor * glm::dvec3(rays.origin[ray_index]),
             glm::normalize(world_from_sensor.rotation * glm::dvec3(rays.direction[ray_index]))};
 }
@@ -243,20 +243,19 @@ WorldRay transform_ray_to_world(const Pose& world_from_sensor, const RayTable& r
 
 WorldRay make_world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays,
                         std::size_t ray, bool rolling_shutter) {
-    return transform_ray_to_world(
-        world_from_sensor.interpolate_pose(compute_firing_time_s(time_s, rays, ray, rolling_shutter)), rays,
-        ray);
+    return ray_to_world(world_from_sensor.pose_at(firing_time_s(time_s, rays, ray, rolling_shutter)), rays,
+                        ray);
 }
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningSensor& sensor) {
     // Each ray gives an estimate of the head's azimuth at time 0, as a unit vector. If
     // the mean of these vectors is shorter than this, the rays do not come from one
     // rotating head.
-    constexpr double kTogether = 0.9;
+    constexpr double kMinMeanLength = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const auto sum_at_zero = parallel_sum_over_ranges(n, 256, [&](std::size_t begin, std::size_t end) {
+    const auto sum_at_zero = parallel_sum(n, 256, [&](std::size_t begin, std::size_t end) {
         std::complex<double> part = 0.0;
         for (std::size_t i = begin * step; i < std::min(end * step, rays.size()); i += step) {
             const double azimuth = std::atan2(double(rays.direction[i].y), double(rays.direction[i].x));
@@ -265,29 +264,29 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
         return part;
     });
     const double first_s = double(std::ranges::min(rays.time_offset_s));
-    if (std::abs(sum_at_zero) < kTogether * double(n)) return {};
+    if (std::abs(sum_at_zero) < kMinMeanLength * double(n)) return {};
     const double at_zero = std::arg(sum_at_zero);
-    if (std::abs(at_zero) < 2.0 * kPi * kUsual &&
-        std::abs(first_s + 0.5 * sensor.period_s) < kUsual * sensor.period_s)
+    if (std::abs(at_zero) < 2.0 * kPi * kStartTolerance &&
+        std::abs(first_s + 0.5 * sensor.period_s) < kStartTolerance * sensor.period_s)
         return {};
     return SweepStart{std::remainder(at_zero + rad_per_s * first_s, 2.0 * kPi), first_s};
 }
 
 std::optional<SweepStart> find_sweep_start(const RayTable& rays, const Lidar& lidar) {
     if (!lidar.pattern) return find_sweep_start(rays, lidar.sensor);
-    const double period_s = lidar.get_sweep_period_s();
+    const double period_s = lidar.sweep_period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
     // In a motion-compensated scan, all rays have the same time. So the time at which the
     // sweep starts is unknown.
     if (first == last) return {};
     const double first_s = double(first);
-    if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
+    if (std::abs(first_s + 0.5 * period_s) < kStartTolerance * period_s) return {};
     return SweepStart{0.0, first_s};
 }
 
-void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor) {
-    lidar.pattern = get_non_spinning_pattern(sensor);
+void set_sensor(Lidar& lidar, const SensorModel& sensor) {
+    lidar.pattern = other_pattern(sensor);
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         lidar.sensor = *spinning;
     } else {
@@ -297,24 +296,23 @@ void set_nominal_sensor(Lidar& lidar, const SensorModel& sensor) {
     }
 }
 
-SensorModel get_nominal_sensor(const Lidar& lidar) {
+SensorModel sensor_of(const Lidar& lidar) {
     const SpinningSensor& sensor = lidar.sensor;
     return {sensor.name, "", sensor.range_limits(), lidar.pattern ? *lidar.pattern : SensorPattern(sensor)};
 }
 
-RayTable make_nominal_rays(const Lidar& lidar, double time_s) {
+RayTable make_lidar_rays(const Lidar& lidar, double time_s) {
     if (lidar.pattern) return make_rays(*lidar.pattern, time_s);
     return lidar.sensor.beams.empty() ? RayTable{} : make_rays(lidar.sensor);
 }
 
-double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, const glm::dvec3& point_m,
-                                             const SweepTiming& sweep) {
+double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const SweepTiming& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     const SpinningSensor& sensor = lidar.sensor;
     if (!sequence.rolling_shutter) return sweep.time_s;
     const double azimuth = std::atan2(point_m.y, point_m.x);
     if (lidar.pattern) {
-        const auto [n_rays, period_s, by_time, columns] = summarise_scan_pattern(*lidar.pattern);
+        const auto [n_rays, period_s, by_time, columns] = summarise_pattern(*lidar.pattern);
         const double middle_s = sweep.start ? sweep.start->time_s + 0.5 * period_s : 0.0;
         if (!columns || columns->columns < 2) return sweep.time_s + middle_s;
         const double share =
@@ -331,27 +329,26 @@ double compute_time_when_lidar_faces_point_s(const LidarSequence& sequence, cons
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
-SurfaceReturn compute_surface_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
-                                     std::size_t return_index) {
+SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray,
+                             std::size_t return_index) {
     const Scan& scan = frame.scan;
-    const Beam& beam = find_beam_of_channel(sequence.get_lidar(frame).sensor.beams, scan.rays.channel[ray]);
+    const Beam& beam = find_beam(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
     const double measured_m = return_index == 0 ? scan.range_m[ray]
                                                 : scan.second_returns[return_index - 1].range_m[ray],
                  measured = return_index == 0 ? scan.intensity[ray]
                                               : scan.second_returns[return_index - 1].intensity[ray];
-    const float range_m = static_cast<float>(beam.convert_measured_to_surface_range_m(measured_m));
-    return {range_m,
-            static_cast<float>(beam.convert_measured_to_surface_intensity(
-                measured, sequence.intensity_response.compute_intensity_factor_at_range(double(range_m))))};
+    const float range_m = static_cast<float>(beam.to_surface_range_m(measured_m));
+    return {range_m, static_cast<float>(beam.to_surface_intensity(
+                         measured, sequence.intensity_response.range_factor(double(range_m))))};
 }
 
-WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame& frame, std::size_t ray,
-                                 std::size_t return_index) {
-    const double t_s = compute_firing_time_s(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
-    const WorldRay w = transform_ray_to_world(sequence.world_from_vehicle.interpolate_mounted_pose(
-                                                  t_s, sequence.get_lidar(frame).vehicle_from_sensor),
-                                              frame.scan.rays, ray);
-    const SurfaceReturn surface = compute_surface_return(sequence, frame, ray, return_index);
+WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray,
+                          std::size_t return_index) {
+    const double t_s = firing_time_s(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+    const WorldRay w = ray_to_world(
+        sequence.world_from_vehicle.mounted_pose_at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
+        frame.scan.rays, ray);
+    const SurfaceReturn surface = surface_return(sequence, frame, ray, return_index);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};
 }
@@ -359,7 +356,7 @@ WorldReturn compute_world_return(const LidarSequence& sequence, const LidarFrame
 bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                       double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.is_observed_at_time(t_s) && box.contains_point(point_m, t_s, margin_m) && box.is_moving();
+        return box.is_observed(t_s) && box.contains_point(point_m, t_s, margin_m) && box.is_moving();
     });
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes trajectories as CSV files. read_trajectory_csv() in src/run/edit/actor_path.cpp
+// Writes trajectories as CSV files. read_trajectory() in src/run/edit/actor_path.cpp
 // reads these files.
 #include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-void write_trajectory_csv(const std::filesystem::path& path, const PoseTrack& track) {
+void write_trajectory(const std::filesystem::path& path, const PoseTrack& track) {
     std::string text = "time_s,x,y,z,yaw_deg,pitch_deg,roll_deg\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dvec3 p = track.pose[i].translation;

@@ -24,12 +24,12 @@ public:
     explicit WorldPoseLookup(const BoxTransformContext& places) : transform_context_(places) {}
 
     /// Returns nothing if the bag does not contain the pose at this time.
-    std::optional<Pose> find_frame_pose_in_world(const std::string& frame_id, double t_s) {
+    std::optional<Pose> find_pose(const std::string& frame_id, double t_s) {
         if (transform_context_.is_world_of_poses && frame_id == transform_context_.poses.world) return Pose{};
         auto cached_entry = apart_.find(frame_id);
         if (cached_entry == apart_.end())
             cached_entry = apart_
-                               .emplace(frame_id, transform_context_.frames.find_pose_function_between_frames(
+                               .emplace(frame_id, transform_context_.frames.find_chain(
                                                       transform_context_.vehicle, frame_id,
                                                       transform_context_.poses.clock,
                                                       transform_context_.poses.poses_zero_ns))
@@ -47,7 +47,7 @@ private:
 
 /// Object trackers change the category and the size of an object over time. Gives all
 /// labels of an object its most frequent category and its median size.
-void unify_category_and_size_by_id(std::vector<BoxLabel>& labels) {
+void unify_labels(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
     std::map<std::string, std::pair<glm::dvec3, std::string>> settled;
@@ -74,19 +74,18 @@ public:
     BoxMessageReader(const BoxTransformContext& places, double first_s, double last_s)
         : transform_context_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
 
-    bool is_in_time_range(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
-    double choose_stamp_as_log_time_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
+    bool is_in_log(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
+    double log_time_s(std::int64_t header_stamp_ns, std::int64_t recording_time_ns) const {
         const bool is_recorded = transform_context_.poses.clock == LogClock::recorder || header_stamp_ns == 0;
         return 1e-9 *
                double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.box_zero_ns);
     }
 
-    void add_labels_in_world_frame(const BoxListMessage& box_list, std::int64_t recording_time_ns) {
+    void add_labels(const BoxListMessage& box_list, std::int64_t recording_time_ns) {
         for (const BoxMessage& box : box_list.boxes) {
-            const double t_s = choose_stamp_as_log_time_s(box.header.stamp_ns, recording_time_ns);
-            if (box.id.empty() || !is_in_time_range(t_s)) continue;
-            const std::optional<Pose> world_from_frame =
-                frames_.find_frame_pose_in_world(box.header.frame, t_s);
+            const double t_s = log_time_s(box.header.stamp_ns, recording_time_ns);
+            if (box.id.empty() || !is_in_log(t_s)) continue;
+            const std::optional<Pose> world_from_frame = frames_.find_pose(box.header.frame, t_s);
             if (!world_from_frame) {
                 ++n_unplaced_;
                 unplaced_.insert(box.header.frame);
@@ -97,12 +96,12 @@ public:
         }
     }
 
-    LoadedBoxTracks make_tracks_of_collected_labels() {
+    LoadedBoxTracks make_tracks() {
         LoadedBoxTracks result;
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown",
-                n_unplaced_, shorten_for_error_message(*unplaced_.begin()), transform_context_.vehicle));
+                n_unplaced_, quote(*unplaced_.begin()), transform_context_.vehicle));
         // Sorts labels by time. Removes repeated labels of an object at the same time.
         std::ranges::stable_sort(labels_, {}, &BoxLabel::time_s);
         std::map<std::string, double> last_s;
@@ -113,7 +112,7 @@ public:
         if (n_repeated > 0)
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because another box has the same track id and time", n_repeated));
-        unify_category_and_size_by_id(labels_);
+        unify_labels(labels_);
         result.tracks = build_tracks(labels_);
         return result;
     }
@@ -129,17 +128,17 @@ private:
 
 }  // namespace
 
-SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_index) {
+SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index) {
     SelectedBoxTopic choice;
-    const auto get_name = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
+    const auto name_of = [&](const BoxTopic& boxes) { return bag.topics()[boxes.topic].name; };
     const auto is_worse = [&](const BoxTopic& first, const BoxTopic& second) {
         return first.n_named != second.n_named ? first.n_named < second.n_named
-                                               : get_name(first) > get_name(second);
+                                               : name_of(first) > name_of(second);
     };
-    const auto best = std::ranges::max_element(bag_index.boxes, is_worse);
-    if (best != bag_index.boxes.end() && best->n_named > 0) choice.topic = &*best;
-    for (const BoxTopic& boxes : bag_index.boxes) {
-        const std::string name = shorten_for_error_message(get_name(boxes));
+    const auto best = std::ranges::max_element(index.boxes, is_worse);
+    if (best != index.boxes.end() && best->n_named > 0) choice.topic = &*best;
+    for (const BoxTopic& boxes : index.boxes) {
+        const std::string name = quote(name_of(boxes));
         if (&boxes == choice.topic)
             choice.notes.push_back(fmt::format("boxes are read from {}{}", name,
                                                boxes.n_named == boxes.n_boxes
@@ -150,33 +149,31 @@ SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_i
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored: {} of them have a track id, but relidar reads "
                             "boxes from only one topic, {}, where {} boxes have one",
-                            name, boxes.n_named, shorten_for_error_message(get_name(*choice.topic)),
-                            choice.topic->n_named));
+                            name, boxes.n_named, quote(name_of(*choice.topic)), choice.topic->n_named));
         else if (boxes.n_boxes > 0)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because none of the {} boxes has a track id", name,
                             boxes.n_boxes));
     }
     for (const BagTopic& topic : bag.topics())
-        if (get_message_purpose_of_topic(topic) == MessagePurpose::nameless_boxes)
+        if (find_purpose(topic) == MessagePurpose::nameless_boxes)
             choice.notes.push_back(
                 fmt::format("the boxes of {} are ignored, because messages of type {} have no track ids",
-                            shorten_for_error_message(topic.name), shorten_for_error_message(topic.type)));
+                            quote(topic.name), quote(topic.type)));
     return choice;
 }
 
-LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
-                                         const BoxTransformContext& transform_context,
-                                         const std::vector<double>& frame_times_s) {
-    const double step_s = compute_median_interval_s(frame_times_s);
-    BoxMessageReader reader(transform_context, frame_times_s.front() - step_s, frame_times_s.back() + step_s);
+LoadedBoxTracks read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
+                               const BoxTransformContext& transform_context,
+                               const std::vector<double>& times_s) {
+    const double step_s = median_interval_s(times_s);
+    BoxMessageReader reader(transform_context, times_s.front() - step_s, times_s.back() + step_s);
     const BagTopic& topic = bag.topics()[box_topic.topic];
     for (const BoxIndexEntry& entry : box_topic.lists)
-        if (reader.is_in_time_range(reader.choose_stamp_as_log_time_s(entry.stamp_ns, entry.log_ns)))
-            reader.add_labels_in_world_frame(
-                read_boxes_of_message(topic, bag.read_message_bytes(topic, entry.message_position).bytes),
-                entry.log_ns);
-    return reader.make_tracks_of_collected_labels();
+        if (reader.is_in_log(reader.log_time_s(entry.stamp_ns, entry.log_ns)))
+            reader.add_labels(read_boxes(topic, bag.read_message(topic, entry.message_position).bytes),
+                              entry.log_ns);
+    return reader.make_tracks();
 }
 
 }  // namespace relidar::bag

@@ -17,25 +17,25 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kMetadata = "metadata.yaml";
-constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
-constexpr std::array kEndings = {".mcap", ".db3", ".bag"};
+constexpr const char* kMetadataFile = "metadata.yaml";
+constexpr std::int64_t kMaxRosTime_ns = 4294967296000000000;  // latest time stamp that ROS 1 can represent
+constexpr std::array kBagExtensions = {".mcap", ".db3", ".bag"};
 
 bool is_pcap_file(const fs::path& file) {
-    const std::string ending = remove_gz_extension(file).extension().string();
+    const std::string ending = strip_gz(file).extension().string();
     return ending == ".pcap" || ending == ".pcapng";
 }
 
 /// Returns the files that rosbag2's metadata.yaml lists, in the layout that rosbag2
 /// writes.
-std::vector<std::string> read_files_of_metadata(const fs::path& file) {
+std::vector<std::string> read_file_list(const fs::path& file) {
     std::vector<std::string> files;
     bool in_files = false;
     for (const std::string& line : split_lines(read_text_file(file))) {
-        const std::string_view text = trim_blanks_at_both_ends(line);
+        const std::string_view text = trim(line);
         if (text.starts_with("relative_file_paths:")) in_files = true;
         else if (in_files && text.starts_with("- ")) {
-            std::string_view value = trim_blanks_at_both_ends(text.substr(2));
+            std::string_view value = trim(text.substr(2));
             if (value.size() >= 2 && (value.front() == '"' || value.front() == '\'') &&
                 value.back() == value.front())
                 value = value.substr(1, value.size() - 2);
@@ -47,8 +47,8 @@ std::vector<std::string> read_files_of_metadata(const fs::path& file) {
 
 /// Returns a file of the recording. If it does not exist, returns its compressed or
 /// unpacked copy, because metadata.yaml may name either.
-fs::path find_file_or_packed_copy(const fs::path& file) {
-    for (const fs::path& other : {fs::path(file.string() + ".zstd"), remove_zstd_extension(file)})
+fs::path find_packed_copy(const fs::path& file) {
+    for (const fs::path& other : {fs::path(file.string() + ".zstd"), strip_zstd(file)})
         if (!does_path_exist(file) && does_path_exist(other)) return other;
     return file;
 }
@@ -71,7 +71,7 @@ std::optional<std::string> unpack_message(const BagTopic& topic, std::string_vie
 
 }  // namespace
 
-std::size_t TopicTable::find_or_add_topic_index(BagTopic topic) {
+std::size_t TopicTable::topic_index(BagTopic topic) {
     if (const std::size_t at = topic.type.find("/msg/"); at != std::string::npos) topic.type.erase(at, 4);
     const auto existing_topic = std::ranges::find_if(topics_, [&](const BagTopic& t) {
         return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding;
@@ -84,23 +84,23 @@ std::size_t TopicTable::find_or_add_topic_index(BagTopic topic) {
 BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
     if (!fs::is_directory(path)) {
         paths_ = {path};
-    } else if (does_path_exist(path / kMetadata)) {
-        for (const std::string& name : read_files_of_metadata(path / kMetadata)) {
+    } else if (does_path_exist(path / kMetadataFile)) {
+        for (const std::string& name : read_file_list(path / kMetadataFile)) {
             // Uses only the file name, because the folder may have been renamed.
-            const fs::path file = find_file_or_packed_copy(path / fs::path(name).filename());
+            const fs::path file = find_packed_copy(path / fs::path(name).filename());
             if (does_path_exist(file)) paths_.push_back(file);
             else
                 add_note_once(fmt::format("{}: this file of the recording is listed in {} but missing",
-                                          file.string(), kMetadata));
+                                          file.string(), kMetadataFile));
         }
     }
     // Without files from metadata.yaml, uses all recordings in the folder. Sorts numbers
     // in names by value, so NAME_2 precedes NAME_10.
     if (paths_.empty()) {
-        for (const fs::path& file : list_folder_entries(path))
+        for (const fs::path& file : list_folder(path))
             if (is_pcap_file(file) ||
-                (std::ranges::find(kEndings, remove_zstd_extension(file).extension()) != kEndings.end() &&
-                 (remove_zstd_extension(file) == file || !does_path_exist(remove_zstd_extension(file)))))
+                (std::ranges::find(kBagExtensions, strip_zstd(file).extension()) != kBagExtensions.end() &&
+                 (strip_zstd(file) == file || !does_path_exist(strip_zstd(file)))))
                 paths_.push_back(file);
         std::ranges::stable_sort(paths_, {},
                                  [](const fs::path& file) { return file.filename().string().size(); });
@@ -108,7 +108,7 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
     if (paths_.empty())
         fail("{}: found no file of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string());
     for (const fs::path& file : paths_) {
-        const std::string ending = remove_zstd_extension(file).extension().string();
+        const std::string ending = strip_zstd(file).extension().string();
         if (is_pcap_file(file)) {
             files_.push_back(open_pcap_file(file));
             continue;
@@ -118,14 +118,14 @@ BagRecording::BagRecording(const fs::path& path, bool skip_broken) {
         if (unpacked.is_truncated() && ending == ".db3") throw DataError(problem);
         if (unpacked.is_truncated()) add_note_once(problem + "; later messages are missing");
         if (ending == ".bag") files_.push_back(open_ros1_bag(unpacked.path(), skip_broken));
-        else if (ending == ".db3") files_.push_back(open_rosbag2_sqlite(unpacked.path()));
+        else if (ending == ".db3") files_.push_back(open_sqlite_bag(unpacked.path()));
         else files_.push_back(open_mcap_file(unpacked.path(), skip_broken));
     }
 }
 
-std::string BagRecording::get_points_frame_name() const {
+std::string BagRecording::points_frame() const {
     for (const auto& file : files_)
-        if (std::string frame = file->get_points_frame_name(); !frame.empty()) return frame;
+        if (std::string frame = file->points_frame(); !frame.empty()) return frame;
     return "";
 }
 
@@ -133,8 +133,8 @@ void BagRecording::add_note_once(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }
 
-void BagRecording::for_each_message(const TopicFilter& filter, const MessageCallback& callback,
-                                    const ProgressReporter& progress) {
+void BagRecording::read_messages(const TopicFilter& filter, const MessageCallback& callback,
+                                 const Progress& progress) {
     std::map<std::size_t, bool> noted_topics;  ///< topics with a note about recording times
     for (std::size_t f = 0; f < files_.size(); ++f) {
         double last_reported_fraction = -1.0;
@@ -147,7 +147,7 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
         const MessageCallback of_file = [&](BagMessage message) {
             const BagTopic& topic = topics_.topics()[message.topic];
             const std::int64_t log_ns = message.log_ns;
-            const bool is_possible = log_ns >= 0 && log_ns <= kLatest_ns;
+            const bool is_possible = log_ns >= 0 && log_ns <= kMaxRosTime_ns;
             if (!is_possible) message.log_ns = last_ns;
             last_ns = message.log_ns;
             std::optional<std::string> unpacked;
@@ -156,7 +156,7 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
                     add_note_once(
                         fmt::format("topic {}: a message has the recording time {} ns, expected 0 to {} ns; "
                                     "the time of the previous message is used",
-                                    shorten_for_error_message(topic.name), log_ns, kLatest_ns));
+                                    quote(topic.name), log_ns, kMaxRosTime_ns));
                 try {
                     unpacked = unpack_message(topic, message.bytes);
                 } catch (const DataError&) {
@@ -167,17 +167,16 @@ void BagRecording::for_each_message(const TopicFilter& filter, const MessageCall
             message.message_position.file = std::uint32_t(f);
             callback(message);
         };
-        files_[f]->for_each_message(
+        files_[f]->read_messages(
             topics_, {filter, of_file, [&](const std::string& text) { add_note_once(text); }, done});
     }
 }
 
-SharedBytes BagRecording::read_message_bytes(const BagTopic& topic,
-                                             const MessagePosition& message_position) const {
+SharedBytes BagRecording::read_message(const BagTopic& topic, const MessagePosition& message_position) const {
     try {
-        SharedBytes bytes = files_.at(message_position.file)->read_message_bytes(message_position);
+        SharedBytes bytes = files_.at(message_position.file)->read_message(message_position);
         std::optional<std::string> unpacked = unpack_message(topic, bytes.bytes);
-        return unpacked ? make_shared_bytes(std::move(*unpacked)) : bytes;
+        return unpacked ? share_bytes(std::move(*unpacked)) : bytes;
     } catch (const DataError& error) {
         fail("{}: {}", paths_.at(message_position.file).string(), error.what());
     }

@@ -61,7 +61,7 @@ using MessageCallback = std::function<void(const BagMessage&)>;
 /// The topics of all files of a bag, in the order in which they first occur.
 class TopicTable {
 public:
-    std::size_t find_or_add_topic_index(BagTopic topic);
+    std::size_t topic_index(BagTopic topic);
     const std::vector<BagTopic>& topics() const { return topics_; }
 
 private:
@@ -80,12 +80,12 @@ public:
     };
     /// Reads all messages in file order.
     /// @throws DataError with the problem and its byte offset
-    virtual void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) = 0;
+    virtual void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) = 0;
     /// Reads the bytes of one message. Thread-safe.
-    virtual SharedBytes read_message_bytes(const MessagePosition& location) const = 0;
+    virtual SharedBytes read_message(const MessagePosition& location) const = 0;
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
-    /// Otherwise returns an empty string. Call for_each_message() first.
-    virtual std::string get_points_frame_name() const { return ""; }
+    /// Otherwise returns an empty string. Call read_messages() first.
+    virtual std::string points_frame() const { return ""; }
 
 protected:
     /// Processes the record at a byte. If it is damaged, throws, or skips it with a note.
@@ -107,7 +107,7 @@ protected:
 std::unique_ptr<BagFile> open_mcap_file(const std::filesystem::path& file, bool skip_damaged_chunks);
 std::unique_ptr<BagFile> open_pcap_file(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1_bag(const std::filesystem::path& file, bool skip_damaged_chunks);
-std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file);
+std::unique_ptr<BagFile> open_sqlite_bag(const std::filesystem::path& file);
 
 /// A recording that consists of one or several files.
 class BagRecording {
@@ -118,14 +118,14 @@ public:
 
     /// topics of all messages that were read so far
     const std::vector<BagTopic>& topics() const { return topics_.topics(); }
-    const std::vector<std::string>& get_file_problems() const { return notes_; }
-    const std::vector<std::filesystem::path>& get_file_paths() const { return paths_; }
-    std::string get_points_frame_name() const;  ///< see BagFile
+    const std::vector<std::string>& file_problems() const { return notes_; }
+    const std::vector<std::filesystem::path>& file_paths() const { return paths_; }
+    std::string points_frame() const;  ///< see BagFile
 
-    void for_each_message(const TopicFilter& filter, const MessageCallback& callback,
-                          const ProgressReporter& progress = {});
+    void read_messages(const TopicFilter& filter, const MessageCallback& callback,
+                       const Progress& progress = {});
     /// Thread-safe.
-    SharedBytes read_message_bytes(const BagTopic& topic, const MessagePosition& message_position) const;
+    SharedBytes read_message(const BagTopic& topic, const MessagePosition& message_position) const;
 
 private:
     std::vector<std::filesystem::path> paths_;

@@ -7,10 +7,10 @@
 
 namespace relidar {
 
-LidarSequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions&) {
+Log load_ros_bag(const std::filesystem::path& path, const DatasetOptions&) {
     fail<UsageError>(
-        "{}: this relidar was built without the reader of ROS bags; install libsqlite3-dev and libbz2-dev, and "
-        "build it again with RELIDAR_BAGS=ON",
+        "{}: this relidar was built without the reader of ROS bags; install libsqlite3-dev and libbz2-dev, "
+        "and build it again with RELIDAR_BAGS=ON",
         path.string());
 }
 

@@ -9,31 +9,31 @@
 #include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
-#include "read/scans/point_times.hpp"
 #include "read/packets/packet_messages.hpp"
+#include "read/scans/point_times.hpp"
 
 namespace relidar::bag {
 namespace {
 
-read::PointTable read_cloud_as_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
-                                             const MessagePosition& location) {
+read::PointTable read_point_table(const BagRecording& bag, const CloudTopic& cloud_topic,
+                                  const MessagePosition& location) {
     const BagTopic& topic = bag.topics()[cloud_topic.topic];
-    const SharedBytes message = bag.read_message_bytes(topic, location);
-    return make_point_table(read_cloud_of_message(topic, message.bytes), message);
+    const SharedBytes message = bag.read_message(topic, location);
+    return to_point_table(read_cloud(topic, message.bytes), message);
 }
 
 }  // namespace
 
-std::string BagScanProvider::get_frame_name(std::size_t frame_index) const {
-    const FrameCloudMessage& cloud = clouds_[frame_index];
+std::string BagScanProvider::frame_name(std::size_t frame) const {
+    const FrameCloudMessage& cloud = clouds_[frame];
     return fmt::format("{}: topic {}, cloud of frame {}",
-                       bag_.get_file_paths().at(cloud.entry.message_position.file).string(),
+                       bag_.file_paths().at(cloud.entry.message_position.file).string(),
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
-LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const {
-    const FrameCloudMessage& at = clouds_[frame_index];
-    if (at.entry.parts.empty()) return read_points_of_cloud(frame_index, at.entry, at.cloud_s);
+LidarPoints BagScanProvider::read_points(std::size_t frame) const {
+    const FrameCloudMessage& at = clouds_[frame];
+    if (at.entry.parts.empty()) return read_points(frame, at.entry, at.cloud_s);
     LidarPoints all;
     for (const RevolutionPart& part : at.entry.parts) {
         const CloudIndexEntry cloud{part.stamp_ns - at.entry.correction_ns,
@@ -43,12 +43,11 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
                                     0,
                                     {},
                                     at.entry.correction_ns};
-        LidarPoints points = read_points_of_cloud(
-            frame_index, cloud,
-            at.cloud_s + 1e-9 * double(cloud.get_time_ns(clock_) - at.entry.get_time_ns(clock_)));
+        LidarPoints points = read_points(
+            frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())
             fail("{}: the points have no usable times, expected a time for each point, because {}",
-                 get_frame_name(frame_index), lidars_[at.lidar].clouds->parts_about);
+                 frame_name(frame), lidars_[at.lidar].clouds->parts_about);
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
         append(all.position_m, points.position_m);
         append(all.intensity, points.intensity);
@@ -61,50 +60,48 @@ LidarPoints BagScanProvider::read_points_of_frame(std::size_t frame_index) const
         fail(
             "{}: only some clouds of the revolution have rings or return numbers, expected the same fields "
             "in all clouds",
-            get_frame_name(frame_index));
+            frame_name(frame));
     return all;
 }
 
-read::PointTable BagScanProvider::read_or_reuse_point_table(std::size_t frame_index,
-                                                              const MessagePosition& message_position) const {
-    const LidarTopic& lidar = lidars_[clouds_[frame_index].lidar];
+read::PointTable BagScanProvider::read_table(std::size_t frame,
+                                             const MessagePosition& message_position) const {
+    const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
     if (const auto sample_entry = lidar.samples.find(message_position); sample_entry != lidar.samples.end())
         return sample_entry->second;
     try {
-        return read_cloud_as_point_table(bag_, *lidar.clouds, message_position);
+        return read_point_table(bag_, *lidar.clouds, message_position);
     } catch (const DataError& error) {
-        fail("{}: {}", get_frame_name(frame_index), error.what());
+        fail("{}: {}", frame_name(frame), error.what());
     }
 }
 
-LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const CloudIndexEntry& cloud,
-                                                  double cloud_time_s) const {
-    const FrameCloudMessage& at = clouds_[frame_index];
+LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudIndexEntry& cloud,
+                                         double cloud_time_s) const {
+    const FrameCloudMessage& at = clouds_[frame];
     const read::PointCloudUnits& units = lidars_[at.lidar].units;
-    read::PointTable table = read_or_reuse_point_table(frame_index, cloud.message_position);
-    if (units.zero == read::PointTimeReference::none)
-        table.remove_fields_with_attribute(read::PointAttribute::time);
+    read::PointTable table = read_table(frame, cloud.message_position);
+    if (units.zero == read::PointTimeReference::none) table.remove_fields(read::PointAttribute::time);
     // zero_s: time of the frame in seconds, on the clock that the point times use. It is
     // (time of the frame - time of the cloud) + time of the cloud on that clock.
     double zero_s = at.time_s - cloud_time_s;
     if (units.zero == read::PointTimeReference::epoch)
         zero_s += 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
     if (units.zero == read::PointTimeReference::sensor_clock) {
-        read::unwrap_point_times(table, false);
+        read::unwrap_times(table, false);
         zero_s += units.time_unit_s * read::find_time_range(table).value_or(std::array{0.0, 0.0})[0];
     }
     const bool are_offsets = units.zero == read::PointTimeReference::stamp;
     const read::PointFileUnits point_units{.columns = {},
-                                             .intensity_max = units.meaning.scale.max,
-                                             .time_unit_s = units.time_unit_s,
-                                             .absolute_times = !are_offsets,
-                                             .intensity_field = units.meaning.intensity_field,
-                                             .no_return = units.meaning.no_return,
-                                             .returns = units.meaning.returns,
-                                             .skip_wrong_times = true,
-                                             .time_zero = are_offsets ? zero_s / units.time_unit_s : 0.0};
-    LidarPoints points =
-        read::convert_table_to_points(table, point_units, zero_s, get_frame_name(frame_index));
+                                           .intensity_max = units.meaning.scale.max,
+                                           .time_unit_s = units.time_unit_s,
+                                           .absolute_times = !are_offsets,
+                                           .intensity_field = units.meaning.intensity_field,
+                                           .no_return = units.meaning.no_return,
+                                           .returns = units.meaning.returns,
+                                           .skip_wrong_times = true,
+                                           .time_zero = are_offsets ? zero_s / units.time_unit_s : 0.0};
+    LidarPoints points = read::convert_table(table, point_units, zero_s, frame_name(frame));
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_time_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
@@ -115,39 +112,37 @@ LidarPoints BagScanProvider::read_points_of_cloud(std::size_t frame_index, const
     return points;
 }
 
-Scan BagScanProvider::read_rays_of_frame(std::size_t frame_index) const {
-    const FrameCloudMessage& at = clouds_[frame_index];
+Scan BagScanProvider::read_rays(std::size_t frame) const {
+    const FrameCloudMessage& at = clouds_[frame];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
     const packets::PacketRevolution& revolution = clouds.revolutions[at.entry.revolution_index];
     const std::vector<packets::PacketIndex::PacketMessageSource> sources =
-        clouds.packets.find_messages_of_revolution(revolution);
+        clouds.packets.messages_of(revolution);
     std::vector<SharedBytes> messages;
     const BagTopic& topic = bag_.topics()[clouds.topic];
-    for (const auto& source : sources)
-        messages.push_back(bag_.read_message_bytes(topic, source.message_position));
+    for (const auto& source : sources) messages.push_back(bag_.read_message(topic, source.message_position));
     std::vector<std::vector<packets::ReceivedPacket>> packets;
     MessageHeader header;
     for (std::size_t m = 0; m < messages.size(); ++m)
         packets.push_back(
-            relidar::packets::read_packets_of_message(topic, messages[m].bytes, sources[m].log_ns, header));
+            relidar::packets::read_packets(topic, messages[m].bytes, sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
-    return clouds.packets.decode_revolution(revolution, packets, lidars_[at.lidar].sensor,
-                                            revolution.forward_ns + shift_ns);
+    return clouds.packets.decode(revolution, packets, lidars_[at.lidar].sensor,
+                                 revolution.forward_ns + shift_ns);
 }
 
-LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTopic& cloud_topic,
-                                         double cloud_period_s) {
+LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s) {
     LidarTopic topic{&cloud_topic};
     if (!cloud_topic.packets.empty()) return topic;
     std::vector<read::PointTable> samples;
     std::vector<double> stamps_s;
     read::read_samples(cloud_topic.clouds.size(), [&](std::size_t i) {
         const CloudIndexEntry& entry = cloud_topic.clouds[i];
-        samples.push_back(read_cloud_as_point_table(bag, cloud_topic, entry.message_position));
+        samples.push_back(read_point_table(bag, cloud_topic, entry.message_position));
         stamps_s.push_back(1e-9 * double(entry.stamp_ns + entry.correction_ns));
         topic.samples.emplace(entry.message_position, samples.back());
     });
-    topic.units = read::estimate_time_and_intensity_units(samples, stamps_s, cloud_period_s);
+    topic.units = read::estimate_cloud_units(samples, stamps_s, cloud_period_s);
     return topic;
 }
 

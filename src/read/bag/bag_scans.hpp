@@ -8,10 +8,10 @@
 #include <utility>
 #include <vector>
 
-#include "read/scans/cloud_units.hpp"
-#include "read/scans/folder_points.hpp"
 #include "read/bag/bag_file.hpp"
 #include "read/bag/survey.hpp"
+#include "read/scans/cloud_units.hpp"
+#include "read/scans/folder_points.hpp"
 
 namespace relidar::bag {
 
@@ -34,8 +34,7 @@ struct LidarTopic {
 };
 /// Reads a few clouds of a topic and estimates the units of their values.
 /// @param cloud_period_s  time between clouds in seconds
-LidarTopic estimate_units_of_cloud_topic(const BagRecording& bag, const CloudTopic& cloud_topic,
-                                         double cloud_period_s);
+LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic, double cloud_period_s);
 
 /// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;
@@ -51,12 +50,12 @@ public:
                     LidarPoseFunction deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
 
-    std::string get_frame_name(std::size_t frame_index) const override;
-    bool is_stored_as_points(std::size_t frame) const override {
+    std::string frame_name(std::size_t frame_index) const override;
+    bool stores_points(std::size_t frame) const override {
         return lidars_[clouds_[frame].lidar].clouds->packets.empty();
     }
-    LidarPoints read_points_of_frame(std::size_t frame_index) const override;
-    Scan read_rays_of_frame(std::size_t frame_index) const override;
+    LidarPoints read_points(std::size_t frame_index) const override;
+    Scan read_rays(std::size_t frame_index) const override;
 
 private:
     const BagRecording& bag_;
@@ -65,10 +64,8 @@ private:
     const LogClock clock_;
     const LidarPoseFunction deskewed_by_;
 
-    read::PointTable read_or_reuse_point_table(std::size_t frame_index,
-                                                 const MessagePosition& message_position) const;
-    LidarPoints read_points_of_cloud(std::size_t frame_index, const CloudIndexEntry& cloud,
-                                     double cloud_time_s) const;
+    read::PointTable read_table(std::size_t frame_index, const MessagePosition& message_position) const;
+    LidarPoints read_points(std::size_t frame_index, const CloudIndexEntry& cloud, double cloud_time_s) const;
 };
 
 }  // namespace relidar::bag

@@ -12,9 +12,9 @@
 namespace relidar::bag {
 namespace {
 
-constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of doubles
+constexpr std::size_t kCovarianceDoubles = 36, kTwistDoubles = 6 + kCovarianceDoubles;  // number of doubles
 // maximum number of padding bytes that CDR appends after the last field
-constexpr std::size_t kPadding = 3;
+constexpr std::size_t kMaxPaddingBytes = 3;
 
 void skip_doubles(MessageReader& reader, std::size_t count) {
     for (std::size_t i = 0; i < count; ++i) reader.read_number<double>();
@@ -43,17 +43,17 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
 };
 
 /// Returns the class with the highest score.
-std::string read_results_and_get_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
-    constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
+std::string read_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
+    constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovarianceDoubles);
     std::string best;
     double best_score = -INFINITY;
-    const std::size_t n = reader.read_list_length(kLeastResult);
+    const std::size_t n = reader.read_length(kLeastResult);
     for (std::size_t i = 0; i < n; ++i) {
         const std::string name = layout.has_text
                                      ? std::string(reader.read_string())
                                      : fmt::format("class {}", reader.read_number<std::int64_t>());
         const auto score = reader.read_number<double>();
-        skip_doubles(reader, std::tuple_size_v<PoseComponents> + kCovariance);
+        skip_doubles(reader, std::tuple_size_v<PoseComponents> + kCovarianceDoubles);
         if (best.empty() || score > best_score) {
             best = name;
             best_score = score;
@@ -62,18 +62,18 @@ std::string read_results_and_get_best_class(MessageReader& reader, const Detecti
     return best;
 }
 
-BoxListMessage read_detections_with_layout(MessageReader reader, const DetectionMessageLayout& layout) {
+BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout& layout) {
     constexpr std::size_t kLeastDetection = 8 * 10;
     BoxListMessage list{read_header(reader), {}, 0};
-    const std::size_t n = reader.read_list_length(kLeastDetection);
+    const std::size_t n = reader.read_length(kLeastDetection);
     for (std::size_t i = 0; i < n; ++i) {
-        BoxMessage box{read_header(reader), {}, read_results_and_get_best_class(reader, layout), {}, {}};
-        const PoseComponents pose = read_position_and_quaternion(reader);
+        BoxMessage box{read_header(reader), {}, read_best_class(reader, layout), {}, {}};
+        const PoseComponents pose = read_pose(reader);
         box.size_m = read_vector3(reader);
-        // Also skips is_dense, the last field of source_cloud, because read_point_cloud()
+        // Also skips is_dense, the last field of source_cloud, because read_ros_cloud()
         // does not read it.
         if (layout.has_cloud) {
-            read_point_cloud(reader);
+            read_ros_cloud(reader);
             reader.read_number<std::uint8_t>();
         }
         if (layout.is_flagged) reader.read_number<std::uint8_t>();
@@ -82,17 +82,17 @@ BoxListMessage read_detections_with_layout(MessageReader reader, const Detection
         if (box.header.stamp_ns == 0) box.header.stamp_ns = list.header.stamp_ns;
         list.add_if_valid(std::move(box), pose);
     }
-    if (reader.count_remaining_bytes() > (reader.is_ros1() ? 0 : kPadding))
+    if (reader.remaining() > (reader.is_ros1() ? 0 : kMaxPaddingBytes))
         fail("found {} bytes after the last of {} boxes, expected no bytes after the boxes",
-             reader.count_remaining_bytes(), n);
+             reader.remaining(), n);
     return list;
 }
 
-BoxListMessage read_detections_of_any_version(const MessageReader& reader) {
+BoxListMessage read_detections(const MessageReader& reader) {
     std::string why;
     for (const DetectionMessageLayout& layout : kDetectionLayouts) {
         try {
-            return read_detections_with_layout(reader, layout);
+            return read_by_layout(reader, layout);
         } catch (const DataError& error) {
             if (why.empty()) why = error.what();
         }
@@ -102,13 +102,13 @@ BoxListMessage read_detections_of_any_version(const MessageReader& reader) {
 }
 
 /// Names of Autoware's ObjectClassification labels, indexed by label number.
-constexpr const char* kLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
-                                   "motorcycle", "bicycle", "pedestrian", "animal"};
+constexpr const char* kAutowareLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
+                                           "motorcycle", "bicycle", "pedestrian", "animal"};
 
-std::string read_most_probable_label(MessageReader& reader) {
+std::string read_best_label(MessageReader& reader) {
     std::uint8_t best = 0;
     float best_probability = -1.0f;
-    const std::size_t n = reader.read_list_length(5);
+    const std::size_t n = reader.read_length(5);
     for (std::size_t i = 0; i < n; ++i) {
         const auto label = reader.read_number<std::uint8_t>();
         const auto probability = reader.read_number<float>();
@@ -117,15 +117,15 @@ std::string read_most_probable_label(MessageReader& reader) {
             best_probability = probability;
         }
     }
-    return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
+    return best < std::size(kAutowareLabels) ? kAutowareLabels[best] : fmt::format("class {}", best);
 }
 
 /// Returns a UUID as text, or an empty string if all bytes are 0.
 std::string read_uuid(MessageReader& reader) {
-    constexpr std::size_t kBytes = 16;
-    const std::string_view bytes = reader.read_bytes(kBytes);
+    constexpr std::size_t kUuidBytes = 16;
+    const std::string_view bytes = reader.read_bytes(kUuidBytes);
     std::string text;
-    for (std::size_t i = 0; i < kBytes; ++i) {
+    for (std::size_t i = 0; i < kUuidBytes; ++i) {
         if (i == 4 || i == 6 || i == 8 || i == 10) text += '-';
         text += fmt::format("{:02x}", static_cast<unsigned char>(bytes[i]));
     }
@@ -134,11 +134,11 @@ std::string read_uuid(MessageReader& reader) {
 
 /// Reads the shape of an object. For a polygon, which has no length and width, uses the
 /// box around its footprint.
-void read_shape_and_set_box_size(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
-    constexpr std::uint8_t kPolygon = 2;
+void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
+    constexpr std::uint8_t kPolygonShape = 2;
     const auto type = reader.read_number<std::uint8_t>();
     glm::dvec2 least(INFINITY), most(-INFINITY);
-    const std::size_t n = reader.read_list_length(12);
+    const std::size_t n = reader.read_length(12);
     for (std::size_t i = 0; i < n; ++i) {
         const auto x = reader.read_number<float>(), y = reader.read_number<float>();
         reader.read_number<float>();
@@ -146,7 +146,7 @@ void read_shape_and_set_box_size(MessageReader& reader, BoxMessage& box, PoseCom
         most = glm::max(most, glm::dvec2(x, y));
     }
     box.size_m = read_vector3(reader);
-    if (type != kPolygon || n == 0) return;
+    if (type != kPolygonShape || n == 0) return;
     const glm::dvec2 middle = 0.5 * (least + most);
     const glm::dquat q(pose[6], pose[3], pose[4], pose[5]);
     const glm::dvec3 shift = q * glm::dvec3(middle, 0.0);
@@ -156,21 +156,21 @@ void read_shape_and_set_box_size(MessageReader& reader, BoxMessage& box, PoseCom
 
 /// @param is_autoware_auto  true for autoware_auto_perception_msgs, whose objects have
 /// the additional flag "heading is available"
-BoxListMessage read_tracked_objects(MessageReader& reader, bool is_autoware_auto) {
-    constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
+BoxListMessage read_objects(MessageReader& reader, bool is_autoware_auto) {
+    constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovarianceDoubles + 2 * kTwistDoubles);
     BoxListMessage list{read_header(reader), {}, 0};
-    const std::size_t n = reader.read_list_length(kLeastObject);
+    const std::size_t n = reader.read_length(kLeastObject);
     for (std::size_t i = 0; i < n; ++i) {
         BoxMessage box{list.header, read_uuid(reader), {}, {}, {}};
         reader.read_number<float>();  // skips the existence probability
-        box.category = read_most_probable_label(reader);
-        PoseComponents pose = read_position_and_quaternion(reader);
-        skip_doubles(reader, kCovariance);
+        box.category = read_best_label(reader);
+        PoseComponents pose = read_pose(reader);
+        skip_doubles(reader, kCovarianceDoubles);
         if (is_autoware_auto) reader.read_number<std::uint8_t>();
-        skip_doubles(reader, 2 * kTwist);  // skips twist and acceleration
+        skip_doubles(reader, 2 * kTwistDoubles);  // skips twist and acceleration
         if (!is_autoware_auto) reader.read_number<std::uint8_t>();
         reader.read_number<std::uint8_t>();  // skips the flag is_stationary
-        read_shape_and_set_box_size(reader, box, pose);
+        read_shape(reader, box, pose);
         list.add_if_valid(std::move(box), pose);
     }
     return list;
@@ -190,11 +190,11 @@ void BoxListMessage::add_if_valid(BoxMessage box, const PoseComponents& pose) {
     }
 }
 
-BoxListMessage read_boxes_of_message(const BagTopic& topic, std::string_view message_bytes) {
+BoxListMessage read_boxes(const BagTopic& topic, std::string_view message_bytes) {
     if (topic.encoding == "protobuf") return read_foxglove_boxes(message_bytes);
     MessageReader reader(message_bytes, topic.encoding == "ros1");
-    if (topic.type == "vision_msgs/Detection3DArray") return read_detections_of_any_version(reader);
-    return read_tracked_objects(reader, topic.type.starts_with("autoware_auto"));
+    if (topic.type == "vision_msgs/Detection3DArray") return read_detections(reader);
+    return read_objects(reader, topic.type.starts_with("autoware_auto"));
 }
 
 }  // namespace relidar::bag

@@ -20,7 +20,7 @@ struct MessageTimes {
 
 /// Ignores entries without a time stamp.
 template <class Entries>
-std::vector<MessageTimes> list_message_times(const Entries& entries) {
+std::vector<MessageTimes> list_times(const Entries& entries) {
     std::vector<MessageTimes> times;
     for (const auto& entry : entries)
         if (entry.stamp_ns != 0) times.push_back({entry.stamp_ns, entry.log_ns});
@@ -29,7 +29,7 @@ std::vector<MessageTimes> list_message_times(const Entries& entries) {
 
 /// Returns the message that was recorded nearest to a time, or null if there is none.
 /// @param messages  in the order of their recording times
-const MessageTimes* find_nearest_recorded(const std::vector<MessageTimes>& messages, std::int64_t log_ns);
+const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns);
 
 struct ClockOffset {
     std::int64_t offset_ns = 0;  ///< 0 if the time stamps may come from one clock
@@ -48,8 +48,7 @@ struct ClockOffset {
 /// Compares two kinds of messages by their time stamps minus their recording times.
 /// Delays of some hundred milliseconds and unrelated recording times give no offset.
 /// @return time by which the clock of `messages` is ahead of the clock of `reference`
-ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
-                                  std::vector<MessageTimes> reference);
+ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vector<MessageTimes> reference);
 
 /// The point cloud topics that are loaded.
 struct SelectedCloudTopics {
@@ -61,8 +60,8 @@ struct SelectedCloudTopics {
 /// @param requested_topics  names of topics; empty: automatic selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
-SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
-                                        const std::vector<std::string>& requested_topics);
+SelectedCloudTopics choose_clouds(const BagRecording& bag, const BagIndex& index,
+                                  const std::vector<std::string>& requested_topics);
 
 /// Removes clouds whose times differ from those of their neighbours on both sides. If the
 /// clock of the time stamps jumps, sets all clouds to the clock of the reference, or else
@@ -70,8 +69,8 @@ SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex&
 /// @param reference  messages on the right clock, for example the poses. If their clock
 /// jumps at the same time, nothing is corrected. May be empty
 /// @return text about the changes, or an empty text
-std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
-                                std::vector<MessageTimes> reference);
+std::string fix_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
+                            std::vector<MessageTimes> reference);
 
 /// Which vehicle poses of a bag are used, and which clock gives the times.
 struct SelectedPoseSource {
@@ -83,7 +82,7 @@ struct SelectedPoseSource {
     std::optional<TransformChain> path;
     std::string world;       ///< frame in which `path` is expressed
     std::string vehicle;     ///< frame of the vehicle, on which the LiDARs are mounted
-    std::string about;       ///< description of the selection
+    std::string about;       ///< text of the selection
     std::string clock_note;  ///< text about a clock offset between clouds and poses; may be empty
     std::vector<std::string> notes;
 };
@@ -91,9 +90,8 @@ struct SelectedPoseSource {
 /// corrected or their clouds removed
 /// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection
 /// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
-SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
-                                              CloudTopic& main_lidar_clouds,
-                                              const std::string& requested_frame_or_topic);
+SelectedPoseSource choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
+                                const std::string& requested_frame_or_topic);
 
 struct SelectedBoxTopic {
     const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null
@@ -101,7 +99,7 @@ struct SelectedBoxTopic {
 };
 /// Selects the topic with the most boxes that have a track id. If two topics have the
 /// same number, selects the first one by name.
-SelectedBoxTopic choose_box_topic(const BagRecording& bag, const BagIndex& bag_index);
+SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index);
 
 struct BoxTransformContext {
     const FrameTree& frames;
@@ -120,9 +118,9 @@ struct LoadedBoxTracks {
 };
 /// Reads the boxes of a topic and joins the boxes of each object to a track. Accepts
 /// times up to one time step before the first or after the last frame.
-/// @param frame_times_s  times of the frames of the log in seconds, ascending
-LoadedBoxTracks read_box_tracks_from_bag(const BagRecording& bag, const BoxTopic& box_topic,
-                                         const BoxTransformContext& transform_context,
-                                         const std::vector<double>& frame_times_s);
+/// @param times_s  times of the frames of the log in seconds, ascending
+LoadedBoxTracks read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
+                               const BoxTransformContext& transform_context,
+                               const std::vector<double>& times_s);
 
 }  // namespace relidar::bag

@@ -29,8 +29,7 @@ void shorten_list(std::vector<std::string>& texts, std::size_t max_count) {
 std::string format_topics(const BagRecording& bag) {
     std::vector<std::string> texts;
     for (const BagTopic& topic : bag.topics())
-        texts.push_back(fmt::format("{} ({})", shorten_for_error_message(topic.name),
-                                    shorten_for_error_message(topic.type)));
+        texts.push_back(fmt::format("{} ({})", quote(topic.name), quote(topic.type)));
     shorten_list(texts, kMostTopics);
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
@@ -40,7 +39,7 @@ struct PacketDriver {
     const char* package;
     const char* driver;
 };
-constexpr PacketDriver kDrivers[] = {
+constexpr PacketDriver kPacketDrivers[] = {
     {"hesai_ros_driver/", "hesai_ros_driver"},
     {"rslidar_msg/", "rslidar_sdk"},
     {"robosense_msgs/", "nebula"},
@@ -49,36 +48,35 @@ constexpr PacketDriver kDrivers[] = {
 
 /// Returns the end of the error message for a bag without clouds.
 /// @param requested_topic  topic to explain; empty: all topics
-std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagIndex& bag_index,
-                                             const std::string& requested_topic = "") {
-    std::vector<std::string> reasons = bag.get_file_problems();
-    for (std::size_t t = 0; t < bag_index.facts.size(); ++t) {
+std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
+                              const std::string& requested_topic = "") {
+    std::vector<std::string> reasons = bag.file_problems();
+    for (std::size_t t = 0; t < index.facts.size(); ++t) {
         const BagTopic& topic = bag.topics()[t];
         if (!requested_topic.empty() && topic.name != requested_topic) continue;
-        const std::string name = shorten_for_error_message(topic.name);
-        for (const PacketDriver& packet_driver : kDrivers)
+        const std::string name = quote(topic.name);
+        for (const PacketDriver& packet_driver : kPacketDrivers)
             if (topic.type.starts_with(packet_driver.package))
-                reasons.push_back(
-                    fmt::format("{}: found packets that relidar cannot decode; convert them to "
-                                "point clouds with {}",
-                                name, packet_driver.driver));
-        const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
-        const bool is_empty = clouds != bag_index.clouds.end() && clouds->clouds.empty();
+                reasons.push_back(fmt::format(
+                    "{}: found packets that relidar cannot decode; convert them to point clouds with {}",
+                    name, packet_driver.driver));
+        const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
+        const bool is_empty = clouds != index.clouds.end() && clouds->clouds.empty();
         if (is_empty && !clouds->packets.empty())
             reasons.push_back(fmt::format("topic {} contains {} packets of a {}: {}", name,
-                                          clouds->packets.size(), clouds->packets.describe_lidar_product(),
-                                          clouds->packets.describe_problems()));
+                                          clouds->packets.size(), clouds->packets.describe_product(),
+                                          clouds->packets.describe_faults()));
         else if (is_empty && clouds->n_empty > 0)
             reasons.push_back(
                 fmt::format("topic {} contains {} clouds without points", name, clouds->n_empty));
-        if (bag_index.facts[t].n == 0 && get_message_purpose_of_topic(topic) == MessagePurpose::cloud)
+        if (index.facts[t].n == 0 && find_purpose(topic) == MessagePurpose::cloud)
             reasons.push_back(fmt::format("topic {} contains no messages", name));
-        if (bag_index.facts[t].n_broken > 0)
-            reasons.push_back(fmt::format("{}: {}", name, bag_index.facts[t].broken));
+        if (index.facts[t].n_broken > 0)
+            reasons.push_back(fmt::format("{}: {}", name, index.facts[t].broken));
         if (topic.type == packets::kOtherDatagrams)
             reasons.push_back(
                 fmt::format("{} contains {} datagrams that relidar cannot decode as LiDAR packets", name,
-                            bag_index.facts[t].n));
+                            index.facts[t].n));
     }
     if (bag.topics().empty()) reasons.push_back("the recording has no messages");
     shorten_list(reasons, kMostReasons);
@@ -89,41 +87,40 @@ std::string explain_why_no_clouds_were_found(const BagRecording& bag, const BagI
 
 /// Packets have the highest score, then clouds with times, rings and return numbers, then
 /// clouds with many points.
-double score_topic_by_raw_measurements(const CloudTopic& cloud_topic) {
+double score_raw_data(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) return 200.0;
-    const bool timed = cloud_topic.has_field_with_attribute(read::PointAttribute::time);
-    const bool ringed = cloud_topic.has_field_with_attribute(read::PointAttribute::ring);
-    const bool numbered = cloud_topic.has_field_with_attribute(read::PointAttribute::return_number) ||
-                          cloud_topic.has_field_with_attribute(read::PointAttribute::return_type);
+    const bool timed = cloud_topic.has_field(read::PointAttribute::time);
+    const bool ringed = cloud_topic.has_field(read::PointAttribute::ring);
+    const bool numbered = cloud_topic.has_field(read::PointAttribute::return_number) ||
+                          cloud_topic.has_field(read::PointAttribute::return_type);
     return 100.0 * timed + 50.0 * ringed + 20.0 * numbered +
-           std::log10(1.0 + double(cloud_topic.compute_median_point_count()));
+           std::log10(1.0 + double(cloud_topic.median_points()));
 }
 
 constexpr std::array kOfWorld = {"map", "odom", "world", "earth"},
                      kOfVehicle = {"base_link", "base_footprint", "vehicle", "ego"};
 
 template <std::size_t N>
-bool is_cloud_frame_one_of(const CloudTopic& cloud_topic, const std::array<const char*, N>& frame_names) {
+bool has_frame_in(const CloudTopic& cloud_topic, const std::array<const char*, N>& frame_names) {
     return std::ranges::find(frame_names, cloud_topic.frame) != frame_names.end();
 }
 
 /// Returns false for clouds in the vehicle frame, which are usually merged from several
 /// sensors. Also returns false for clouds in a world frame, which are maps.
-bool are_clouds_in_single_sensor_frame(const CloudTopic& cloud_topic) {
-    return !is_cloud_frame_one_of(cloud_topic, kOfWorld) && !is_cloud_frame_one_of(cloud_topic, kOfVehicle);
+bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
+    return !has_frame_in(cloud_topic, kOfWorld) && !has_frame_in(cloud_topic, kOfVehicle);
 }
 
 /// Throws if clouds are in a world-fixed frame. Adds a note if they are in the vehicle
 /// frame.
-void reject_world_frame_or_note_vehicle_frame(const std::string& topic_name, const CloudTopic& clouds,
-                                              SelectedCloudTopics& selected_topics) {
-    if (is_cloud_frame_one_of(clouds, kOfWorld))
+void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds,
+                       SelectedCloudTopics& selected_topics) {
+    if (has_frame_in(clouds, kOfWorld))
         fail(
             "{}: the clouds are in the world-fixed frame '{}', expected the frame of the LiDAR (select "
-            "another "
-            "topic with dataset.lidars)",
+            "another topic with dataset.lidars)",
             topic_name, clouds.frame);
-    if (is_cloud_frame_one_of(clouds, kOfVehicle))
+    if (has_frame_in(clouds, kOfVehicle))
         selected_topics.notes.push_back(fmt::format(
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
             "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",
@@ -131,27 +128,26 @@ void reject_world_frame_or_note_vehicle_frame(const std::string& topic_name, con
 }
 
 /// The message rate is higher if a sweep consists of several messages.
-double estimate_sweep_rate_hz(const BagIndex& bag_index, const CloudTopic& cloud_topic) {
-    const TopicStatistics& facts = bag_index.facts[cloud_topic.topic];
-    return facts.compute_message_rate_hz() * double(cloud_topic.clouds.size()) /
+double sweep_rate_hz(const BagIndex& index, const CloudTopic& cloud_topic) {
+    const TopicStatistics& facts = index.facts[cloud_topic.topic];
+    return facts.rate_hz() * double(cloud_topic.clouds.size()) /
            double(std::max<std::size_t>(facts.n - cloud_topic.n_empty, 1));
 }
 
-std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const BagIndex& bag_index,
-                                                  const std::vector<std::string>& topic_names) {
+std::vector<std::size_t> find_topics(const BagRecording& bag, const BagIndex& index,
+                                     const std::vector<std::string>& topic_names) {
     std::vector<std::size_t> lidars;
     for (const std::string& name : topic_names) {
         const std::size_t n_before = lidars.size();
-        for (std::size_t c = 0; c < bag_index.clouds.size(); ++c)
-            if (const CloudTopic& clouds = bag_index.clouds[c];
+        for (std::size_t c = 0; c < index.clouds.size(); ++c)
+            if (const CloudTopic& clouds = index.clouds[c];
                 !clouds.clouds.empty() &&
                 (bag.topics()[clouds.topic].name == name || clouds.make_name(bag) == name))
                 lidars.push_back(c);
         if (lidars.size() == n_before)
             fail<UsageError>(
                 "dataset.lidars: found '{}', expected a topic with point clouds{}; the recording contains {}",
-                shorten_for_error_message(name), explain_why_no_clouds_were_found(bag, bag_index, name),
-                format_topics(bag));
+                quote(name), explain_no_clouds(bag, index, name), format_topics(bag));
     }
     std::ranges::sort(lidars);
     lidars.erase(std::unique(lidars.begin(), lidars.end()), lidars.end());
@@ -160,8 +156,8 @@ std::vector<std::size_t> find_cloud_topic_indices(const BagRecording& bag, const
 
 /// Returns the frame_id that identifies the LiDAR of a topic: that of the packets, if a
 /// driver computed the clouds from packets in the same bag.
-const std::string& get_lidar_frame_id(const BagIndex& bag_index, const CloudTopic& cloud_topic) {
-    for (const CloudTopic& other : bag_index.clouds)
+const std::string& lidar_frame(const BagIndex& index, const CloudTopic& cloud_topic) {
+    for (const CloudTopic& other : index.clouds)
         if (!other.revolutions.empty() &&
             std::ranges::find(other.driver_frames, cloud_topic.frame) != other.driver_frames.end())
             return other.frame;
@@ -170,27 +166,24 @@ const std::string& get_lidar_frame_id(const BagIndex& bag_index, const CloudTopi
 
 /// If several topics have the same frame, selects the one with the least processed data,
 /// because the others are usually copies.
-std::vector<std::size_t> select_topics_with_raw_data(const BagRecording& bag, const BagIndex& bag_index,
-                                                     std::vector<std::string>& notes) {
+std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagIndex& index,
+                                           std::vector<std::string>& notes) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
-    const bool any_of_sensor = std::ranges::any_of(bag_index.clouds, [&](const CloudTopic& c) {
-        return has_clouds(c) && are_clouds_in_single_sensor_frame(c);
-    });
+    const bool any_of_sensor = std::ranges::any_of(
+        index.clouds, [&](const CloudTopic& c) { return has_clouds(c) && is_in_sensor_frame(c); });
     std::map<std::string, std::vector<std::size_t>> of_frame;
-    for (std::size_t c = 0; c < bag_index.clouds.size(); ++c) {
-        const CloudTopic& clouds = bag_index.clouds[c];
-        if (!has_clouds(clouds) || (any_of_sensor && !are_clouds_in_single_sensor_frame(clouds))) continue;
-        of_frame[get_lidar_frame_id(bag_index, clouds)].push_back(c);
+    for (std::size_t c = 0; c < index.clouds.size(); ++c) {
+        const CloudTopic& clouds = index.clouds[c];
+        if (!has_clouds(clouds) || (any_of_sensor && !is_in_sensor_frame(clouds))) continue;
+        of_frame[lidar_frame(index, clouds)].push_back(c);
     }
     std::vector<std::size_t> lidars;
     for (const auto& [frame, candidates] : of_frame) {
-        const CloudTopic& best =
-            bag_index.clouds[*std::ranges::max_element(candidates, {}, [&](std::size_t c) {
-                return score_topic_by_raw_measurements(bag_index.clouds[c]);
-            })];
+        const CloudTopic& best = index.clouds[*std::ranges::max_element(
+            candidates, {}, [&](std::size_t c) { return score_raw_data(index.clouds[c]); })];
         std::vector<std::string> others;
         for (const std::size_t c : candidates) {
-            const CloudTopic& clouds = bag_index.clouds[c];
+            const CloudTopic& clouds = index.clouds[c];
             if (clouds.topic == best.topic) lidars.push_back(c);
             else if (best.packets.empty()) others.push_back(clouds.make_name(bag));
         }
@@ -201,52 +194,49 @@ std::vector<std::size_t> select_topics_with_raw_data(const BagRecording& bag, co
             fmt::format("{} not read, because the clouds have the frame '{}' like {}, so they count as "
                         "copies; to read another LiDAR there, use dataset.lidars={},{}",
                         others.size() == 1 ? "topic " + names + " is" : "topics " + names + " are",
-                        shorten_for_error_message(frame), used, used, fmt::join(others, ",")));
+                        quote(frame), used, used, fmt::join(others, ",")));
     }
     std::ranges::sort(lidars);
     return lidars;
 }
 
-std::size_t choose_main_lidar_index(const BagIndex& bag_index,
-                                    const std::vector<std::size_t>& cloud_topic_indices) {
+std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& cloud_topic_indices) {
     const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
-        const CloudTopic& clouds = bag_index.clouds[c];
-        return std::pair(score_topic_by_raw_measurements(clouds) >= 100.0,
-                         double(clouds.compute_median_point_count()) * double(clouds.clouds.size()));
+        const CloudTopic& clouds = index.clouds[c];
+        return std::pair(score_raw_data(clouds) >= 100.0,
+                         double(clouds.median_points()) * double(clouds.clouds.size()));
     });
     return std::size_t(most - cloud_topic_indices.begin());
 }
 
 }  // namespace
 
-SelectedCloudTopics choose_cloud_topics(const BagRecording& bag, const BagIndex& bag_index,
-                                        const std::vector<std::string>& requested_topics) {
+SelectedCloudTopics choose_clouds(const BagRecording& bag, const BagIndex& index,
+                                  const std::vector<std::string>& requested_topics) {
     SelectedCloudTopics choice;
-    choice.lidars = requested_topics.empty() ? select_topics_with_raw_data(bag, bag_index, choice.notes)
-                                             : find_cloud_topic_indices(bag, bag_index, requested_topics);
+    choice.lidars = requested_topics.empty() ? select_raw_topics(bag, index, choice.notes)
+                                             : find_topics(bag, index, requested_topics);
     if (choice.lidars.empty())
         fail(
             "{}: the recording has no point clouds{}, expected a topic of sensor_msgs/PointCloud2 or "
             "livox_ros_driver2/CustomMsg; it contains {}",
-            bag.get_file_paths().front().string(), explain_why_no_clouds_were_found(bag, bag_index),
-            format_topics(bag));
-    choice.main = choose_main_lidar_index(bag_index, choice.lidars);
-    const CloudTopic& main = bag_index.clouds[choice.lidars[choice.main]];
+            bag.file_paths().front().string(), explain_no_clouds(bag, index), format_topics(bag));
+    choice.main = choose_main(index, choice.lidars);
+    const CloudTopic& main = index.clouds[choice.lidars[choice.main]];
     std::vector<std::size_t> accepted_lidars;
     for (const std::size_t c : choice.lidars) {
-        const CloudTopic& clouds = bag_index.clouds[c];
+        const CloudTopic& clouds = index.clouds[c];
         const std::string name = clouds.make_name(bag);
-        const double rate = estimate_sweep_rate_hz(bag_index, clouds) /
-                            std::max(estimate_sweep_rate_hz(bag_index, main), 1e-9);
+        const double rate = sweep_rate_hz(index, clouds) / std::max(sweep_rate_hz(index, main), 1e-9);
         std::string why;
-        if (&clouds != &main && !bag_index.frames.find_constant_transform(main.frame, clouds.frame))
+        if (&clouds != &main && !index.frames.find_constant(main.frame, clouds.frame))
             why = fmt::format("/tf_static has no transform between its frame '{}' and the frame '{}'",
                               clouds.frame, main.frame);
         else if (&clouds != &main && !(rate >= kLeastRate && rate <= kMostRate))
             why = fmt::format("it contains {:.3g} times as many clouds as topic {}", rate,
                               bag.topics()[main.topic].name);
         if (why.empty()) {
-            reject_world_frame_or_note_vehicle_frame(name, clouds, choice);
+            check_cloud_frame(name, clouds, choice);
             accepted_lidars.push_back(c);
         } else if (requested_topics.empty()) {
             choice.notes.push_back(fmt::format(

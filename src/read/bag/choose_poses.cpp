@@ -21,9 +21,9 @@ struct PoseSourceCandidate {
 
 /// Returns the first frame from the sensor to `ancestor_frame` that moves relative to its
 /// parent, or the sensor's frame.
-std::string find_vehicle_frame_below_ancestor(const FrameTree& frame_tree,
-                                              const std::vector<std::string>& frame_path_to_root,
-                                              const std::string& ancestor_frame) {
+std::string find_vehicle_frame(const FrameTree& frame_tree,
+                               const std::vector<std::string>& frame_path_to_root,
+                               const std::string& ancestor_frame) {
     for (const std::string& frame : frame_path_to_root) {
         if (frame == ancestor_frame) break;
         if (frame_tree.is_frame_moving(frame)) return frame;
@@ -31,35 +31,34 @@ std::string find_vehicle_frame_below_ancestor(const FrameTree& frame_tree,
     return frame_path_to_root.front();
 }
 
-bool has_moving_transform_up_to(const FrameTree& frame_tree,
-                                const std::vector<std::string>& frame_path_to_root,
-                                const std::string& ancestor_frame) {
+bool is_moving_below(const FrameTree& frame_tree, const std::vector<std::string>& frame_path_to_root,
+                     const std::string& ancestor_frame) {
     const auto end = std::ranges::find(frame_path_to_root, ancestor_frame);
     return std::any_of(frame_path_to_root.begin(), end,
                        [&](const std::string& frame) { return frame_tree.is_frame_moving(frame); });
 }
 
-PoseSourceCandidate make_pose_source_from_tf(const FrameTree& frame_tree,
-                                             const std::vector<std::string>& frame_path_to_root,
-                                             const std::string& ancestor_frame) {
+PoseSourceCandidate make_tf_source(const FrameTree& frame_tree,
+                                   const std::vector<std::string>& frame_path_to_root,
+                                   const std::string& ancestor_frame) {
     PoseSourceCandidate source;
     source.outer = ancestor_frame;
-    source.vehicle = find_vehicle_frame_below_ancestor(frame_tree, frame_path_to_root, ancestor_frame);
+    source.vehicle = find_vehicle_frame(frame_tree, frame_path_to_root, ancestor_frame);
     source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
                                source.vehicle, ancestor_frame, fmt::join(frame_path_to_root, " < "),
-                               has_moving_transform_up_to(frame_tree, frame_path_to_root, ancestor_frame)
+                               is_moving_below(frame_tree, frame_path_to_root, ancestor_frame)
                                    ? ""
                                    : "; these poses are constant, so the LiDAR does not move");
     return source;
 }
 
-PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const FrameTree& frame_tree,
-                                                const PoseTopic& pose_topic, const std::string& lidar_frame,
-                                                std::vector<std::string>& notes) {
+PoseSourceCandidate make_topic_source(const BagRecording& bag, const FrameTree& frame_tree,
+                                      const PoseTopic& pose_topic, const std::string& lidar_frame,
+                                      std::vector<std::string>& notes) {
     PoseSourceCandidate source{
         pose_topic.parent, &pose_topic, pose_topic.child.empty() ? "base_link" : pose_topic.child, {}};
     const std::string& name = bag.topics()[pose_topic.topic].name;
-    if (!frame_tree.find_constant_transform(source.vehicle, lidar_frame)) {
+    if (!frame_tree.find_constant(source.vehicle, lidar_frame)) {
         notes.push_back(
             fmt::format("/tf_static has no transform between '{}' and '{}', so the poses of {} are used as "
                         "poses of the LiDAR",
@@ -71,88 +70,84 @@ PoseSourceCandidate make_pose_source_from_topic(const BagRecording& bag, const F
     return source;
 }
 
-std::optional<PoseSourceCandidate> find_requested_pose_source(
-    const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
-    const std::string& requested_frame_or_topic, std::vector<std::string>& notes) {
+std::optional<PoseSourceCandidate> find_source(const BagRecording& bag, const BagIndex& index,
+                                               const std::vector<std::string>& frame_path_to_root,
+                                               const std::string& requested_frame_or_topic,
+                                               std::vector<std::string>& notes) {
     if (requested_frame_or_topic.empty()) return std::nullopt;
     if (std::find(frame_path_to_root.begin() + 1, frame_path_to_root.end(), requested_frame_or_topic) !=
         frame_path_to_root.end())
-        return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, requested_frame_or_topic);
+        return make_tf_source(index.frames, frame_path_to_root, requested_frame_or_topic);
     std::vector<std::string> available_sources(frame_path_to_root.begin() + 1, frame_path_to_root.end());
-    for (const PoseTopic& topic : bag_index.poses) {
+    for (const PoseTopic& topic : index.poses) {
         if (bag.topics()[topic.topic].name == requested_frame_or_topic)
-            return make_pose_source_from_topic(bag, bag_index.frames, topic, frame_path_to_root.front(),
-                                               notes);
+            return make_topic_source(bag, index.frames, topic, frame_path_to_root.front(), notes);
         available_sources.push_back(bag.topics()[topic.topic].name);
     }
     fail<UsageError>(
         "dataset.poses_from: found '{}', expected a parent frame of '{}' or a topic of poses: {}",
-        shorten_for_error_message(requested_frame_or_topic), frame_path_to_root.front(),
+        quote(requested_frame_or_topic), frame_path_to_root.front(),
         available_sources.empty() ? "none" : fmt::format("{}", fmt::join(available_sources, ", ")));
 }
 
-std::optional<PoseSourceCandidate> select_default_pose_source(
-    const BagRecording& bag, const BagIndex& bag_index, const std::vector<std::string>& frame_path_to_root,
-    std::vector<std::string>& notes) {
+std::optional<PoseSourceCandidate> select_source(const BagRecording& bag, const BagIndex& index,
+                                                 const std::vector<std::string>& frame_path_to_root,
+                                                 std::vector<std::string>& notes) {
     const std::string outer = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end()
                                   ? "map"
                                   : frame_path_to_root.back();
-    if (has_moving_transform_up_to(bag_index.frames, frame_path_to_root, outer))
-        return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
+    if (is_moving_below(index.frames, frame_path_to_root, outer))
+        return make_tf_source(index.frames, frame_path_to_root, outer);
     // Uses the pose topic with the most messages. Prefers odometry topics.
-    const auto best = std::ranges::max_element(bag_index.poses, {}, [&](const PoseTopic& p) {
+    const auto best = std::ranges::max_element(index.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());
     });
-    if (best != bag_index.poses.end() && best->samples.size() >= 2)
-        return make_pose_source_from_topic(bag, bag_index.frames, *best, frame_path_to_root.front(), notes);
+    if (best != index.poses.end() && best->samples.size() >= 2)
+        return make_topic_source(bag, index.frames, *best, frame_path_to_root.front(), notes);
     for (const char* world : {"map", "odom", "world", "earth"})
         if (outer == world && frame_path_to_root.size() > 1)
-            return make_pose_source_from_tf(bag_index.frames, frame_path_to_root, outer);
+            return make_tf_source(index.frames, frame_path_to_root, outer);
     return std::nullopt;
 }
 
-TransformChain make_vehicle_pose_function(const BagIndex& bag_index, const PoseSourceCandidate& pose_source,
-                                          LogClock log_clock, std::int64_t time_origin_ns) {
+TransformChain make_pose_chain(const BagIndex& index, const PoseSourceCandidate& pose_source,
+                               LogClock log_clock, std::int64_t time_origin_ns) {
     if (!pose_source.topic)
-        return bag_index.frames.make_transform_chain_to_ancestor(pose_source.outer, pose_source.vehicle,
-                                                                 log_clock, time_origin_ns);
+        return index.frames.make_chain(pose_source.outer, pose_source.vehicle, log_clock, time_origin_ns);
     TransformChain path;
-    path.append_sampled_child_transform(pose_source.topic->samples, log_clock, time_origin_ns);
+    path.append_samples(pose_source.topic->samples, log_clock, time_origin_ns);
     return path;
 }
 
-std::size_t count_clouds_with_pose(const CloudTopic& clouds, const TransformChain& vehicle_pose_function,
-                                   LogClock clock, std::int64_t time_origin_ns) {
+std::size_t count_posed(const CloudTopic& clouds, const TransformChain& vehicle_pose_function, LogClock clock,
+                        std::int64_t time_origin_ns) {
     return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudIndexEntry& cloud) {
-        return vehicle_pose_function.covers_time(1e-9 * double(cloud.get_time_ns(clock) - time_origin_ns));
+        return vehicle_pose_function.covers_time(1e-9 * double(cloud.time_ns(clock) - time_origin_ns));
     }));
 }
 
 /// Returns null if the source does not move.
-const std::vector<StampedPose>* find_pose_samples(const BagIndex& bag_index,
-                                                  const PoseSourceCandidate& source) {
-    return source.topic ? &source.topic->samples
-                        : bag_index.frames.find_fastest_samples(source.outer, source.vehicle);
+const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSourceCandidate& source) {
+    return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.outer, source.vehicle);
 }
 
 /// Corrects a clock offset between clouds and poses if it is certain, and if more clouds
 /// then have a pose.
-void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag_index,
-                                 const CloudTopic& clouds, const PoseSourceCandidate& source) {
+void set_poses(SelectedPoseSource& choice, const BagIndex& index, const CloudTopic& clouds,
+               const PoseSourceCandidate& source) {
     choice.poses_zero_ns = choice.zero_ns;
-    choice.path = make_vehicle_pose_function(bag_index, source, choice.clock, choice.zero_ns);
-    const std::vector<StampedPose>* poses = find_pose_samples(bag_index, source);
+    choice.path = make_pose_chain(index, source, choice.clock, choice.zero_ns);
+    const std::vector<StampedPose>* poses = find_samples(index, source);
     if (choice.clock == LogClock::recorder || !poses) return;
-    const ClockOffset offset =
-        estimate_clock_offset(list_message_times(clouds.clouds), list_message_times(*poses));
+    const ClockOffset offset = estimate_offset(list_times(clouds.clouds), list_times(*poses));
     if (offset.offset_ns == 0) return;
     const std::int64_t zero_ns = choice.zero_ns - offset.offset_ns;
-    TransformChain corrected = make_vehicle_pose_function(bag_index, source, choice.clock, zero_ns);
-    const std::size_t n = count_clouds_with_pose(clouds, *choice.path, choice.clock, choice.zero_ns),
-                      n_corrected = count_clouds_with_pose(clouds, corrected, choice.clock, choice.zero_ns);
+    TransformChain corrected = make_pose_chain(index, source, choice.clock, zero_ns);
+    const std::size_t n = count_posed(clouds, *choice.path, choice.clock, choice.zero_ns),
+                      n_corrected = count_posed(clouds, corrected, choice.clock, choice.zero_ns);
     // If poses are only late, the correction cannot give a pose to more clouds.
-    constexpr std::size_t kMargin = 2;
-    const bool is_better = n_corrected > n + kMargin || n_corrected == clouds.clouds.size();
+    constexpr std::size_t kMinExtraClouds = 2;
+    const bool is_better = n_corrected > n + kMinExtraClouds || n_corrected == clouds.clouds.size();
     const std::string text = "compared with the recording times, the time stamps of the clouds are " +
                              offset.describe("the time stamps of the poses");
     if (offset.is_clear && is_better) {
@@ -165,50 +160,45 @@ void set_poses_and_correct_clock(SelectedPoseSource& choice, const BagIndex& bag
     }
 }
 
-std::int64_t find_first_cloud_time_ns(const CloudTopic& clouds, LogClock clock) {
-    std::int64_t first = clouds.clouds.front().get_time_ns(clock);
-    for (const CloudIndexEntry& cloud : clouds.clouds) first = std::min(first, cloud.get_time_ns(clock));
+std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
+    std::int64_t first = clouds.clouds.front().time_ns(clock);
+    for (const CloudIndexEntry& cloud : clouds.clouds) first = std::min(first, cloud.time_ns(clock));
     return first;
 }
 
 }  // namespace
 
-SelectedPoseSource choose_vehicle_pose_source(const BagRecording& bag, const BagIndex& bag_index,
-                                              CloudTopic& main_lidar_clouds,
-                                              const std::string& requested_frame_or_topic) {
+SelectedPoseSource choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
+                                const std::string& requested_frame_or_topic) {
     SelectedPoseSource choice;
-    const std::vector<std::string> frame_chain =
-        bag_index.frames.list_frames_to_root(main_lidar_clouds.frame);
+    const std::vector<std::string> frame_chain = index.frames.path_to_root(main_lidar_clouds.frame);
     std::optional<PoseSourceCandidate> source =
-        find_requested_pose_source(bag, bag_index, frame_chain, requested_frame_or_topic, choice.notes);
-    if (!source) source = select_default_pose_source(bag, bag_index, frame_chain, choice.notes);
-    const std::vector<StampedPose>* poses = source ? find_pose_samples(bag_index, *source) : nullptr;
-    const bool has_stamps = !list_message_times(main_lidar_clouds.clouds).empty();
-    if (!has_stamps || (poses && list_message_times(*poses).empty())) {
+        find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
+    if (!source) source = select_source(bag, index, frame_chain, choice.notes);
+    const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;
+    const bool has_stamps = !list_times(main_lidar_clouds.clouds).empty();
+    if (!has_stamps || (poses && list_times(*poses).empty())) {
         choice.clock = LogClock::recorder;
         choice.notes.push_back(
             fmt::format("the {} have no time stamps, so the times at which they were recorded are used",
                         has_stamps ? "poses" : "clouds"));
     }
-    if (const std::string note =
-            correct_clock_jumps(main_lidar_clouds.clouds, choice.clock,
-                                poses ? list_message_times(*poses) : std::vector<MessageTimes>{});
+    if (const std::string note = fix_clock_jumps(main_lidar_clouds.clouds, choice.clock,
+                                                 poses ? list_times(*poses) : std::vector<MessageTimes>{});
         !note.empty())
         choice.notes.push_back(note);
-    choice.zero_ns = choice.poses_zero_ns = find_first_cloud_time_ns(main_lidar_clouds, choice.clock);
+    choice.zero_ns = choice.poses_zero_ns = first_cloud_ns(main_lidar_clouds, choice.clock);
     choice.vehicle = main_lidar_clouds.frame;
     if (!source) return choice;
-    set_poses_and_correct_clock(choice, bag_index, main_lidar_clouds, *source);
+    set_poses(choice, index, main_lidar_clouds, *source);
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
-    const std::size_t n =
-        count_clouds_with_pose(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
+    const std::size_t n = count_posed(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
     if (choice.clock == LogClock::recorder || 2 * n >= main_lidar_clouds.clouds.size()) return choice;
-    const std::int64_t zero_ns = find_first_cloud_time_ns(main_lidar_clouds, LogClock::recorder);
-    TransformChain recorded = make_vehicle_pose_function(bag_index, *source, LogClock::recorder, zero_ns);
-    const std::size_t n_recorded =
-        count_clouds_with_pose(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
+    const std::int64_t zero_ns = first_cloud_ns(main_lidar_clouds, LogClock::recorder);
+    TransformChain recorded = make_pose_chain(index, *source, LogClock::recorder, zero_ns);
+    const std::size_t n_recorded = count_posed(main_lidar_clouds, recorded, LogClock::recorder, zero_ns);
     if (n_recorded <= n) return choice;
     choice.notes.push_back(
         fmt::format("the stamps of clouds and poses come from different clocks (only {} of {} clouds have a "

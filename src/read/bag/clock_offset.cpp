@@ -16,15 +16,15 @@
 namespace relidar::bag {
 namespace {
 
-constexpr std::int64_t kMilli_ns = 1000000, kUnit_ns = 1000 * kMilli_ns;
+constexpr std::int64_t kNsPerMs = 1000000, kOffsetUnit_ns = 1000 * kNsPerMs;
 // Smaller offsets may be delays. Offsets below kClear_ns may be delays of slow programs.
-constexpr std::int64_t kLeastOffset_ns = 750 * kMilli_ns, kClear_ns = 2 * kUnit_ns;
+constexpr std::int64_t kLeastOffset_ns = 750 * kNsPerMs, kClear_ns = 2 * kOffsetUnit_ns;
 // Messages ahead of the recorder by more than this have another clock.
-constexpr std::int64_t kAhead_ns = 150 * kMilli_ns, kLeastDrift_ns = 200 * kMilli_ns;
+constexpr std::int64_t kMaxAhead_ns = 150 * kNsPerMs, kMinDrift_ns = 200 * kNsPerMs;
 // Larger offsets are damaged times. A clock that starts at 0 is about 1.8e9 s behind.
-constexpr std::int64_t kMostOffset_ns = 2400000000 * kUnit_ns;
+constexpr std::int64_t kMostOffset_ns = 2400000000 * kOffsetUnit_ns;
 // Two messages are compared if they were recorded within this time of each other.
-constexpr std::int64_t kNearby_ns = kUnit_ns;
+constexpr std::int64_t kMaxRecordingGap_ns = kOffsetUnit_ns;
 // An offset is steady if 80 % of its measurements are within 10 % of the offset, but at
 // least and at most these values.
 constexpr double kLeastSpread_ns = 5e8, kMostSpread_ns = 5e9;
@@ -34,18 +34,18 @@ constexpr double kLeastPace = 0.5;
 /// Rounds an offset to a known difference between clocks: leap seconds since 1999 and
 /// time zones. A cloud is recorded up to 0.25 s later than a pose of the same time, so
 /// the measured offset is too small by this delay.
-std::int64_t round_to_known_offset(std::int64_t measured_ns) {
-    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 100 * kMilli_ns));
-    const std::int64_t n = std::abs(seconds), delay_ns = seconds * kUnit_ns - measured_ns;
+std::int64_t round_offset(std::int64_t measured_ns) {
+    const std::int64_t seconds = std::llround(1e-9 * double(measured_ns + 100 * kNsPerMs));
+    const std::int64_t n = std::abs(seconds), delay_ns = seconds * kOffsetUnit_ns - measured_ns;
     const bool is_known = (n >= 13 && n <= 19) || (n >= 32 && n <= 37) || n % 900 == 0;
-    return is_known && delay_ns >= -50 * kMilli_ns && delay_ns <= 250 * kMilli_ns ? seconds * kUnit_ns
-                                                                                  : measured_ns;
+    return is_known && delay_ns >= -50 * kNsPerMs && delay_ns <= 250 * kNsPerMs ? seconds * kOffsetUnit_ns
+                                                                                : measured_ns;
 }
 
 /// Poses that were computed from clouds have their time stamps. So equal time stamps show
 /// one clock and late messages, unless even more are equal with the offset.
-bool have_equal_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
-                       std::int64_t offset_ns) {
+bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
+                  std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
     for (const MessageTimes& m : reference) stamps.insert(m.stamp_ns);
     const auto count_equal = [&](std::int64_t shift_ns) {
@@ -56,7 +56,7 @@ bool have_equal_stamps(const std::vector<MessageTimes>& messages, const std::vec
     return 2 * n_equal > messages.size() && count_equal(offset_ns) < n_equal;
 }
 
-constexpr std::int64_t kJump_ns = 500000000, kDay_ns = 86400000000000;
+constexpr std::int64_t kMinJump_ns = 500000000, kDay_ns = 86400000000000;
 // A message is not recorded before its time stamp, and delays are shorter than this.
 constexpr std::int64_t kMostAhead_ns = 150000000, kMostDelay_ns = 10000000000;
 constexpr std::size_t kLeastRun = 3;  // fewer clouds between two jumps have damaged times
@@ -71,7 +71,7 @@ struct ClockRun {
 };
 
 template <class Function>
-std::int64_t compute_median_of(std::size_t begin, std::size_t end, const Function& function) {
+std::int64_t median_of(std::size_t begin, std::size_t end, const Function& function) {
     std::vector<std::int64_t> values;
     for (std::size_t i = begin; i < end; ++i) values.push_back(function(i));
     return compute_median(std::move(values));
@@ -79,29 +79,29 @@ std::int64_t compute_median_of(std::size_t begin, std::size_t end, const Functio
 
 /// Splits the clouds where their times jump. A late message is no jump: its time stamp
 /// follows the previous one regularly. Without recording times, only days are jumps.
-std::vector<ClockRun> split_at_clock_jumps(const std::vector<CloudIndexEntry>& clouds, LogClock clock,
-                                           const std::vector<MessageTimes>& reference, std::int64_t period_ns,
-                                           bool has_log) {
+std::vector<ClockRun> split_at_jumps(const std::vector<CloudIndexEntry>& clouds, LogClock clock,
+                                     const std::vector<MessageTimes>& reference, std::int64_t period_ns,
+                                     bool has_log) {
     std::vector<ClockRun> runs{{}};
     for (std::size_t i = 1; i < clouds.size(); ++i) {
-        const std::int64_t step_ns = clouds[i].get_time_ns(clock) - clouds[i - 1].get_time_ns(clock),
+        const std::int64_t step_ns = clouds[i].time_ns(clock) - clouds[i - 1].time_ns(clock),
                            log_ns = clouds[i].log_ns - clouds[i - 1].log_ns;
         const bool is_late =
             std::abs(step_ns - period_ns) <= std::abs(log_ns - period_ns) && (step_ns > 0 || log_ns < 0);
-        if (has_log ? std::abs(step_ns - log_ns) < kJump_ns || is_late : std::abs(step_ns) < kDay_ns)
+        if (has_log ? std::abs(step_ns - log_ns) < kMinJump_ns || is_late : std::abs(step_ns) < kDay_ns)
             continue;
         runs.back().end = i;
         runs.push_back({i});
     }
     runs.back().end = clouds.size();
-    const auto get_recorder_ns = [&](std::size_t i) {
-        return clouds[i].get_time_ns(clock) - (has_log ? clouds[i].log_ns : 0);
+    const auto recorder_ns_of = [&](std::size_t i) {
+        return clouds[i].time_ns(clock) - (has_log ? clouds[i].log_ns : 0);
     };
     for (ClockRun& run : runs) {
-        run.recorder_ns = compute_median_of(run.begin, run.end, get_recorder_ns);
-        run.ahead_ns = compute_median_of(run.begin, run.end, [&](std::size_t i) {
-            const MessageTimes* near = find_nearest_recorded(reference, clouds[i].log_ns);
-            return get_recorder_ns(i) - (has_log && near ? near->stamp_ns - near->log_ns : 0);
+        run.recorder_ns = median_of(run.begin, run.end, recorder_ns_of);
+        run.ahead_ns = median_of(run.begin, run.end, [&](std::size_t i) {
+            const MessageTimes* near = find_nearest(reference, clouds[i].log_ns);
+            return recorder_ns_of(i) - (has_log && near ? near->stamp_ns - near->log_ns : 0);
         });
     }
     return runs;
@@ -110,10 +110,11 @@ std::vector<ClockRun> split_at_clock_jumps(const std::vector<CloudIndexEntry>& c
 }  // namespace
 
 std::string ClockOffset::describe(const std::string& reference_name) const {
-    const char* cause = offset_ns % kUnit_ns == 0 ? "" : " (accurate to the delays of messages, about 0.1 s)";
-    if (std::abs(offset_ns) == 37 * kUnit_ns) cause = " (TAI minus UTC is 37 s)";
-    if (std::abs(offset_ns) == 18 * kUnit_ns) cause = " (GPS time minus UTC is 18 s)";
-    if (std::abs(offset_ns) == 19 * kUnit_ns) cause = " (TAI minus GPS time is 19 s)";
+    const char* cause =
+        offset_ns % kOffsetUnit_ns == 0 ? "" : " (accurate to the delays of messages, about 0.1 s)";
+    if (std::abs(offset_ns) == 37 * kOffsetUnit_ns) cause = " (TAI minus UTC is 37 s)";
+    if (std::abs(offset_ns) == 18 * kOffsetUnit_ns) cause = " (GPS time minus UTC is 18 s)";
+    if (std::abs(offset_ns) == 19 * kOffsetUnit_ns) cause = " (TAI minus GPS time is 19 s)";
     const std::string drift = drift_ns == 0 ? ""
                                             : fmt::format(" (this changes by {:.3f} s during the recording)",
                                                           1e-9 * double(std::abs(drift_ns)));
@@ -121,7 +122,7 @@ std::string ClockOffset::describe(const std::string& reference_name) const {
                        offset_ns > 0 ? "ahead of" : "behind", reference_name, cause, drift);
 }
 
-const MessageTimes* find_nearest_recorded(const std::vector<MessageTimes>& messages, std::int64_t log_ns) {
+const MessageTimes* find_nearest(const std::vector<MessageTimes>& messages, std::int64_t log_ns) {
     auto near = std::ranges::lower_bound(messages, log_ns, {}, &MessageTimes::log_ns);
     if (near != messages.begin() &&
         (near == messages.end() || log_ns - std::prev(near)->log_ns < near->log_ns - log_ns))
@@ -129,47 +130,47 @@ const MessageTimes* find_nearest_recorded(const std::vector<MessageTimes>& messa
     return near == messages.end() ? nullptr : &*near;
 }
 
-ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
-                                  std::vector<MessageTimes> reference) {
-    constexpr std::size_t kLeast = 3;
+ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vector<MessageTimes> reference) {
+    constexpr std::size_t kMinMessages = 3;
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
     std::vector<std::int64_t> offsets_ns, ahead_ns, reference_ahead_ns;
     for (const MessageTimes& m : messages) {
-        const MessageTimes* near = find_nearest_recorded(reference, m.log_ns);
-        if (!near || std::abs(near->log_ns - m.log_ns) > kNearby_ns) continue;
+        const MessageTimes* near = find_nearest(reference, m.log_ns);
+        if (!near || std::abs(near->log_ns - m.log_ns) > kMaxRecordingGap_ns) continue;
         ahead_ns.push_back(m.stamp_ns - m.log_ns);
         reference_ahead_ns.push_back(near->stamp_ns - near->log_ns);
         offsets_ns.push_back(ahead_ns.back() - reference_ahead_ns.back());
     }
-    const auto get_passed_ns = [&](std::int64_t MessageTimes::*time) {
+    const auto passed_ns = [&](std::int64_t MessageTimes::*time) {
         return std::abs(double(messages.back().*time) - double(messages.front().*time));
     };
-    if (offsets_ns.size() < kLeast ||
-        get_passed_ns(&MessageTimes::log_ns) < kLeastPace * get_passed_ns(&MessageTimes::stamp_ns))
+    if (offsets_ns.size() < kMinMessages ||
+        passed_ns(&MessageTimes::log_ns) < kLeastPace * passed_ns(&MessageTimes::stamp_ns))
         return {};
     const std::size_t n = offsets_ns.size(), n_tenth = n / 10;
-    const auto get_median = [&](const std::vector<std::int64_t>& values, std::size_t begin, std::size_t end) {
+    const auto find_median = [&](const std::vector<std::int64_t>& values, std::size_t begin,
+                                 std::size_t end) {
         return compute_median(
             std::vector(values.begin() + std::ptrdiff_t(begin), values.begin() + std::ptrdiff_t(end)));
     };
     // A message is recorded after its time stamp. So no delay explains an offset of
     // messages that are ahead of the recorder, if the others are not.
     const auto is_ahead = [&](std::size_t begin, std::size_t end) {
-        return get_median(ahead_ns, begin, end) > kAhead_ns &&
-               get_median(reference_ahead_ns, begin, end) < kAhead_ns / 3;
+        return find_median(ahead_ns, begin, end) > kMaxAhead_ns &&
+               find_median(reference_ahead_ns, begin, end) < kMaxAhead_ns / 3;
     };
     ClockOffset clock;
-    const std::int64_t least_ns = is_ahead(0, n) ? kAhead_ns : kLeastOffset_ns;
-    const std::int64_t median_ns = get_median(offsets_ns, 0, n);
-    if (n_tenth >= kLeast) {
-        const std::int64_t first_ns = get_median(offsets_ns, 0, n_tenth),
-                           last_ns = get_median(offsets_ns, n - n_tenth, n);
+    const std::int64_t least_ns = is_ahead(0, n) ? kMaxAhead_ns : kLeastOffset_ns;
+    const std::int64_t median_ns = find_median(offsets_ns, 0, n);
+    if (n_tenth >= kMinMessages) {
+        const std::int64_t first_ns = find_median(offsets_ns, 0, n_tenth),
+                           last_ns = find_median(offsets_ns, n - n_tenth, n);
         const bool is_last = std::abs(last_ns) > std::abs(first_ns);
         const bool is_clock = is_last ? is_ahead(n - n_tenth, n) : is_ahead(0, n_tenth);
         // Messages that are late for a while do not change the offset evenly.
         const std::int64_t change_ns = std::abs(last_ns - first_ns);
         const bool is_even = 2 * std::abs(2 * median_ns - first_ns - last_ns) < change_ns;
-        if (is_clock ? change_ns >= kLeastDrift_ns : is_even && change_ns >= kLeastOffset_ns)
+        if (is_clock ? change_ns >= kMinDrift_ns : is_even && change_ns >= kLeastOffset_ns)
             clock = {is_last ? last_ns : first_ns, last_ns - first_ns};
     }
     std::ranges::sort(offsets_ns);
@@ -179,32 +180,31 @@ ClockOffset estimate_clock_offset(const std::vector<MessageTimes>& messages,
         std::abs(median_ns) < least_ns) {
         if (clock.drift_ns == 0) return {};
     } else {
-        clock = {round_to_known_offset(median_ns), clock.drift_ns, std::abs(median_ns) >= kClear_ns};
+        clock = {round_offset(median_ns), clock.drift_ns, std::abs(median_ns) >= kClear_ns};
     }
-    if (have_equal_stamps(messages, reference, clock.offset_ns)) {
+    if (share_stamps(messages, reference, clock.offset_ns)) {
         if (clock.drift_ns != 0 && least_ns == kLeastOffset_ns) return {};
         clock.is_clear = false;
     }
     return clock;
 }
 
-std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
-                                std::vector<MessageTimes> reference) {
+std::string fix_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
+                            std::vector<MessageTimes> reference) {
     if (clouds.size() <= kLeastRun) return "";
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
-    const auto get_period_ns = [&](LogClock of) {
-        return compute_median_of(1, clouds.size(), [&](std::size_t i) {
-            return clouds[i].get_time_ns(of) - clouds[i - 1].get_time_ns(of);
-        });
+    const auto median_period_ns = [&](LogClock of) {
+        return median_of(1, clouds.size(),
+                         [&](std::size_t i) { return clouds[i].time_ns(of) - clouds[i - 1].time_ns(of); });
     };
-    const std::int64_t period_ns = get_period_ns(clock);
+    const std::int64_t period_ns = median_period_ns(clock);
     // Recording times of a conversion differ from the times of measurement.
     const bool has_log = clock == LogClock::stamps && period_ns > 0 &&
-                         std::abs(get_period_ns(LogClock::recorder) - period_ns) < period_ns / 4;
-    const std::vector<ClockRun> runs = split_at_clock_jumps(clouds, clock, reference, period_ns, has_log);
+                         std::abs(median_period_ns(LogClock::recorder) - period_ns) < period_ns / 4;
+    const std::vector<ClockRun> runs = split_at_jumps(clouds, clock, reference, period_ns, has_log);
     // Prefers clouds on the clock of the reference.
     const ClockRun main = *std::ranges::max_element(runs, {}, [](const ClockRun& run) {
-        return std::pair(std::abs(run.ahead_ns) <= kJump_ns && run.size() >= kLeastRun, run.size());
+        return std::pair(std::abs(run.ahead_ns) <= kMinJump_ns && run.size() >= kLeastRun, run.size());
     });
     if (main.size() < kLeastRun) return "";
     std::vector<CloudIndexEntry> kept;
@@ -212,7 +212,7 @@ std::string correct_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock c
     std::int64_t moved_ns = 0, out_ns = 0;
     for (const ClockRun& run : runs) {
         const std::int64_t about_ns = run.ahead_ns - main.ahead_ns;
-        const bool is_other = std::abs(about_ns) > kJump_ns;
+        const bool is_other = std::abs(about_ns) > kMinJump_ns;
         const bool is_unclear = std::max(run.recorder_ns, main.recorder_ns) <= kMostAhead_ns &&
                                 std::abs(about_ns) < kMostDelay_ns;
         if (is_other && run.size() < kLeastRun && !is_unclear) {

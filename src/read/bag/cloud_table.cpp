@@ -16,12 +16,12 @@ namespace {
 
 /// Returns the memory layout of a point: its known fields, sorted by offset. Unused
 /// fields fill the gaps between the known fields.
-std::vector<read::PointField> make_point_layout(
-    const CloudMessage& cloud, const std::vector<CloudMessage::CloudField>& sorted_fields) {
+std::vector<read::PointField> make_layout(const CloudMessage& cloud,
+                                          const std::vector<CloudMessage::CloudField>& sorted_fields) {
     std::vector<read::PointField> layout;
     std::size_t at = 0;
     const auto skip_to = [&](std::size_t offset) {
-        if (offset > at) layout.push_back({std::string(read::kPadding), 'U', 1, offset - at});
+        if (offset > at) layout.push_back({std::string(read::kPaddingName), 'U', 1, offset - at});
         at = offset;
     };
     for (const CloudMessage::CloudField& field : sorted_fields) {
@@ -29,7 +29,7 @@ std::vector<read::PointField> make_point_layout(
             fail(
                 "the field '{}' starts at byte {} of a point and overlaps another field, expected byte {} or "
                 "more",
-                shorten_for_error_message(field.name), field.offset, at);
+                quote(field.name), field.offset, at);
         skip_to(field.offset);
         layout.push_back({field.name, field.kind, field.size, field.count});
         at += field.size * field.count;
@@ -40,8 +40,7 @@ std::vector<read::PointField> make_point_layout(
 
 /// Copies all points of a cloud. Removes the padding between rows, and converts the
 /// values to the byte order of this computer.
-std::string copy_points_as_packed_bytes(const CloudMessage& cloud,
-                                        const std::vector<CloudMessage::CloudField>& fields) {
+std::string pack_points(const CloudMessage& cloud, const std::vector<CloudMessage::CloudField>& fields) {
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;
     points.reserve(cloud.height * row);
@@ -59,24 +58,22 @@ std::string copy_points_as_packed_bytes(const CloudMessage& cloud,
 
 }  // namespace
 
-read::PointTable make_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes) {
+read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes) {
     if (cloud.size() == 0) throw DataError("the cloud has no points, expected at least one");
     std::vector<CloudMessage::CloudField> point_fields;
-    std::ranges::copy_if(
-        cloud.fields, std::back_inserter(point_fields),
-        [](const CloudMessage::CloudField& f) { return read::is_known_point_field(f.name); });
+    std::ranges::copy_if(cloud.fields, std::back_inserter(point_fields),
+                         [](const CloudMessage::CloudField& f) { return read::is_known_field(f.name); });
     std::ranges::sort(point_fields, {}, &CloudMessage::CloudField::offset);
     const std::size_t n_bytes = cloud.size() * cloud.point_step;
     const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
                            (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
-    const std::vector<read::PointField> layout = make_point_layout(cloud, point_fields);
-    const SharedBytes points = is_packed
-                                   ? message_bytes.make_shared_subview(cloud.data.substr(0, n_bytes))
-                                   : make_shared_bytes(copy_points_as_packed_bytes(cloud, point_fields));
-    read::PointTable table = read::make_table_of_binary_points(
-        points, layout, cloud.size(), read::PointMemoryLayout::by_point, "points");
+    const std::vector<read::PointField> layout = make_layout(cloud, point_fields);
+    const SharedBytes points = is_packed ? message_bytes.share_part(cloud.data.substr(0, n_bytes))
+                                         : share_bytes(pack_points(cloud, point_fields));
+    read::PointTable table =
+        read::table_of_records(points, layout, cloud.size(), read::PointMemoryLayout::by_point, "points");
     for (const CloudMessage::CloudField& field : cloud.fields)
-        if (!read::is_known_point_field(field.name)) table.unread.push_back(field.name);
+        if (!read::is_known_field(field.name)) table.unread.push_back(field.name);
     return table;
 }
 

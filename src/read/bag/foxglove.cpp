@@ -15,7 +15,7 @@ namespace {
 using protozero::pbf_reader;
 using protozero::pbf_wire_type;
 
-constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32,
+constexpr auto kLengthDelimited = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_type::fixed32,
                kVarint = pbf_wire_type::varint;
 
 bool is_field(const pbf_reader& reader, protozero::pbf_tag_type tag, pbf_wire_type type) {
@@ -34,36 +34,36 @@ glm::dvec4 read_xyzw(pbf_reader reader) {
     return v;
 }
 
-std::int64_t read_timestamp_ns(pbf_reader reader) {
+std::int64_t read_stamp_ns(pbf_reader reader) {
     std::int64_t seconds = 0, nanoseconds = 0;
     while (reader.next()) {
         if (is_field(reader, 1, kVarint)) seconds = reader.get_int64();
         else if (is_field(reader, 2, kVarint)) nanoseconds = reader.get_int32();
         else reader.skip();
     }
-    constexpr std::int64_t kLatest_s = 4294967295;  // limit of ROS times
-    if (seconds < 0 || seconds > kLatest_s)
-        fail("found the message time {} s, expected 0 to {} s", seconds, kLatest_s);
+    constexpr std::int64_t kMaxRosTime_s = 4294967295;  // limit of ROS times
+    if (seconds < 0 || seconds > kMaxRosTime_s)
+        fail("found the message time {} s, expected 0 to {} s", seconds, kMaxRosTime_s);
     return seconds * 1000000000 + nanoseconds;
 }
 
-PoseComponents make_pose_components(const glm::dvec4& position, const glm::dvec4& quaternion_xyzw) {
+PoseComponents to_pose(const glm::dvec4& position, const glm::dvec4& quaternion_xyzw) {
     const glm::dvec4& q = quaternion_xyzw;
     return {position.x, position.y, position.z, q.x, q.y, q.z, q.w};
 }
 
-CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
+CloudMessage::CloudField read_pbf_field(pbf_reader reader) {
     struct Type {
         char kind;
         std::size_t size;
     };
     // Foxglove's numeric types 1 to 8
-    static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
-                                      {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
+    static constexpr Type kFoxgloveTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
+                                              {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
     CloudMessage::CloudField field;
     std::int32_t type = 0;
     while (reader.next()) {
-        if (is_field(reader, 1, kBytes)) field.name = reader.get_string();
+        if (is_field(reader, 1, kLengthDelimited)) field.name = reader.get_string();
         else if (is_field(reader, 2, kFixed32)) field.offset = reader.get_fixed32();
         else if (is_field(reader, 3, kVarint)) type = reader.get_enum();
         else reader.skip();
@@ -71,33 +71,34 @@ CloudMessage::CloudField read_foxglove_point_field(pbf_reader reader) {
     if (type < 1 || type > 8)
         fail(
             "the field '{}' of the cloud has the data type {}, expected 1 to 8 (foxglove.PackedElementField)",
-            shorten_for_error_message(field.name), type);
-    field.kind = kTypes[type - 1].kind;
-    field.size = kTypes[type - 1].size;
+            quote(field.name), type);
+    field.kind = kFoxgloveTypes[type - 1].kind;
+    field.size = kFoxgloveTypes[type - 1].size;
     return field;
 }
 
 /// Throws if a cloud has a pose other than the identity, which relidar does not support.
-void require_identity_pose(pbf_reader reader) {
+void check_identity(pbf_reader reader) {
     while (reader.next()) {
         const bool turns = reader.tag() == 2;
-        if (reader.tag() > 2 || reader.wire_type() != kBytes) reader.skip();
+        if (reader.tag() > 2 || reader.wire_type() != kLengthDelimited) reader.skip();
         else if (!(glm::length(glm::dvec3(read_xyzw(reader.get_message()))) <= 1e-9))
             fail("the cloud has a pose with a {}, expected a pose without translation and rotation",
                  turns ? "rotation" : "translation");
     }
 }
 
-CloudMessage parse_foxglove_cloud_message(pbf_reader reader) {
+CloudMessage parse_cloud(pbf_reader reader) {
     CloudMessage cloud;
     while (reader.next()) {
-        if (is_field(reader, 1, kBytes)) cloud.header.stamp_ns = read_timestamp_ns(reader.get_message());
-        else if (is_field(reader, 2, kBytes)) cloud.header.frame = reader.get_string();
-        else if (is_field(reader, 3, kBytes)) require_identity_pose(reader.get_message());
+        if (is_field(reader, 1, kLengthDelimited))
+            cloud.header.stamp_ns = read_stamp_ns(reader.get_message());
+        else if (is_field(reader, 2, kLengthDelimited)) cloud.header.frame = reader.get_string();
+        else if (is_field(reader, 3, kLengthDelimited)) check_identity(reader.get_message());
         else if (is_field(reader, 4, kFixed32)) cloud.point_step = reader.get_fixed32();
-        else if (is_field(reader, 5, kBytes))
-            cloud.fields.push_back(read_foxglove_point_field(reader.get_message()));
-        else if (is_field(reader, 6, kBytes)) {
+        else if (is_field(reader, 5, kLengthDelimited))
+            cloud.fields.push_back(read_pbf_field(reader.get_message()));
+        else if (is_field(reader, 6, kLengthDelimited)) {
             const protozero::data_view view = reader.get_view();
             cloud.data = {view.data(), view.size()};
         } else reader.skip();
@@ -108,61 +109,62 @@ CloudMessage parse_foxglove_cloud_message(pbf_reader reader) {
     return cloud;
 }
 
-void add_frame_transform(TransformListMessage& list, pbf_reader reader) {
+void add_transform(TransformListMessage& list, pbf_reader reader) {
     TransformMessage transform;
     glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);
     while (reader.next()) {
-        if (is_field(reader, 1, kBytes)) transform.header.stamp_ns = read_timestamp_ns(reader.get_message());
-        else if (is_field(reader, 2, kBytes)) transform.header.frame = reader.get_string();
-        else if (is_field(reader, 3, kBytes)) transform.child = reader.get_string();
-        else if (is_field(reader, 4, kBytes)) translation = read_xyzw(reader.get_message());
-        else if (is_field(reader, 5, kBytes)) rotation = read_xyzw(reader.get_message());
+        if (is_field(reader, 1, kLengthDelimited))
+            transform.header.stamp_ns = read_stamp_ns(reader.get_message());
+        else if (is_field(reader, 2, kLengthDelimited)) transform.header.frame = reader.get_string();
+        else if (is_field(reader, 3, kLengthDelimited)) transform.child = reader.get_string();
+        else if (is_field(reader, 4, kLengthDelimited)) translation = read_xyzw(reader.get_message());
+        else if (is_field(reader, 5, kLengthDelimited)) rotation = read_xyzw(reader.get_message());
         else reader.skip();
     }
-    list.add_if_valid(std::move(transform), make_pose_components(translation, rotation));
+    list.add_if_valid(std::move(transform), to_pose(translation, rotation));
 }
 
 /// Reads the pose and the size of a foxglove.CubePrimitive.
 void read_cube(pbf_reader reader, BoxMessage& box, PoseComponents& pose) {
     glm::dvec4 position(0.0), rotation(0.0, 0.0, 0.0, 1.0);
     while (reader.next()) {
-        if (is_field(reader, 1, kBytes)) {
+        if (is_field(reader, 1, kLengthDelimited)) {
             pbf_reader part = reader.get_message();
             while (part.next()) {
-                if (is_field(part, 1, kBytes)) position = read_xyzw(part.get_message());
-                else if (is_field(part, 2, kBytes)) rotation = read_xyzw(part.get_message());
+                if (is_field(part, 1, kLengthDelimited)) position = read_xyzw(part.get_message());
+                else if (is_field(part, 2, kLengthDelimited)) rotation = read_xyzw(part.get_message());
                 else part.skip();
             }
-        } else if (is_field(reader, 2, kBytes)) box.size_m = read_xyzw(reader.get_message());
+        } else if (is_field(reader, 2, kLengthDelimited)) box.size_m = read_xyzw(reader.get_message());
         else reader.skip();
     }
-    pose = make_pose_components(position, rotation);
+    pose = to_pose(position, rotation);
 }
 
 /// Returns the value of a foxglove.KeyValuePair if it has the expected key, or "".
-std::string read_value_if_key_matches(pbf_reader reader, std::string_view expected_key) {
+std::string read_value(pbf_reader reader, std::string_view expected_key) {
     std::string key, value;
     while (reader.next()) {
-        if (is_field(reader, 1, kBytes)) key = reader.get_string();
-        else if (is_field(reader, 2, kBytes)) value = reader.get_string();
+        if (is_field(reader, 1, kLengthDelimited)) key = reader.get_string();
+        else if (is_field(reader, 2, kLengthDelimited)) value = reader.get_string();
         else reader.skip();
     }
     return key == expected_key ? value : "";
 }
 
 /// Adds an entity that consists of exactly one cube as a box.
-void add_box_from_scene_entity(BoxListMessage& box_list, pbf_reader reader) {
+void add_entity(BoxListMessage& box_list, pbf_reader reader) {
     BoxMessage box;
     PoseComponents pose{};
     std::size_t n_cubes = 0;
     while (reader.next()) {
-        if (is_field(reader, 1, kBytes)) box.header.stamp_ns = read_timestamp_ns(reader.get_message());
-        else if (is_field(reader, 2, kBytes)) box.header.frame = reader.get_string();
-        else if (is_field(reader, 3, kBytes)) box.id = reader.get_string();
-        else if (is_field(reader, 6, kBytes)) {
-            const std::string category = read_value_if_key_matches(reader.get_message(), "category");
+        if (is_field(reader, 1, kLengthDelimited)) box.header.stamp_ns = read_stamp_ns(reader.get_message());
+        else if (is_field(reader, 2, kLengthDelimited)) box.header.frame = reader.get_string();
+        else if (is_field(reader, 3, kLengthDelimited)) box.id = reader.get_string();
+        else if (is_field(reader, 6, kLengthDelimited)) {
+            const std::string category = read_value(reader.get_message(), "category");
             if (!category.empty()) box.category = category;
-        } else if (is_field(reader, 8, kBytes)) {
+        } else if (is_field(reader, 8, kLengthDelimited)) {
             read_cube(reader.get_message(), box, pose);
             ++n_cubes;
         } else reader.skip();
@@ -187,19 +189,19 @@ auto parse(const char* schema, std::string_view message_bytes, const Read& read)
 BoxListMessage read_foxglove_boxes(std::string_view message_bytes) {
     return parse("foxglove.SceneUpdate", message_bytes, [](pbf_reader reader) {
         BoxListMessage list;
-        while (reader.next(2, kBytes)) add_box_from_scene_entity(list, reader.get_message());
+        while (reader.next(2, kLengthDelimited)) add_entity(list, reader.get_message());
         return list;
     });
 }
 
 CloudMessage read_foxglove_cloud(std::string_view message_bytes) {
-    return parse("foxglove.PointCloud", message_bytes, parse_foxglove_cloud_message);
+    return parse("foxglove.PointCloud", message_bytes, parse_cloud);
 }
 
-TransformListMessage read_foxglove_transforms(std::string_view message_bytes) {
+TransformListMessage read_foxglove_tf(std::string_view message_bytes) {
     return parse("foxglove.FrameTransforms", message_bytes, [](pbf_reader reader) {
         TransformListMessage list;
-        while (reader.next(1, kBytes)) add_frame_transform(list, reader.get_message());
+        while (reader.next(1, kLengthDelimited)) add_transform(list, reader.get_message());
         return list;
     });
 }

@@ -9,21 +9,20 @@ namespace {
 
 // Poses are extrapolated by at most this time before the first sample and after the last
 // sample. It is about the duration of one sweep.
-constexpr double kBeside_s = 0.1;
-constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
+constexpr double kMaxExtrapolation_s = 0.1;
+constexpr std::size_t kMaxDepth = 64;  // maximum depth of the tree
 
 }  // namespace
 
-void TransformChain::append_sampled_child_transform(const std::vector<StampedPose>& pose_samples,
-                                                    LogClock clock, std::int64_t time_origin_ns) {
+void TransformChain::append_samples(const std::vector<StampedPose>& pose_samples, LogClock clock,
+                                    std::int64_t time_origin_ns) {
     std::vector<const StampedPose*> sorted;
     for (const StampedPose& sample : pose_samples) sorted.push_back(&sample);
-    std::ranges::stable_sort(sorted, {},
-                             [&](const StampedPose* sample) { return sample->get_time_ns(clock); });
+    std::ranges::stable_sort(sorted, {}, [&](const StampedPose* sample) { return sample->time_ns(clock); });
     PoseTrack track;
     std::int64_t last_ns = 0;
     for (const StampedPose* sample : sorted) {
-        const std::int64_t time_ns = sample->get_time_ns(clock);
+        const std::int64_t time_ns = sample->time_ns(clock);
         if (!track.time_s.empty() && time_ns == last_ns) continue;
         last_ns = time_ns;
         track.time_s.push_back(1e-9 * double(time_ns - time_origin_ns));
@@ -35,14 +34,14 @@ void TransformChain::append_sampled_child_transform(const std::vector<StampedPos
 Pose TransformChain::compute_pose_at(double t_s) const {
     Pose pose;
     for (const PoseTrack& link : links_)
-        pose = pose * (link.pose.size() == 1 ? link.pose[0] : link.interpolate_pose(t_s));
+        pose = pose * (link.pose.size() == 1 ? link.pose[0] : link.pose_at(t_s));
     return pose;
 }
 
 bool TransformChain::covers_time(double t_s) const {
     return std::ranges::all_of(links_, [&](const PoseTrack& link) {
-        return link.pose.size() == 1 ||
-               (t_s >= link.time_s.front() - kBeside_s && t_s <= link.time_s.back() + kBeside_s);
+        return link.pose.size() == 1 || (t_s >= link.time_s.front() - kMaxExtrapolation_s &&
+                                         t_s <= link.time_s.back() + kMaxExtrapolation_s);
     });
 }
 
@@ -66,7 +65,7 @@ void FrameTree::add_transform(const TransformMessage& transform, std::int64_t re
     link.samples.push_back({transform.header.stamp_ns, recording_time_ns, transform.parent_from_child});
 }
 
-const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent_with_most_transforms(
+const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent(
     const std::string& frame) const {
     const auto parents_entry = parents_.find(frame);
     if (parents_entry == parents_.end()) return nullptr;
@@ -74,10 +73,10 @@ const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_pa
                                       [](const auto& parent) { return parent.second.samples.size(); });
 }
 
-std::vector<std::string> FrameTree::list_frames_to_root(const std::string& start_frame) const {
+std::vector<std::string> FrameTree::path_to_root(const std::string& start_frame) const {
     std::vector<std::string> frame_chain{start_frame};
-    while (frame_chain.size() < kDeepest) {
-        const auto* up = find_parent_with_most_transforms(frame_chain.back());
+    while (frame_chain.size() < kMaxDepth) {
+        const auto* up = find_parent(frame_chain.back());
         if (!up || std::ranges::find(frame_chain, up->first) != frame_chain.end()) break;
         frame_chain.push_back(up->first);
     }
@@ -85,14 +84,14 @@ std::vector<std::string> FrameTree::list_frames_to_root(const std::string& start
 }
 
 bool FrameTree::is_frame_moving(const std::string& frame) const {
-    const auto* up = find_parent_with_most_transforms(frame);
+    const auto* up = find_parent(frame);
     return up && !up->second.is_static && up->second.changes;
 }
 
-std::optional<Pose> FrameTree::find_constant_transform(const std::string& target_frame,
-                                                       const std::string& source_frame) const {
-    const std::vector<std::string> target_chain = list_frames_to_root(target_frame),
-                                   source_chain = list_frames_to_root(source_frame);
+std::optional<Pose> FrameTree::find_constant(const std::string& target_frame,
+                                             const std::string& source_frame) const {
+    const std::vector<std::string> target_chain = path_to_root(target_frame),
+                                   source_chain = path_to_root(source_frame);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
     // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
@@ -102,7 +101,7 @@ std::optional<Pose> FrameTree::find_constant_transform(const std::string& target
         for (const std::string& frame : frame_chain) {
             if (frame == *common) return pose;
             if (is_frame_moving(frame)) return std::nullopt;
-            pose = find_parent_with_most_transforms(frame)->second.samples.back().pose * pose;
+            pose = find_parent(frame)->second.samples.back().pose * pose;
         }
         return std::nullopt;
     };
@@ -111,45 +110,43 @@ std::optional<Pose> FrameTree::find_constant_transform(const std::string& target
     return inverse(*of_to) * *of_from;
 }
 
-TransformChain FrameTree::make_transform_chain_to_ancestor(const std::string& ancestor_frame,
-                                                           const std::string& child_frame, LogClock clock,
-                                                           std::int64_t time_origin_ns) const {
-    const std::vector<std::string> frame_chain = list_frames_to_root(child_frame);
+TransformChain FrameTree::make_chain(const std::string& ancestor_frame, const std::string& child_frame,
+                                     LogClock clock, std::int64_t time_origin_ns) const {
+    const std::vector<std::string> frame_chain = path_to_root(child_frame);
     TransformChain path;
     for (std::size_t k = std::size_t(std::ranges::find(frame_chain, ancestor_frame) - frame_chain.begin());
          k-- > 0;) {
-        const FrameTreeEdge& up = find_parent_with_most_transforms(frame_chain[k])->second;
-        if (is_frame_moving(frame_chain[k]))
-            path.append_sampled_child_transform(up.samples, clock, time_origin_ns);
-        else path.append_constant_child_transform(up.samples.back().pose);
+        const FrameTreeEdge& up = find_parent(frame_chain[k])->second;
+        if (is_frame_moving(frame_chain[k])) path.append_samples(up.samples, clock, time_origin_ns);
+        else path.append_constant(up.samples.back().pose);
     }
     return path;
 }
 
-const std::vector<StampedPose>* FrameTree::find_fastest_samples(const std::string& ancestor_frame,
-                                                                const std::string& child_frame) const {
+const std::vector<StampedPose>* FrameTree::fastest_samples(const std::string& ancestor_frame,
+                                                           const std::string& child_frame) const {
     const std::vector<StampedPose>* fastest = nullptr;
-    for (const std::string& frame : list_frames_to_root(child_frame)) {
+    for (const std::string& frame : path_to_root(child_frame)) {
         if (frame == ancestor_frame) break;
         if (!is_frame_moving(frame)) continue;
-        const std::vector<StampedPose>& samples = find_parent_with_most_transforms(frame)->second.samples;
+        const std::vector<StampedPose>& samples = find_parent(frame)->second.samples;
         if (!fastest || samples.size() > fastest->size()) fastest = &samples;
     }
     return fastest;
 }
 
-std::optional<RelativeFramePose> FrameTree::find_pose_function_between_frames(
-    const std::string& target_frame, const std::string& source_frame, LogClock clock,
-    std::int64_t time_origin_ns) const {
-    const std::vector<std::string> target_chain = list_frames_to_root(target_frame),
-                                   source_chain = list_frames_to_root(source_frame);
+std::optional<RelativeFramePose> FrameTree::find_chain(const std::string& target_frame,
+                                                       const std::string& source_frame, LogClock clock,
+                                                       std::int64_t time_origin_ns) const {
+    const std::vector<std::string> target_chain = path_to_root(target_frame),
+                                   source_chain = path_to_root(source_frame);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
-    return RelativeFramePose{make_transform_chain_to_ancestor(*common, target_frame, clock, time_origin_ns),
-                             make_transform_chain_to_ancestor(*common, source_frame, clock, time_origin_ns)};
+    return RelativeFramePose{make_chain(*common, target_frame, clock, time_origin_ns),
+                             make_chain(*common, source_frame, clock, time_origin_ns)};
 }
 
-std::vector<std::string> FrameTree::list_frames_with_several_parents() const {
+std::vector<std::string> FrameTree::ambiguous_frames() const {
     std::vector<std::string> names;
     for (const auto& [frame, parents] : parents_)
         if (parents.size() > 1) names.push_back(frame);

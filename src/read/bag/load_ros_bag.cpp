@@ -11,45 +11,45 @@
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "read/kitti/log_files.hpp"
 #include "log/sequence/match_sweeps.hpp"
-#include "read/scans/sweep_poses.hpp"
 #include "read/bag/bag_scans.hpp"
 #include "read/bag/choose.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/scans/sweep_poses.hpp"
 
 namespace relidar {
 namespace {
 
 using namespace bag;
 
-constexpr std::int64_t kSecond_ns = 1000000000;
-constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
+constexpr std::int64_t kNsPerSecond = 1000000000;
+constexpr double kMinStep_s = 2e-3;  // minimum time between sweeps
 // Clouds of several LiDARs form one sweep if their times differ by at most this value.
 // The unit is the sweep period of the main LiDAR.
-constexpr double kBeside = 0.6;
+constexpr double kMaxSweepOffset = 0.6;
 
 class BagLogLoader {
 public:
     BagLogLoader(const std::filesystem::path& path, const DatasetOptions& options)
         : options_(options),
           bag_(path, options.skip_broken),
-          survey_(index_bag_messages(bag_, options.progress)),
-          clouds_(choose_cloud_topics(bag_, survey_, options.lidars)),
-          poses_(choose_vehicle_pose_source(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
-                                            options.bag.poses_from)),
-          boxes_(choose_box_topic(bag_, survey_)) {
+          survey_(index_bag(bag_, options.progress)),
+          clouds_(choose_clouds(bag_, survey_, options.lidars)),
+          poses_(choose_poses(bag_, survey_, survey_.clouds[clouds_.lidars[clouds_.main]],
+                              options.bag.poses_from)),
+          boxes_(choose_boxes(bag_, survey_)) {
         const std::filesystem::path clean = path.lexically_normal();
         sequence_.name = (clean.has_filename() ? clean : clean.parent_path()).filename().string();
         sequence_.source = path.string();
     }
 
-    LidarSequence load_recording() {
+    Log load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
-        is_deskewed_ = bag_.get_points_frame_name() == "sensor at the stamp";
-        add_notes_on_topics_and_selected_data();
-        group_clouds_into_frames();
-        add_lidars_to_sequence();
-        add_frames_to_sequence();
+        is_deskewed_ = bag_.points_frame() == "sensor at the stamp";
+        add_topic_notes();
+        group_clouds();
+        add_lidars();
+        add_frames();
         read::ScanLayout layout{.motion_compensated = is_deskewed_ && !has_poses_};
         for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
             layout.lidars.push_back({.has_beams = !sequence_.lidars[l].sensor.beams.empty()});
@@ -60,19 +60,19 @@ public:
         LidarPoseFunction deskewed_by;
         if (is_deskewed_ && has_poses_)
             deskewed_by = [&](std::size_t lidar, double t_s) {
-                const Pose pose = compute_vehicle_pose_in_bag_world(t_s);
+                const Pose pose = vehicle_pose(t_s);
                 return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
             };
         read::read_scans(sequence_, layout,
-                           BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
+                         BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
         if (!has_poses_) return std::move(sequence_);
         const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {
             if (!poses_.path->covers_time(t_s)) return std::nullopt;
-            Pose pose = compute_vehicle_pose_in_bag_world(t_s);
+            Pose pose = vehicle_pose(t_s);
             pose.translation -= sequence_.world_offset_m;
             return pose;
         };
-        add_note_if_not_empty(read::correct_rays_for_vehicle_motion(sequence_, vehicle_pose_in_log_world));
+        add_note(read::correct_rays(sequence_, vehicle_pose_in_log_world));
         return std::move(sequence_);
     }
 
@@ -83,7 +83,7 @@ private:
     SelectedCloudTopics clouds_;
     SelectedPoseSource poses_;
     SelectedBoxTopic boxes_;
-    LidarSequence sequence_;
+    Log sequence_;
     std::vector<LidarTopic> lidars_;         ///< topic of each LiDAR
     std::vector<FrameCloudMessage> frames_;  ///< cloud of each frame
     bool has_poses_ = false;                 ///< the recording has poses
@@ -91,109 +91,108 @@ private:
     /// cloud are then in the sensor frame at the time stamp of the cloud.
     bool is_deskewed_ = false;
 
-    const CloudTopic& get_cloud_topic(std::size_t lidar_index) const {
+    const CloudTopic& cloud_topic_of(std::size_t lidar_index) const {
         return survey_.clouds[clouds_.lidars[lidar_index]];
     }
-    const CloudTopic& get_main_cloud_topic() const { return get_cloud_topic(clouds_.main); }
+    const CloudTopic& main_topic() const { return cloud_topic_of(clouds_.main); }
     template <class AnyTopic>
-    const std::string& get_topic_name(const AnyTopic& topic_entry) const {
+    const std::string& topic_name_of(const AnyTopic& topic_entry) const {
         return bag_.topics()[topic_entry.topic].name;
     }
-    std::string get_topic_name(const CloudTopic& cloud_topic) const { return cloud_topic.make_name(bag_); }
-    double compute_cloud_time_s(const CloudIndexEntry& entry) const {
-        return 1e-9 * double(entry.get_time_ns(poses_.clock) - poses_.zero_ns);
+    std::string topic_name_of(const CloudTopic& cloud_topic) const { return cloud_topic.make_name(bag_); }
+    double cloud_time_of(const CloudIndexEntry& entry) const {
+        return 1e-9 * double(entry.time_ns(poses_.clock) - poses_.zero_ns);
     }
 
-    void add_note_if_not_empty(const std::string& text) {
+    void add_note(const std::string& text) {
         if (!text.empty()) sequence_.notes.push_back(text);
     }
     template <class AnyTopic>
     void add_topic_note(const AnyTopic& topic_entry, const std::string& text) {
-        if (!text.empty()) sequence_.notes.push_back(get_topic_name(topic_entry) + ": " + text);
+        if (!text.empty()) sequence_.notes.push_back(topic_name_of(topic_entry) + ": " + text);
     }
 
-    void add_notes_on_topics_and_selected_data() {
+    void add_topic_notes() {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
             if (has_poses_ && !used[t])
-                used[t] = get_message_purpose_of_topic(bag_.topics()[t]) == MessagePurpose::transforms ||
+                used[t] = find_purpose(bag_.topics()[t]) == MessagePurpose::transforms ||
                           poses_.about.ends_with(" " + bag_.topics()[t].name);
         if (boxes_.topic) used[boxes_.topic->topic] = true;
-        for (const auto& texts : {bag_.get_file_problems(), format_line_per_topic(bag_, survey_, used),
-                                  clouds_.notes, poses_.notes, boxes_.notes})
-            for (const std::string& text : texts) add_note_if_not_empty(text);
+        for (const auto& texts : {bag_.file_problems(), describe_topics(bag_, survey_, used), clouds_.notes,
+                                  poses_.notes, boxes_.notes})
+            for (const std::string& text : texts) add_note(text);
         if (has_poses_) {
-            add_note_if_not_empty(poses_.clock_note);
-            add_note_if_not_empty(poses_.about + "; use dataset.poses_from to select another frame or topic");
+            add_note(poses_.clock_note);
+            add_note(poses_.about + "; use dataset.poses_from to select another frame or topic");
         }
-        for (const std::string& frame : survey_.frames.list_frames_with_several_parents())
-            add_note_if_not_empty(fmt::format(
+        for (const std::string& frame : survey_.frames.ambiguous_frames())
+            add_note(fmt::format(
                 "the frame '{}' has several parents in /tf; the parent with the most transforms is used",
                 frame));
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             CloudTopic& other = survey_.clouds[clouds_.lidars[l]];
             if (l == clouds_.main) continue;
-            add_topic_note(other, correct_clock_jumps(other.clouds, poses_.clock,
-                                                      list_message_times(get_main_cloud_topic().clouds)));
+            add_topic_note(other,
+                           fix_clock_jumps(other.clouds, poses_.clock, list_times(main_topic().clouds)));
         }
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            for (const std::string& text : {describe_clouds_with_differing_frame_id(get_cloud_topic(l)),
-                                            describe_time_jumps(get_cloud_topic(l))})
-                add_topic_note(get_cloud_topic(l), text);
+            for (const std::string& text :
+                 {describe_frame_ids(cloud_topic_of(l)), describe_jumps(cloud_topic_of(l))})
+                add_topic_note(cloud_topic_of(l), text);
     }
 
     /// Each cloud of the main LiDAR starts a frame. Clouds of other LiDARs belong to the
     /// frame with the nearest time.
-    void group_clouds_into_frames() {
+    void group_clouds() {
         std::vector<FrameCloudMessage> sweeps;
         std::size_t n_late = 0;
-        for (const CloudIndexEntry& entry : get_main_cloud_topic().clouds) {
-            const double t_s = compute_cloud_time_s(entry);
-            if (!sweeps.empty() && t_s < sweeps.back().time_s + kLeastStep_s) {
+        for (const CloudIndexEntry& entry : main_topic().clouds) {
+            const double t_s = cloud_time_of(entry);
+            if (!sweeps.empty() && t_s < sweeps.back().time_s + kMinStep_s) {
                 ++n_late;
                 continue;
             }
             sweeps.push_back({int(sweeps.size()), t_s, t_s, clouds_.main, entry});
         }
         if (n_late > 0)
-            add_note_if_not_empty(fmt::format(
-                "{} clouds are skipped, because they are not later than the previous cloud", n_late));
+            add_note(fmt::format("{} clouds are skipped, because they are not later than the previous cloud",
+                                 n_late));
         std::vector<double> times_s;
         for (const FrameCloudMessage& sweep : sweeps) times_s.push_back(sweep.time_s);
-        const double step_s = compute_median_interval_s(times_s);
-        add_note_if_not_empty(describe_missing_sweeps(times_s, step_s));
+        const double step_s = median_interval_s(times_s);
+        add_note(describe_gaps(times_s, step_s));
         std::vector<FrameCloudMessage> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (l != clouds_.main) append_clouds_nearest_to_main_sweeps(all, sweeps, l, kBeside * step_s);
+            if (l != clouds_.main) append_nearest(all, sweeps, l, kMaxSweepOffset * step_s);
         std::ranges::stable_sort(all, [](const FrameCloudMessage& first, const FrameCloudMessage& second) {
             return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
-        select_requested_clouds_with_pose(all);
-        estimate_point_units_of_each_lidar(step_s);
+        select_clouds(all);
+        add_units(step_s);
     }
 
-    void append_clouds_nearest_to_main_sweeps(std::vector<FrameCloudMessage>& all_clouds,
-                                              const std::vector<FrameCloudMessage>& main_sweeps,
-                                              std::size_t lidar_index, double max_time_difference_s) {
-        const std::vector<CloudIndexEntry>& clouds = get_cloud_topic(lidar_index).clouds;
+    void append_nearest(std::vector<FrameCloudMessage>& all_clouds,
+                        const std::vector<FrameCloudMessage>& main_sweeps, std::size_t lidar_index,
+                        double max_time_difference_s) {
+        const std::vector<CloudIndexEntry>& clouds = cloud_topic_of(lidar_index).clouds;
         std::vector<double> main_s, other_s;
         for (const FrameCloudMessage& sweep : main_sweeps) main_s.push_back(sweep.time_s);
         ClockOffset offset;
         if (poses_.clock == LogClock::stamps)
-            offset = estimate_clock_offset(list_message_times(clouds),
-                                           list_message_times(get_main_cloud_topic().clouds));
+            offset = estimate_offset(list_times(clouds), list_times(main_topic().clouds));
         if (offset.offset_ns != 0)
             add_topic_note(
-                get_cloud_topic(lidar_index),
+                cloud_topic_of(lidar_index),
                 fmt::format("compared with the recording times, the time stamps are {}{}",
-                            offset.describe("the time stamps of " + get_topic_name(get_main_cloud_topic())),
+                            offset.describe("the time stamps of " + topic_name_of(main_topic())),
                             offset.is_clear
                                 ? ", so their clocks differ; this time is subtracted"
                                 : "; either the clocks differ or messages are late; nothing is corrected"));
         for (const CloudIndexEntry& entry : clouds)
-            other_s.push_back(compute_cloud_time_s(entry) - 1e-9 * double(offset.correction_ns()));
-        const auto beside = find_nearest_other_sweep_per_sweep(main_s, other_s, max_time_difference_s);
+            other_s.push_back(cloud_time_of(entry) - 1e-9 * double(offset.correction_ns()));
+        const auto beside = match_sweeps(main_s, other_s, max_time_difference_s);
         std::size_t n_left = clouds.size();
         for (std::size_t k = 0; k < main_sweeps.size(); ++k) {
             if (!beside[k]) continue;
@@ -202,12 +201,12 @@ private:
             --n_left;
         }
         if (n_left > 0)
-            add_topic_note(get_cloud_topic(lidar_index),
+            add_topic_note(cloud_topic_of(lidar_index),
                            fmt::format("{} clouds are skipped, because {} has no cloud near their times",
-                                       n_left, get_topic_name(get_main_cloud_topic())));
+                                       n_left, topic_name_of(main_topic())));
     }
 
-    void select_requested_clouds_with_pose(const std::vector<FrameCloudMessage>& all_clouds) {
+    void select_clouds(const std::vector<FrameCloudMessage>& all_clouds) {
         std::size_t n_unplaced = 0;
         for (const FrameCloudMessage& cloud : all_clouds) {
             if (cloud.number < options_.frames.begin ||
@@ -225,61 +224,59 @@ private:
             fail<UsageError>("frames {}:{} select no cloud of {}; frames are numbered from 0",
                              options_.frames.begin,
                              options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
-                             get_topic_name(get_main_cloud_topic()));
+                             topic_name_of(main_topic()));
         if (n_unplaced > 0)
-            add_note_if_not_empty(
+            add_note(
                 fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
-    void estimate_point_units_of_each_lidar(double sweep_period_s) {
+    void add_units(double sweep_period_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
-            const CloudTopic& clouds = get_cloud_topic(l);
+            const CloudTopic& clouds = cloud_topic_of(l);
             const std::size_t n_parts =
                 clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
-            lidars_.push_back(estimate_units_of_cloud_topic(bag_, clouds, sweep_period_s / double(n_parts)));
-            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_spinning_sensor_model();
+            lidars_.push_back(estimate_units(bag_, clouds, sweep_period_s / double(n_parts)));
+            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.make_sensor();
             add_topic_note(clouds, clouds.parts_about);
             add_topic_note(clouds, lidars_.back().units.about);
             for (const std::string& text : lidars_.back().units.meaning.notes) add_topic_note(clouds, text);
             if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != read::PointTimeReference::none)
-                add_topic_note(
-                    clouds,
-                    "relidar deskewed the points to the stamp of the cloud. They are converted back "
-                    "to the sensor's frame at the time of each point");
+                add_topic_note(clouds,
+                               "relidar deskewed the points to the stamp of the cloud. They are converted "
+                               "back to the sensor's frame at the time of each point");
         }
     }
 
     /// The frame of a single LiDAR is the vehicle frame. Several LiDARs have poses on the
     /// vehicle.
-    void add_lidars_to_sequence() {
+    void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             Lidar lidar;
             lidar.sensor = lidars_[l].sensor;
-            if (lidar.sensor.beams.empty()) lidar.sensor.name = get_topic_name(get_cloud_topic(l));
+            if (lidar.sensor.beams.empty()) lidar.sensor.name = topic_name_of(cloud_topic_of(l));
             if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
-            if (!is_one || !options_.lidars.empty()) lidar.name = get_topic_name(get_cloud_topic(l));
+            if (!is_one || !options_.lidars.empty()) lidar.name = topic_name_of(cloud_topic_of(l));
             if (!is_one)
                 lidar.vehicle_from_sensor =
-                    *survey_.frames.find_constant_transform(poses_.vehicle, get_cloud_topic(l).frame);
+                    *survey_.frames.find_constant(poses_.vehicle, cloud_topic_of(l).frame);
             sequence_.lidars.push_back(std::move(lidar));
         }
     }
 
-    Pose compute_vehicle_pose_in_bag_world(double t_s) const {
+    Pose vehicle_pose(double t_s) const {
         const Pose world_from_vehicle = poses_.path->compute_pose_at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
-        return world_from_vehicle *
-               *survey_.frames.find_constant_transform(poses_.vehicle, get_main_cloud_topic().frame);
+        return world_from_vehicle * *survey_.frames.find_constant(poses_.vehicle, main_topic().frame);
     }
 
     /// Compares the clock of the log with another clock: with the sensor's clock if the
     /// recording contains packets that have it, otherwise with the recorder's clock.
-    ClockOffset compare_with_other_clock() const {
+    ClockOffset compare_clocks() const {
         if (poses_.clock == LogClock::recorder) return {};
-        const CloudTopic& main = get_main_cloud_topic();
-        std::vector<MessageTimes> times = list_message_times(main.clouds);
+        const CloudTopic& main = main_topic();
+        std::vector<MessageTimes> times = list_times(main.clouds);
         for (std::size_t i = 0; !main.revolutions.empty() && i < times.size(); ++i)
             if (const std::int64_t ahead_ns =
                     main.revolutions[main.clouds[i].revolution_index].stamp_less_clock_ns;
@@ -287,28 +284,28 @@ private:
                 times[i].log_ns = times[i].stamp_ns - ahead_ns;
         std::vector<MessageTimes> other = times;
         for (MessageTimes& t : other) t.stamp_ns = t.log_ns;
-        const ClockOffset offset = estimate_clock_offset(times, other);
+        const ClockOffset offset = estimate_offset(times, other);
         if (offset.drift_ns != 0 && !offset.is_clear) return {};
         // A sensor without GPS counts its hour from any moment. Only whole seconds show
         // that the sensor has GPS.
-        return main.packets.has_wrapping_clock() && offset.offset_ns % kSecond_ns != 0 ? ClockOffset{}
-                                                                                       : offset;
+        return main.packets.has_clock_wraps() && offset.offset_ns % kNsPerSecond != 0 ? ClockOffset{}
+                                                                                      : offset;
     }
 
     /// The file lists poses by frame number or by time. Uses another clock if the file
     /// covers the times of the frames only on that clock.
-    std::vector<Pose> read_user_poses_at_frame_times() {
+    std::vector<Pose> read_user_poses() {
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
-            std::vector<read::SequenceHeaderFrame> frames;
+            std::vector<read::HeaderFrame> frames;
             const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
             for (const FrameCloudMessage& frame : frames_)
                 frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});
-            const auto poses = read::read_frame_poses(options_.poses_file, frames, nullptr, notes);
+            const auto poses = read::load_poses(options_.poses_file, frames, nullptr, notes);
             if (!poses)
                 fail("{}: no such file, expected poses (dataset.poses)", options_.poses_file.string());
             return *poses;
         };
-        const ClockOffset offset = compare_with_other_clock();
+        const ClockOffset offset = compare_clocks();
         std::vector<Pose> poses, other;
         Notes ignored_notes;
         try {
@@ -325,9 +322,9 @@ private:
             return a.translation == b.translation && a.rotation == b.rotation;
         });
         if (!other.empty() && !is_equal)
-            add_note_if_not_empty(fmt::format(
+            add_note(fmt::format(
                 "the clock of the scans is {}; {}",
-                offset.describe(get_main_cloud_topic().revolutions.empty() ? "the recorder" : "the sensor"),
+                offset.describe(main_topic().revolutions.empty() ? "the recorder" : "the sensor"),
                 poses.empty() ? "the poses cover the scans only on the latter clock, so it is used"
                               : "the poses cover the scans on both clocks; they are read on the clock of the "
                                 "scans, so check the clock of the poses"));
@@ -335,56 +332,54 @@ private:
     }
 
     /// If the vehicle poses are from a file of the user, the boxes move with the vehicle.
-    void add_boxes_to_sequence() {
+    void add_boxes() {
         if (!boxes_.topic) return;
         BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};
         if (poses_.clock == LogClock::stamps)
             transform_context.box_zero_ns -=
-                estimate_clock_offset(list_message_times(get_main_cloud_topic().clouds),
-                                      list_message_times(boxes_.topic->lists))
+                estimate_offset(list_times(main_topic().clouds), list_times(boxes_.topic->lists))
                     .correction_ns();
         transform_context.vehicle =
-            has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : get_main_cloud_topic().frame;
+            has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : main_topic().frame;
         transform_context.world_from_vehicle = [&](double t_s) {
             if (has_poses_) return poses_.path->compute_pose_at(t_s);
-            return sequence_.has_poses ? sequence_.world_from_vehicle.interpolate_pose(t_s) : Pose{};
+            return sequence_.has_poses ? sequence_.world_from_vehicle.pose_at(t_s) : Pose{};
         };
-        const LoadedBoxTracks tracks = read_box_tracks_from_bag(bag_, *boxes_.topic, transform_context,
-                                                                sequence_.world_from_vehicle.time_s);
+        const LoadedBoxTracks tracks =
+            read_bag_boxes(bag_, *boxes_.topic, transform_context, sequence_.world_from_vehicle.time_s);
         sequence_.boxes = tracks.tracks;
         for (const std::string& text : tracks.notes) add_topic_note(*boxes_.topic, text);
     }
 
-    void add_frames_to_sequence() {
+    void add_frames() {
         std::vector<Pose> file_poses;
-        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses)
-            file_poses = read_user_poses_at_frame_times();
+        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) file_poses = read_user_poses();
         sequence_.has_poses = has_poses_ || !file_poses.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i) {
             Pose pose;
             if (!file_poses.empty()) pose = file_poses[i];
-            else if (has_poses_) pose = compute_vehicle_pose_in_bag_world(frames_[i].time_s);
+            else if (has_poses_) pose = vehicle_pose(frames_[i].time_s);
             add_frame(sequence_, frames_[i].number, frames_[i].time_s, pose, int(frames_[i].lidar));
         }
         if (options_.poses_file == kNoPoses) sequence_.notes.push_back(kitti::kNoPosesNote);
         else if (!sequence_.has_poses)
-            add_note_if_not_empty(
+            add_note(
                 "the recording has no poses; they must be estimated from the scans, like with "
                 "dataset.poses=none");
         sequence_.conventions = fmt::format(
             "ROS frames: x forward, y left, z up, in metres. Frame numbers count the clouds of {} from 0.",
-            get_topic_name(get_main_cloud_topic()));
+            topic_name_of(main_topic()));
         set_log_start(sequence_, poses_.zero_ns,
                       poses_.clock == LogClock::stamps ? "on the clock of the time stamps"
                                                        : "on the clock of the recorder");
-        add_boxes_to_sequence();
-        move_world_origin_of_log(sequence_);
+        add_boxes();
+        centre_log(sequence_);
     }
 };
 
 }  // namespace
 
-LidarSequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options) {
+Log load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options) {
     return BagLogLoader(path, options).load_recording();
 }
 

@@ -11,6 +11,6 @@ namespace relidar {
 
 /// Loads a recording as a log.
 /// @throws DataError with the file, topic or message that caused the error
-LidarSequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options);
+Log load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options);
 
 }  // namespace relidar

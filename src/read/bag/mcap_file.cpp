@@ -33,9 +33,9 @@ struct McapRecord {
     std::string_view body;
 };
 
-McapRecord read_next_record(codecs::ByteReader& reader) {
-    const auto code = reader.read_little_endian_number<std::uint8_t>();
-    return {code, reader.read_bytes(reader.read_little_endian_number<std::uint64_t>())};
+McapRecord read_mcap_record(codecs::ByteReader& reader) {
+    const auto code = reader.read_number<std::uint8_t>();
+    return {code, reader.read_bytes(reader.read_number<std::uint64_t>())};
 }
 
 struct McapMessage {
@@ -46,23 +46,21 @@ struct McapMessage {
 
 McapMessage parse_message(std::string_view record_body) {
     codecs::ByteReader reader(record_body);
-    const auto channel = reader.read_little_endian_number<std::uint16_t>();
-    reader.read_little_endian_number<std::uint32_t>();  // skips the sequence number of the message
-    const auto log_ns = reader.read_little_endian_number<std::uint64_t>();
-    reader.read_little_endian_number<std::uint64_t>();  // skips the publication time
-    return {channel, std::int64_t(log_ns), reader.read_remaining_bytes()};
+    const auto channel = reader.read_number<std::uint16_t>();
+    reader.read_number<std::uint32_t>();  // skips the sequence number of the message
+    const auto log_ns = reader.read_number<std::uint64_t>();
+    reader.read_number<std::uint64_t>();  // skips the publication time
+    return {channel, std::int64_t(log_ns), reader.read_rest()};
 }
 
-SharedBytes decompress_records_of_mcap_chunk(const SharedBytes& chunk_record_body) {
+SharedBytes unpack_mcap_chunk(const SharedBytes& chunk_record_body) {
     codecs::ByteReader reader(chunk_record_body.bytes);
     reader.read_bytes(16);  // skips the times of the first and the last message
-    const auto n = reader.read_little_endian_number<std::uint64_t>();
-    const auto sum = reader.read_little_endian_number<std::uint32_t>();
-    const std::string_view compression = reader.read_length_prefixed_string();
-    SharedBytes records = unpack_chunk(compression,
-                                       chunk_record_body.make_shared_subview(reader.read_bytes(
-                                           reader.read_little_endian_number<std::uint64_t>())),
-                                       n);
+    const auto n = reader.read_number<std::uint64_t>();
+    const auto sum = reader.read_number<std::uint32_t>();
+    const std::string_view compression = reader.read_string();
+    SharedBytes records = unpack_chunk(
+        compression, chunk_record_body.share_part(reader.read_bytes(reader.read_number<std::uint64_t>())), n);
     if (sum != 0 &&
         crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
         fail("the checksum of the data is wrong, so the data is damaged");
@@ -76,7 +74,7 @@ public:
             fail("{}: the file does not begin like an MCAP file", file_.name());
     }
 
-    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         schemas_.clear();
         channels_.clear();
         points_in_.clear();
@@ -85,32 +83,31 @@ public:
             if (file_.size() - at < kRecordHead) break;
             const SharedBytes head = file_.read_bytes_at(at, kRecordHead);
             codecs::ByteReader reader(head.bytes);
-            const auto code = reader.read_little_endian_number<std::uint8_t>();
-            const auto length = reader.read_little_endian_number<std::uint64_t>();
+            const auto code = reader.read_number<std::uint8_t>();
+            const auto length = reader.read_number<std::uint64_t>();
             if (code == kMcapDataEnd || code == kMcapFooter) return;
             if (length > file_.size() - at - kRecordHead) break;
             callbacks.done(double(at) / double(file_.size()));
             process_or_skip(file_.name(), at, skip_broken_, callbacks,
-                            [&] { process_mcap_record_or_chunk(code, at, length, topics, callbacks); });
+                            [&] { process_at(code, at, length, topics, callbacks); });
             at += kRecordHead + length;
         }
         callbacks.note(fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
                                    file_.name(), at, file_.size()));
     }
 
-    SharedBytes read_message_bytes(const MessagePosition& message_position) const override {
+    SharedBytes read_message(const MessagePosition& message_position) const override {
         if (message_position.in_chunk == MessagePosition::kNoChunk) {
-            const SharedBytes body = read_record_body(message_position.at);
-            return body.make_shared_subview(parse_message(body.bytes).bytes);
+            const SharedBytes body = read_body(message_position.at);
+            return body.share_part(parse_message(body.bytes).bytes);
         }
-        const SharedBytes records = chunks_.get_or_unpack_chunk(message_position.at, [&] {
-            return decompress_records_of_mcap_chunk(read_record_body(message_position.at));
-        });
+        const SharedBytes records = chunks_.find_or_unpack(
+            message_position.at, [&] { return unpack_mcap_chunk(read_body(message_position.at)); });
         codecs::ByteReader reader(records.bytes.substr(std::size_t(message_position.in_chunk)));
-        return records.make_shared_subview(parse_message(read_next_record(reader).body).bytes);
+        return records.share_part(parse_message(read_mcap_record(reader).body).bytes);
     }
 
-    std::string get_points_frame_name() const override { return points_in_; }
+    std::string points_frame() const override { return points_in_; }
 
 private:
     RandomAccessFile file_;
@@ -123,52 +120,48 @@ private:
     std::map<std::uint16_t, Schema> schemas_;
     std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each channel
 
-    SharedBytes read_record_body(std::uint64_t record_offset) const {
+    SharedBytes read_body(std::uint64_t record_offset) const {
         const SharedBytes head = file_.read_bytes_at(record_offset, kRecordHead);
-        return file_.read_bytes_at(
-            record_offset + kRecordHead,
-            codecs::ByteReader(head.bytes.substr(1)).read_little_endian_number<std::uint64_t>());
+        return file_.read_bytes_at(record_offset + kRecordHead,
+                                   codecs::ByteReader(head.bytes.substr(1)).read_number<std::uint64_t>());
     }
 
-    void process_mcap_record_or_chunk(std::uint8_t record_code, std::uint64_t record_offset,
-                                      std::uint64_t body_length, TopicTable& topics,
-                                      const MessageReadCallbacks& callbacks) {
-        constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
-        if (std::ranges::find(kRead, record_code) == kRead.end()) return;
+    void process_at(std::uint8_t record_code, std::uint64_t record_offset, std::uint64_t body_length,
+                    TopicTable& topics, const MessageReadCallbacks& callbacks) {
+        constexpr std::array kReadRecords = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk,
+                                             kMcapMetadata};
+        if (std::ranges::find(kReadRecords, record_code) == kReadRecords.end()) return;
         SharedBytes body = file_.read_bytes_at(record_offset + kRecordHead, body_length);
         if (record_code != kMcapChunk)
-            return process_mcap_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk},
-                                       topics, callbacks);
-        const SharedBytes records = decompress_records_of_mcap_chunk(body);
+            return process_record({record_code, body.bytes}, {record_offset, MessagePosition::kNoChunk},
+                                  topics, callbacks);
+        const SharedBytes records = unpack_mcap_chunk(body);
         body = {};
         codecs::ByteReader reader(records.bytes);
-        while (reader.count_remaining_bytes() > 0) {
-            const std::uint64_t in_chunk = reader.get_byte_position();
-            process_mcap_record(read_next_record(reader), {record_offset, in_chunk}, topics, callbacks);
+        while (reader.remaining() > 0) {
+            const std::uint64_t in_chunk = reader.position();
+            process_record(read_mcap_record(reader), {record_offset, in_chunk}, topics, callbacks);
         }
     }
 
-    void process_mcap_record(const McapRecord& record, const MessagePosition& message_position,
-                             TopicTable& topics, const MessageReadCallbacks& callbacks) {
+    void process_record(const McapRecord& record, const MessagePosition& message_position, TopicTable& topics,
+                        const MessageReadCallbacks& callbacks) {
         codecs::ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
-            const auto id = reader.read_little_endian_number<std::uint16_t>();
-            const std::string name(reader.read_length_prefixed_string());
-            schemas_[id] = {name, std::string(reader.read_length_prefixed_string())};
+            const auto id = reader.read_number<std::uint16_t>();
+            const std::string name(reader.read_string());
+            schemas_[id] = {name, std::string(reader.read_string())};
         } else if (record.code == kMcapChannel) {
-            const auto id = reader.read_little_endian_number<std::uint16_t>(),
-                       schema = reader.read_little_endian_number<std::uint16_t>();
-            const std::string name(reader.read_length_prefixed_string()),
-                encoding(reader.read_length_prefixed_string());
+            const auto id = reader.read_number<std::uint16_t>(), schema = reader.read_number<std::uint16_t>();
+            const std::string name(reader.read_string()), encoding(reader.read_string());
             const auto schema_entry = schemas_.find(schema);
-            channels_[id] = topics.find_or_add_topic_index(
+            channels_[id] = topics.topic_index(
                 {name, schema_entry == schemas_.end() ? "" : schema_entry->second.name, encoding});
         } else if (record.code == kMcapMetadata) {
             // Ignores metadata records that relidar did not write.
-            if (reader.read_length_prefixed_string() != "relidar") return;
-            for (codecs::ByteReader pairs(reader.read_length_prefixed_string()); pairs.count_remaining_bytes() > 0;) {
-                const std::string_view key = pairs.read_length_prefixed_string(),
-                                       value = pairs.read_length_prefixed_string();
+            if (reader.read_string() != "relidar") return;
+            for (codecs::ByteReader pairs(reader.read_string()); pairs.remaining() > 0;) {
+                const std::string_view key = pairs.read_string(), value = pairs.read_string();
                 if (key == "points_in") points_in_ = value;
             }
         } else if (record.code == kMcapMessage) {

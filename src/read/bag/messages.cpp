@@ -39,36 +39,35 @@ constexpr MessageTypePurpose kTypeUses[] = {
     {"autoware_auto_perception_msgs/DetectedObjects", MessagePurpose::nameless_boxes},
 };
 
-MessageReader make_message_reader(const BagTopic& topic, std::string_view message_bytes) {
+MessageReader open_message(const BagTopic& topic, std::string_view message_bytes) {
     return {message_bytes, topic.encoding == "ros1"};
 }
 
-CloudMessage::CloudField read_ros_point_field(MessageReader& reader) {
+CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     struct Type {
         char kind;
         std::size_t size;
     };
-    static constexpr Type kTypes[] = {{'I', 1}, {'U', 1}, {'I', 2}, {'U', 2},
-                                      {'I', 4}, {'U', 4}, {'F', 4}, {'F', 8}};
+    static constexpr Type kRosTypes[] = {{'I', 1}, {'U', 1}, {'I', 2}, {'U', 2},
+                                         {'I', 4}, {'U', 4}, {'F', 4}, {'F', 8}};
     CloudMessage::CloudField field{std::string(reader.read_string())};
     field.offset = reader.read_number<std::uint32_t>();
     const auto type = reader.read_number<std::uint8_t>();
     const auto count = reader.read_number<std::uint32_t>();
     field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
-    if (type < 1 || type > std::size(kTypes))
+    if (type < 1 || type > std::size(kRosTypes))
         fail("the field '{}' of the cloud has the data type {}, expected 1 to {} (sensor_msgs/PointField)",
-             shorten_for_error_message(field.name), type, std::size(kTypes));
-    field.kind = kTypes[type - 1].kind;
-    field.size = kTypes[type - 1].size;
+             quote(field.name), type, std::size(kRosTypes));
+    field.kind = kRosTypes[type - 1].kind;
+    field.size = kRosTypes[type - 1].size;
     return field;
 }
 
-void require_valid_cloud_layout(const CloudMessage& cloud) {
+void check_layout(const CloudMessage& cloud) {
     for (const CloudMessage::CloudField& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
             fail("the field '{}' starts at byte {} and has {} bytes, expected a point of at most {} bytes",
-                 shorten_for_error_message(field.name), field.offset, field.size * field.count,
-                 cloud.point_step);
+                 quote(field.name), field.offset, field.size * field.count, cloud.point_step);
     if (cloud.size() == 0) return;
     if (cloud.point_step == 0 || cloud.point_step > kMostPointStep)
         fail("a point has {} bytes, expected 1 to {}", cloud.point_step, kMostPointStep);
@@ -85,29 +84,30 @@ void require_valid_cloud_layout(const CloudMessage& cloud) {
 /// Reads a CustomMsg of the Livox drivers. A point has the fields offset_time (uint32,
 /// ns), x, y, z (float32), reflectivity, tag and line (uint8). In CDR, each point except
 /// the last has 20 bytes, including padding.
-CloudMessage read_livox_cloud(MessageReader& reader) {
-    constexpr std::size_t kPoint = 19;
+CloudMessage read_livox(MessageReader& reader) {
+    constexpr std::size_t kLivoxPointBytes = 19;
     CloudMessage cloud;
     cloud.header = read_header(reader);
     reader.read_number<std::uint64_t>();  // skips the timebase, because it equals the time stamp
     reader.read_number<std::uint32_t>();  // skips the number of points
     cloud.lidar = fmt::format("{}", reader.read_number<std::uint8_t>());
     reader.read_bytes(3);  // skips reserved bytes
-    const std::size_t n = reader.read_list_length(kPoint);
+    const std::size_t n = reader.read_length(kLivoxPointBytes);
     cloud.height = 1;
     cloud.width = std::uint32_t(n);
-    cloud.is_big_endian = reader.is_byte_order_swapped();
-    cloud.point_step = reader.is_ros1() ? kPoint : kPoint + 1;
+    cloud.is_big_endian = reader.is_swapped();
+    cloud.point_step = reader.is_ros1() ? kLivoxPointBytes : kLivoxPointBytes + 1;
     cloud.row_step = n * cloud.point_step;
     cloud.fields = {{"offset_time", 0, 'U', 4},   {"x", 4, 'F', 4},    {"y", 8, 'F', 4},    {"z", 12, 'F', 4},
                     {"reflectivity", 16, 'U', 1}, {"tag", 17, 'U', 1}, {"line", 18, 'U', 1}};
-    cloud.data = n == 0 ? std::string_view() : reader.read_bytes((n - 1) * cloud.point_step + kPoint);
+    cloud.data =
+        n == 0 ? std::string_view() : reader.read_bytes((n - 1) * cloud.point_step + kLivoxPointBytes);
     return cloud;
 }
 
 }  // namespace
 
-std::int64_t read_ros_time_ns(MessageReader& reader) {
+std::int64_t read_time_ns(MessageReader& reader) {
     const std::int64_t seconds = reader.is_ros1() ? std::int64_t(reader.read_number<std::uint32_t>())
                                                   : reader.read_number<std::int32_t>();
     return seconds * 1000000000 + reader.read_number<std::uint32_t>();
@@ -115,14 +115,14 @@ std::int64_t read_ros_time_ns(MessageReader& reader) {
 
 MessageHeader read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.read_number<std::uint32_t>();  // skips the sequence number
-    const std::int64_t stamp_ns = read_ros_time_ns(reader);
+    const std::int64_t stamp_ns = read_time_ns(reader);
     std::string frame(reader.read_string());
     // frame names of ROS 1 may have a leading slash
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }
 
-PoseComponents read_position_and_quaternion(MessageReader& reader) {
+PoseComponents read_pose(MessageReader& reader) {
     PoseComponents numbers{};
     for (double& x : numbers) x = reader.read_number<double>();
     return numbers;
@@ -142,40 +142,40 @@ Pose make_pose(const PoseComponents& position_and_quaternion) {
             {position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2]}};
 }
 
-CloudMessage read_point_cloud(MessageReader& reader) {
+CloudMessage read_ros_cloud(MessageReader& reader) {
     CloudMessage cloud;
     cloud.header = read_header(reader);
     cloud.height = reader.read_number<std::uint32_t>();
     cloud.width = reader.read_number<std::uint32_t>();
-    const std::size_t n = reader.read_list_length(13);
-    for (std::size_t i = 0; i < n; ++i) cloud.fields.push_back(read_ros_point_field(reader));
+    const std::size_t n = reader.read_length(13);
+    for (std::size_t i = 0; i < n; ++i) cloud.fields.push_back(read_ros_field(reader));
     cloud.is_big_endian = reader.read_number<std::uint8_t>() != 0;
     cloud.point_step = reader.read_number<std::uint32_t>();
     cloud.row_step = reader.read_number<std::uint32_t>();
-    cloud.data = reader.read_bytes(reader.read_list_length(1));
-    require_valid_cloud_layout(cloud);
+    cloud.data = reader.read_bytes(reader.read_length(1));
+    check_layout(cloud);
     return cloud;
 }
 
-MessagePurpose get_message_purpose_of_topic(const BagTopic& topic) {
-    if (packets::has_lidar_packets(topic)) return MessagePurpose::packets;
+MessagePurpose find_purpose(const BagTopic& topic) {
+    if (packets::has_packets(topic)) return MessagePurpose::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return MessagePurpose::nothing;
-    if (packets::can_contain_ouster_metadata(topic)) return MessagePurpose::metadata;
+    if (packets::can_have_metadata(topic)) return MessagePurpose::metadata;
     if (is_protobuf != topic.type.starts_with("foxglove.")) return MessagePurpose::nothing;
     const auto matching_type = std::ranges::find(kTypeUses, topic.type, &MessageTypePurpose::type);
     return matching_type == std::end(kTypeUses) ? MessagePurpose::nothing : matching_type->use;
 }
 
-CloudMessage read_cloud_of_message(const BagTopic& topic, std::string_view message_bytes) {
+CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes) {
     CloudMessage cloud;
     if (topic.encoding == "protobuf") {
         cloud = read_foxglove_cloud(message_bytes);
-        require_valid_cloud_layout(cloud);
+        check_layout(cloud);
     } else {
-        MessageReader reader = make_message_reader(topic, message_bytes);
-        if (topic.type != "sensor_msgs/PointCloud2") return read_livox_cloud(reader);
-        cloud = read_point_cloud(reader);
+        MessageReader reader = open_message(topic, message_bytes);
+        if (topic.type != "sensor_msgs/PointCloud2") return read_livox(reader);
+        cloud = read_ros_cloud(reader);
     }
     cloud.lidar = cloud.header.frame;
     return cloud;
@@ -187,27 +187,27 @@ void TransformListMessage::add_if_valid(TransformMessage transform, const PoseCo
         transforms.push_back(std::move(transform));
     } catch (const DataError& error) {
         if (n_left_out++ == 0)
-            problem = fmt::format("from '{}' to '{}': {}", shorten_for_error_message(transform.header.frame),
-                                  shorten_for_error_message(transform.child), error.what());
+            problem = fmt::format("from '{}' to '{}': {}", quote(transform.header.frame),
+                                  quote(transform.child), error.what());
     }
 }
 
-TransformListMessage read_transforms_of_message(const BagTopic& topic, std::string_view message_bytes) {
-    if (topic.encoding == "protobuf") return read_foxglove_transforms(message_bytes);
-    MessageReader reader = make_message_reader(topic, message_bytes);
+TransformListMessage read_transforms(const BagTopic& topic, std::string_view message_bytes) {
+    if (topic.encoding == "protobuf") return read_foxglove_tf(message_bytes);
+    MessageReader reader = open_message(topic, message_bytes);
     TransformListMessage list;
-    const bool is_list = get_message_purpose_of_topic(topic) == MessagePurpose::transforms;
+    const bool is_list = find_purpose(topic) == MessagePurpose::transforms;
     // A nav_msgs/Odometry begins with the fields of a geometry_msgs/TransformStamped.
     if (is_list || topic.type == "nav_msgs/Odometry" || topic.type == "geometry_msgs/TransformStamped") {
-        const std::size_t n = is_list ? reader.read_list_length(72) : 1;
+        const std::size_t n = is_list ? reader.read_length(72) : 1;
         for (std::size_t i = 0; i < n; ++i) {
             TransformMessage transform{read_header(reader), std::string(reader.read_string()), {}};
             if (transform.child.starts_with('/')) transform.child.erase(0, 1);
-            list.add_if_valid(std::move(transform), read_position_and_quaternion(reader));
+            list.add_if_valid(std::move(transform), read_pose(reader));
         }
     } else {
         const MessageHeader header = read_header(reader);
-        list.add_if_valid({header, "", {}}, read_position_and_quaternion(reader));
+        list.add_if_valid({header, "", {}}, read_pose(reader));
     }
     return list;
 }

@@ -14,8 +14,8 @@
 #include <relidar/base/math.hpp>
 
 #include "base/fail.hpp"
-#include "read/files/point_table.hpp"
 #include "read/bag/bag_file.hpp"
+#include "read/files/point_table.hpp"
 
 namespace relidar::bag {
 
@@ -82,7 +82,7 @@ struct BoxListMessage {
 /// How the messages of a topic are used. `nameless_boxes`, which have no track id, are
 /// ignored.
 enum class MessagePurpose { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
-MessagePurpose get_message_purpose_of_topic(const BagTopic& topic);
+MessagePurpose find_purpose(const BagTopic& topic);
 
 /// Reads the fields of a ROS message one after another. ROS 2 messages are CDR in either
 /// byte order (XCDR1 and plain XCDR2). ROS 1 messages are little-endian values without
@@ -92,9 +92,10 @@ public:
     /// @throws DataError if the first bytes are not a CDR header
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
-        constexpr std::size_t kHead = 4;
-        if (bytes.size() < kHead)
-            fail("the message has {} bytes, expected at least a CDR header of {} bytes", bytes.size(), kHead);
+        constexpr std::size_t kCdrHeaderBytes = 4;
+        if (bytes.size() < kCdrHeaderBytes)
+            fail("the message has {} bytes, expected at least a CDR header of {} bytes", bytes.size(),
+                 kCdrHeaderBytes);
         // The second byte is the encoding: XCDR version 1 (0 and 1) or version 2 (6 and
         // 7). Odd numbers mean little-endian.
         const auto kind = static_cast<unsigned char>(bytes[1]);
@@ -104,15 +105,15 @@ public:
                  bytes.starts_with("\x28\xb5\x2f\xfd") ? " (damaged zstd data)" : "");
         swapped_ = kind % 2 == 0;
         widest_ = kind >= 6 ? 4 : 8;
-        bytes_ = bytes.substr(kHead);
+        bytes_ = bytes.substr(kCdrHeaderBytes);
     }
 
     bool is_ros1() const { return is_ros1_; }
-    bool is_byte_order_swapped() const { return swapped_; }
+    bool is_swapped() const { return swapped_; }
 
     template <class T>
     T read_number() {
-        if (!is_ros1_) skip_alignment_padding(std::min(sizeof(T), widest_));
+        if (!is_ros1_) skip_padding(std::min(sizeof(T), widest_));
         char raw[sizeof(T)];
         std::memcpy(raw, read_bytes(sizeof(T)).data(), sizeof(T));
         if (swapped_) std::reverse(raw, raw + sizeof(T));
@@ -127,7 +128,7 @@ public:
         return text;
     }
     /// @throws DataError if the message is too short for so many entries
-    std::size_t read_list_length(std::size_t min_entry_bytes) {
+    std::size_t read_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / min_entry_bytes)
             fail(
@@ -143,46 +144,46 @@ public:
         at_ += n_bytes;
         return bytes_.substr(at_ - n_bytes, n_bytes);
     }
-    std::size_t count_remaining_bytes() const { return bytes_.size() - at_; }
+    std::size_t remaining() const { return bytes_.size() - at_; }
 
 private:
     std::string_view bytes_;
     std::size_t at_ = 0, widest_ = 8;
     bool is_ros1_ = false, swapped_ = false;
 
-    void skip_alignment_padding(std::size_t alignment_bytes) {
+    void skip_padding(std::size_t alignment_bytes) {
         const std::size_t beyond = at_ % alignment_bytes;
         if (beyond != 0) read_bytes(alignment_bytes - beyond);
     }
 };
 
-std::int64_t read_ros_time_ns(MessageReader& reader);
+std::int64_t read_time_ns(MessageReader& reader);
 MessageHeader read_header(MessageReader& reader);
 /// Seven numbers of a pose: position x y z and quaternion x y z w.
 using PoseComponents = std::array<double, 7>;
-PoseComponents read_position_and_quaternion(MessageReader& reader);
+PoseComponents read_pose(MessageReader& reader);
 /// Converts a position and a quaternion to a pose.
 /// @throws DataError if the quaternion is zero or a number is not finite
 Pose make_pose(const PoseComponents& position_and_quaternion);
-CloudMessage read_point_cloud(MessageReader& reader);
+CloudMessage read_ros_cloud(MessageReader& reader);
 
 /// @throws DataError with the name of the invalid field
-CloudMessage read_cloud_of_message(const BagTopic& topic, std::string_view message_bytes);
+CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes);
 /// Converts a cloud to a table of points, in the units of the message.
 /// @param message_bytes  message from which the cloud was read
-read::PointTable make_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes);
+read::PointTable to_point_table(const CloudMessage& cloud, const SharedBytes& message_bytes);
 
 /// Reads the transforms of a tf2_msgs/TFMessage or tf/tfMessage. Messages with a pose,
 /// such as nav_msgs/Odometry and geometry_msgs/PoseStamped, give one transform.
 /// @throws DataError if the message is invalid
-TransformListMessage read_transforms_of_message(const BagTopic& topic, std::string_view message_bytes);
+TransformListMessage read_transforms(const BagTopic& topic, std::string_view message_bytes);
 
 /// Reads a Foxglove PointCloud message. Does not check the offsets of its fields.
 CloudMessage read_foxglove_cloud(std::string_view message_bytes);
-TransformListMessage read_foxglove_transforms(std::string_view message_bytes);
+TransformListMessage read_foxglove_tf(std::string_view message_bytes);
 
 /// @throws DataError if the message is invalid
-BoxListMessage read_boxes_of_message(const BagTopic& topic, std::string_view message_bytes);
+BoxListMessage read_boxes(const BagTopic& topic, std::string_view message_bytes);
 /// Reads a foxglove.SceneUpdate. Each entity of exactly one cube becomes a box.
 BoxListMessage read_foxglove_boxes(std::string_view message_bytes);
 

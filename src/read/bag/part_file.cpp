@@ -39,7 +39,7 @@ void unpack_bz2(std::string_view source, std::span<char> target) {
 
 using ChunkUnpacker = void (*)(std::string_view, std::span<char>);
 
-std::string get_system_error_text() { return std::error_code(errno, std::generic_category()).message(); }
+std::string last_error() { return std::error_code(errno, std::generic_category()).message(); }
 
 struct CloseFile {
     void operator()(std::FILE* file) const { std::fclose(file); }
@@ -47,7 +47,7 @@ struct CloseFile {
 using File = std::unique_ptr<std::FILE, CloseFile>;
 
 /// Creates an empty file without a name, for reading and writing.
-File open_temporary_file() {
+File open_temporary() {
     std::error_code failed;
     std::string name = (std::filesystem::temp_directory_path(failed) / "relidar-XXXXXX").string();
     const int descriptor = failed ? -1 : mkstemp(name.data());
@@ -58,7 +58,7 @@ File open_temporary_file() {
 }
 
 /// Writes bytes of an unpacked file. Flushes the file if there are no bytes.
-void write_block_or_flush(const File& unpacked, std::string_view bytes, const std::filesystem::path& packed) {
+void write_block(const File& unpacked, std::string_view bytes, const std::filesystem::path& packed) {
     if (std::fwrite(bytes.data(), 1, bytes.size(), unpacked.get()) != bytes.size() ||
         (bytes.empty() && std::fflush(unpacked.get()) != 0))
         fail("cannot unpack {}: no space is left in {}", packed.string(),
@@ -66,7 +66,7 @@ void write_block_or_flush(const File& unpacked, std::string_view bytes, const st
 }
 
 /// Throws if an unpacked file is so much larger than the file that the file is damaged.
-void check_unpacked_size(const std::filesystem::path& packed, std::uint64_t n_unpacked) {
+void check_size(const std::filesystem::path& packed, std::uint64_t n_unpacked) {
     constexpr std::uint64_t kMostGrowth = 100, kSmall = std::uint64_t(64) << 20;
     if (n_unpacked > kSmall && n_unpacked / kMostGrowth > std::filesystem::file_size(packed))
         fail("cannot unpack {}: found more than {} bytes, expected at most {} times the size of the file",
@@ -77,7 +77,7 @@ void check_unpacked_size(const std::filesystem::path& packed, std::uint64_t n_un
 
 RandomAccessFile::RandomAccessFile(const std::filesystem::path& path) : name_(path.string()) {
     handle_ = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (handle_ < 0) fail("{}: the file cannot be opened: {}", name_, get_system_error_text());
+    if (handle_ < 0) fail("{}: the file cannot be opened: {}", name_, last_error());
     struct stat status {};
     if (::fstat(handle_, &status) != 0 || !S_ISREG(status.st_mode)) {
         ::close(handle_);
@@ -92,20 +92,20 @@ SharedBytes RandomAccessFile::read_bytes_at(std::uint64_t offset, std::uint64_t 
     if (offset > size_ || n_bytes > size_ - offset)
         fail("the file is truncated: it has {} bytes after byte {}, expected {} bytes",
              size_ - std::min(offset, size_), offset, n_bytes);
-    return allocate_shared_bytes(std::size_t(n_bytes), [&](std::span<char> bytes) {
+    return allocate_bytes(std::size_t(n_bytes), [&](std::span<char> bytes) {
         for (std::size_t got = 0; got < bytes.size();) {
             const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(offset + got));
             if (k < 0 && errno == EINTR) continue;
             if (k <= 0)
                 fail("cannot read {} bytes that start at byte {}: {}", n_bytes, offset,
-                     k < 0 ? get_system_error_text() : "the file has become shorter since it was opened");
+                     k < 0 ? last_error() : "the file has become shorter since it was opened");
             got += std::size_t(k);
         }
     });
 }
 
-SharedBytes ChunkCache::get_or_unpack_chunk(std::uint64_t chunk_offset,
-                                            const std::function<SharedBytes()>& unpack) const {
+SharedBytes ChunkCache::find_or_unpack(std::uint64_t chunk_offset,
+                                       const std::function<SharedBytes()>& unpack) const {
     const auto find_cached_chunk = [&] {
         return std::find_if(chunks_.begin(), chunks_.end(),
                             [&](const auto& chunk) { return chunk.first == chunk_offset; });
@@ -134,20 +134,18 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
     if (compression == "lz4") unpack = decompress_lz4;
     else if (compression == "zstd") unpack = decompress_zstd;
     else if (compression == "bz2") unpack = unpack_bz2;
-    else
-        fail("found the compression '{}', expected none, lz4, zstd or bz2",
-             shorten_for_error_message(compression));
+    else fail("found the compression '{}', expected none, lz4, zstd or bz2", quote(compression));
     if (unpacked_size > UINT_MAX ||
         (unpacked_size > kAlwaysUnpacked && unpacked_size / kMostUnpacked > bytes.size()))
         fail("found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
              bytes.size(), unpacked_size,
              std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size())));
-    return allocate_shared_bytes(std::size_t(unpacked_size), [&](std::span<char> target) {
+    return allocate_bytes(std::size_t(unpacked_size), [&](std::span<char> target) {
         if (unpacked_size > 0 || !bytes.empty()) unpack(bytes, target);
     });
 }
 
-std::filesystem::path remove_zstd_extension(const std::filesystem::path& file) {
+std::filesystem::path strip_zstd(const std::filesystem::path& file) {
     return file.extension() == ".zstd" || file.extension() == ".zst"
                ? std::filesystem::path(file).replace_extension()
                : file;
@@ -165,16 +163,16 @@ UnpackedZstdFile::UnpackedZstdFile(const std::filesystem::path& file) : path_(fi
     std::string folder = (std::filesystem::temp_directory_path() / "relidar-XXXXXX").string();
     if (!mkdtemp(folder.data())) fail("cannot create a temporary folder to unpack a recording");
     temporary_folder_ = folder;
-    path_ = temporary_folder_ / remove_zstd_extension(file).filename();
+    path_ = temporary_folder_ / strip_zstd(file).filename();
     try {
         const File unpacked(std::fopen(path_.c_str(), "wb"));
         if (!unpacked) fail("cannot write {}", path_.string());
         std::uint64_t n_unpacked = 0;
         is_truncated_ = !stream_zstd(read_block, [&](std::string_view bytes) {
-            check_unpacked_size(file, n_unpacked += bytes.size());
-            write_block_or_flush(unpacked, bytes, file);
+            check_size(file, n_unpacked += bytes.size());
+            write_block(unpacked, bytes, file);
         });
-        write_block_or_flush(unpacked, {}, file);
+        write_block(unpacked, {}, file);
     } catch (const DataError& error) {
         std::error_code ignored;
         std::filesystem::remove_all(temporary_folder_, ignored);
@@ -187,11 +185,11 @@ UnpackedZstdFile::~UnpackedZstdFile() {
     if (!temporary_folder_.empty()) std::filesystem::remove_all(temporary_folder_, ignored);
 }
 
-std::filesystem::path remove_gz_extension(const std::filesystem::path& file) {
+std::filesystem::path strip_gz(const std::filesystem::path& file) {
     return file.extension() == ".gz" ? std::filesystem::path(file).replace_extension() : file;
 }
 
-DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
+DecompressedFile open_unpacked(const std::filesystem::path& path) {
     File packed(std::fopen(path.c_str(), "rb"));
     if (!packed) fail("cannot read {}", path.string());
     const int first = std::fgetc(packed.get()), second = std::fgetc(packed.get());
@@ -199,15 +197,15 @@ DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& path) {
     if (first != 0x1f || second != 0x8b) return {packed.release(), ""};
     const std::unique_ptr<gzFile_s, int (*)(gzFile)> reader(gzopen(path.c_str(), "rb"), gzclose);
     if (!reader) fail("cannot read {}", path.string());
-    File unpacked = open_temporary_file();
+    File unpacked = open_temporary();
     std::uint64_t n_unpacked = 0;
     std::vector<char> block(1 << 20);
     int n = 0;
     while ((n = gzread(reader.get(), block.data(), unsigned(block.size()))) > 0) {
-        check_unpacked_size(path, n_unpacked += std::uint64_t(n));
-        write_block_or_flush(unpacked, {block.data(), std::size_t(n)}, path);
+        check_size(path, n_unpacked += std::uint64_t(n));
+        write_block(unpacked, {block.data(), std::size_t(n)}, path);
     }
-    write_block_or_flush(unpacked, {}, path);
+    write_block(unpacked, {}, path);
     int code = Z_OK;
     gzerror(reader.get(), &code);
     const bool is_cut = n < 0 || (code != Z_OK && code != Z_STREAM_END);

@@ -41,8 +41,7 @@ private:
 /// the messages of a chunk are usually read one after another.
 class ChunkCache {
 public:
-    SharedBytes get_or_unpack_chunk(std::uint64_t chunk_offset,
-                                    const std::function<SharedBytes()>& unpack) const;
+    SharedBytes find_or_unpack(std::uint64_t chunk_offset, const std::function<SharedBytes()>& unpack) const;
 
 private:
     static constexpr std::size_t kMaxCachedChunks = 2;
@@ -58,7 +57,7 @@ SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compre
                          std::uint64_t unpacked_size);
 
 /// Removes the extension ".gz", if the path has it.
-std::filesystem::path remove_gz_extension(const std::filesystem::path& file);
+std::filesystem::path strip_gz(const std::filesystem::path& file);
 
 /// A file that is open for reading. If it was compressed with gzip, this is the unpacked
 /// file. The caller must close it.
@@ -69,10 +68,10 @@ struct DecompressedFile {
 /// Opens a file. Unpacks a gzip file to a temporary file first, which the system deletes
 /// when it is closed.
 /// @throws DataError if the file cannot be read or unpacked
-DecompressedFile open_file_and_unpack_gzip(const std::filesystem::path& file);
+DecompressedFile open_unpacked(const std::filesystem::path& file);
 
 /// Removes the extension ".zstd" or ".zst", if the path has it.
-std::filesystem::path remove_zstd_extension(const std::filesystem::path& file);
+std::filesystem::path strip_zstd(const std::filesystem::path& file);
 
 /// A temporary unpacked copy of a file that was compressed with zstd. The destructor
 /// deletes the copy. On Linux, programs that opened it before can still read it.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads network captures (pcap, pcapng, also compressed with gzip) with libpcap. The
 // packets of each LiDAR become a topic, whose name is the LiDAR's address and the
-// destination port. A message contains up to kRun packets of a topic. The position of a
+// destination port. A message contains up to kMinStreamPackets packets of a topic. The position of a
 // message is the byte offset of its first packet in the file.
 #include <arpa/inet.h>
 #include <pcap/pcap.h>
@@ -19,25 +19,25 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "read/bag/bag_file.hpp"
+#include "read/bag/part_file.hpp"
 #include "read/packets/decoder.hpp"
 #include "read/packets/ouster.hpp"
 #include "read/packets/packet_messages.hpp"
-#include "read/bag/part_file.hpp"
 
 namespace relidar::bag {
 namespace {
 
-constexpr std::size_t kRun = 64, kMostStreams = 256, kMostPending = 64, kMostDatagram = 65535;
-constexpr unsigned kIpv4 = 0x0800, kIpv6 = 0x86dd, kUdp = 17;
+constexpr std::size_t kMinStreamPackets = 64, kMaxStreams = 256, kMaxPending = 64, kMaxDatagramBytes = 65535;
+constexpr unsigned kEtherIpv4 = 0x0800, kEtherIpv6 = 0x86dd, kUdpProtocol = 17;
 // A fragment that arrives later belongs to another datagram with the same identification.
-constexpr std::int64_t kTogether_ns = 1000000000;
+constexpr std::int64_t kMaxFragmentGap_ns = 1000000000;
 
-unsigned read_big_endian_uint16(std::string_view bytes, std::size_t offset) {
+unsigned read_be16(std::string_view bytes, std::size_t offset) {
     return offset + 2 <= bytes.size() ? static_cast<unsigned char>(bytes[offset]) * 256u +
                                             static_cast<unsigned char>(bytes[offset + 1])
                                       : 0u;
 }
-unsigned get_byte_or_zero(std::string_view bytes, std::size_t offset) {
+unsigned byte_at(std::string_view bytes, std::size_t offset) {
     return offset < bytes.size() ? static_cast<unsigned char>(bytes[offset]) : 0u;
 }
 
@@ -50,42 +50,42 @@ struct IpPacket {
     std::string_view payload;
 };
 
-std::optional<IpPacket> parse_udp_ipv4_packet(std::string_view packet) {
-    const std::size_t head = 4 * (get_byte_or_zero(packet, 0) & 15);
+std::optional<IpPacket> parse_ipv4(std::string_view packet) {
+    const std::size_t head = 4 * (byte_at(packet, 0) & 15);
     // Removes the padding of the Ethernet frame. Ignores a length of 0, because network
     // cards that split packets do not write the length.
-    if (const std::size_t length = read_big_endian_uint16(packet, 2); length >= 20)
-        packet = packet.substr(0, length);
-    if (head < 20 || packet.size() < head || get_byte_or_zero(packet, 9) != kUdp) return std::nullopt;
-    const unsigned flags = read_big_endian_uint16(packet, 6);
-    return IpPacket{fmt::format("{}.{}.{}.{}", get_byte_or_zero(packet, 12), get_byte_or_zero(packet, 13),
-                                get_byte_or_zero(packet, 14), get_byte_or_zero(packet, 15)),
+    if (const std::size_t length = read_be16(packet, 2); length >= 20) packet = packet.substr(0, length);
+    if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdpProtocol) return std::nullopt;
+    const unsigned flags = read_be16(packet, 6);
+    return IpPacket{fmt::format("{}.{}.{}.{}", byte_at(packet, 12), byte_at(packet, 13), byte_at(packet, 14),
+                                byte_at(packet, 15)),
                     std::string(packet.substr(12, 8)).append(packet.substr(4, 2)),
                     std::size_t(8 * (flags & 0x1fff)), (flags & 0x2000) != 0, packet.substr(head)};
 }
 
-std::optional<IpPacket> parse_udp_ipv6_packet(std::string_view packet) {
-    constexpr std::size_t kHead = 40, kFragmentHead = 8;
-    constexpr unsigned kFragment = 44, kHopByHop = 0, kRouting = 43, kOptions = 60;
-    if (packet.size() < kHead) return std::nullopt;
+std::optional<IpPacket> parse_ipv6(std::string_view packet) {
+    constexpr std::size_t kIpv6HeaderBytes = 40, kFragmentHeaderBytes = 8;
+    constexpr unsigned kFragmentHeader = 44, kHopByHopHeader = 0, kRoutingHeader = 43, kOptionsHeader = 60;
+    if (packet.size() < kIpv6HeaderBytes) return std::nullopt;
     std::array<char, INET6_ADDRSTRLEN> text{};
     inet_ntop(AF_INET6, packet.data() + 8, text.data(), text.size());
     IpPacket result{fmt::format("[{}]", text.data()), std::string(packet.substr(8, 32)), 0, false, {}};
-    unsigned next = get_byte_or_zero(packet, 6);
-    std::string_view rest = packet.substr(kHead, read_big_endian_uint16(packet, 4));
-    while (next == kHopByHop || next == kRouting || next == kOptions || next == kFragment) {
-        const std::size_t size = next == kFragment ? kFragmentHead : 8 * (1 + get_byte_or_zero(rest, 1));
+    unsigned next = byte_at(packet, 6);
+    std::string_view rest = packet.substr(kIpv6HeaderBytes, read_be16(packet, 4));
+    while (next == kHopByHopHeader || next == kRoutingHeader || next == kOptionsHeader ||
+           next == kFragmentHeader) {
+        const std::size_t size = next == kFragmentHeader ? kFragmentHeaderBytes : 8 * (1 + byte_at(rest, 1));
         if (rest.size() < size) return std::nullopt;
-        if (next == kFragment) {
-            result.offset = read_big_endian_uint16(rest, 2) & 0xfff8;
-            result.has_more = (read_big_endian_uint16(rest, 2) & 1) != 0;
+        if (next == kFragmentHeader) {
+            result.offset = read_be16(rest, 2) & 0xfff8;
+            result.has_more = (read_be16(rest, 2) & 1) != 0;
             result.key.append(rest.substr(4, 4));
         }
-        next = get_byte_or_zero(rest, 0);
+        next = byte_at(rest, 0);
         rest.remove_prefix(size);
     }
     result.payload = rest;
-    return next == kUdp ? std::optional(std::move(result)) : std::nullopt;
+    return next == kUdpProtocol ? std::optional(std::move(result)) : std::nullopt;
 }
 
 /// Size of the header of a frame, and byte offset of its EtherType.
@@ -103,15 +103,15 @@ constexpr LinkType kLinkTypes[] = {{DLT_EN10MB, 14, 12},   {DLT_LINUX_SLL, 16, 1
 std::optional<IpPacket> parse_ip_packet(std::string_view network_frame, int link_type) {
     const LinkType& link = *std::ranges::find(kLinkTypes, link_type, &LinkType::link);
     std::size_t head = link.head;
-    unsigned type = link.type_at == kNoType ? 0 : read_big_endian_uint16(network_frame, link.type_at);
+    unsigned type = link.type_at == kNoType ? 0 : read_be16(network_frame, link.type_at);
     // skips VLAN tags
     for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4)
-        type = read_big_endian_uint16(network_frame, head + 2);
+        type = read_be16(network_frame, head + 2);
     if (network_frame.size() < head + 20) return std::nullopt;
     const std::string_view packet = network_frame.substr(head);
-    const unsigned version = get_byte_or_zero(packet, 0) >> 4;
-    if (version == 4 && (type == 0 || type == kIpv4)) return parse_udp_ipv4_packet(packet);
-    if (version == 6 && (type == 0 || type == kIpv6)) return parse_udp_ipv6_packet(packet);
+    const unsigned version = byte_at(packet, 0) >> 4;
+    if (version == 4 && (type == 0 || type == kEtherIpv4)) return parse_ipv4(packet);
+    if (version == 6 && (type == 0 || type == kEtherIpv6)) return parse_ipv6(packet);
     return std::nullopt;
 }
 
@@ -126,18 +126,17 @@ struct Datagram {
 class IpReassembler {
 public:
     /// @return UDP header and payload, if all fragments of the datagram have been added
-    std::optional<Datagram> add_fragment_and_get_full_datagram(const IpPacket& packet,
-                                                               std::uint64_t file_offset,
-                                                               std::int64_t capture_time_ns) {
+    std::optional<Datagram> add_fragment(const IpPacket& packet, std::uint64_t file_offset,
+                                         std::int64_t capture_time_ns) {
         const std::string_view payload = packet.payload;
         Datagram datagram{packet.from, file_offset, capture_time_ns, std::string(payload)};
         if (packet.offset == 0 && !packet.has_more) return datagram;
-        if (packet.offset + payload.size() > kMostDatagram) return std::nullopt;
+        if (packet.offset + payload.size() > kMaxDatagramBytes) return std::nullopt;
         std::erase_if(pending_, [&](const auto& keyed) {
-            return std::abs(capture_time_ns - keyed.second.datagram.stamp_ns) > kTogether_ns;
+            return std::abs(capture_time_ns - keyed.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
         });
         // Erases the oldest pending datagram if there are too many.
-        if (!pending_.contains(packet.key) && pending_.size() >= kMostPending)
+        if (!pending_.contains(packet.key) && pending_.size() >= kMaxPending)
             pending_.erase(std::ranges::min_element(
                 pending_, {}, [](const auto& keyed) { return keyed.second.datagram.at; }));
         PendingDatagram& pending = pending_[packet.key];
@@ -174,7 +173,7 @@ class PcapFile : public BagFile {
 public:
     explicit PcapFile(const std::filesystem::path& path) : path_(path) {
         char why[PCAP_ERRBUF_SIZE] = "";
-        const DecompressedFile unpacked = open_file_and_unpack_gzip(path);
+        const DecompressedFile unpacked = open_unpacked(path);
         fseeko(unpacked.file, 0, SEEK_END);
         bytes_ = std::uint64_t(std::max<off_t>(ftello(unpacked.file), 0));
         std::rewind(unpacked.file);
@@ -185,52 +184,51 @@ public:
                                    unpacked.problem);
         if (!pcap_)
             fail("{}: cannot read the capture ({}), expected packets in the format pcap or pcapng",
-                 path.string(), shorten_for_error_message(why));
+                 path.string(), quote(why));
         link_ = pcap_datalink(pcap_.get());
         if (std::ranges::find(kLinkTypes, link_, &LinkType::link) == std::end(kLinkTypes))
             fail("{}: found packets of link type {}, expected Ethernet, Linux cooked or raw IP",
                  path.string(), link_);
-        begin_ = get_file_position();
+        begin_ = tell();
     }
 
-    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
-        ousters_ = packets::read_ouster_metadata_in_folder_of(remove_gz_extension(path_), broken);
+        ousters_ = packets::read_metadata_files(strip_gz(path_), broken);
         if (!problem_.empty()) callbacks.note(problem_);
         for (const std::string& text : broken) callbacks.note(text);
         streams_.clear();
         seek_to_byte(begin_);
         n_cut_ = 0;
         IpReassembler fragments;
-        while (const auto datagram = read_next_udp_datagram(fragments, &callbacks)) {
-            CaptureStream* stream = find_or_add_stream(*datagram, topics);
+        while (const auto datagram = read_datagram(fragments, &callbacks)) {
+            CaptureStream* stream = find_stream(*datagram, topics);
             if (!stream) continue;
             callbacks.done(bytes_ > 0 ? double(datagram->at) / double(bytes_) : 0.0);
-            if (is_datagram_after_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
-                emit_pending_message(*stream, callbacks);
+            if (is_after_pause(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
+                emit_message(*stream, callbacks);
             if (stream->n++ == 0) {  // first datagram of a message
                 stream->at = stream->first_at = datagram->at;
                 stream->log_ns = datagram->stamp_ns;
             }
             stream->at = std::min(stream->at, datagram->at);
             if (stream->product) append_datagram(stream->run, *datagram);
-            if (!stream->product && stream->n_of_bytes.size() < kMostPending)
-                ++stream->n_of_bytes[get_udp_payload(*datagram).size()];
-            if (!stream->product ||
-                is_message_complete(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
-                emit_pending_message(*stream, callbacks);
+            if (!stream->product && stream->n_of_bytes.size() < kMaxPending)
+                ++stream->n_of_bytes[payload_of(*datagram).size()];
+            if (!stream->product || is_complete(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
+                emit_message(*stream, callbacks);
         }
         for (auto& [key, stream] : streams_)
-            if (stream.n > 0) emit_pending_message(stream, callbacks);
-        if (broken.empty() || !ousters_.empty()) report_undecoded_ouster_packets(callbacks);
+            if (stream.n > 0) emit_message(stream, callbacks);
+        if (broken.empty() || !ousters_.empty()) report_undecoded(callbacks);
         if (n_cut_ > 0)
             callbacks.note(
                 fmt::format("{}: {} packets were truncated during the capture; their data is missing",
                             path_.string(), n_cut_));
     }
 
-    SharedBytes read_message_bytes(const MessagePosition& place) const override {
+    SharedBytes read_message(const MessagePosition& place) const override {
         const std::lock_guard guard(lock_);
         const auto stream = std::ranges::find_if(
             streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
@@ -242,14 +240,14 @@ public:
         const auto late = stream->second.late_runs.find(place.at);
         const std::uint64_t first_at = late == stream->second.late_runs.end() ? place.at : late->second;
         std::int64_t first_ns = 0;
-        for (std::size_t n = 0; const auto datagram = read_next_udp_datagram(fragments, nullptr);) {
+        for (std::size_t n = 0; const auto datagram = read_datagram(fragments, nullptr);) {
             if (make_stream_key(*datagram) != stream->first || (n == 0 && datagram->at != first_at)) continue;
-            if (is_datagram_after_pause(stream->second, n, datagram->stamp_ns - first_ns)) break;
+            if (is_after_pause(stream->second, n, datagram->stamp_ns - first_ns)) break;
             if (n++ == 0) first_ns = datagram->stamp_ns;
             append_datagram(run, *datagram);
-            if (is_message_complete(stream->second, n, datagram->stamp_ns - first_ns)) break;
+            if (is_complete(stream->second, n, datagram->stamp_ns - first_ns)) break;
         }
-        return make_shared_bytes(encode_stream_message(stream->second, std::move(run)));
+        return share_bytes(encode_message(stream->second, std::move(run)));
     }
 
 private:
@@ -286,17 +284,15 @@ private:
     mutable std::size_t n_cut_ = 0;
     mutable std::mutex lock_;  ///< protects the read position in the file
 
-    static std::string_view get_udp_payload(const Datagram& datagram) {
+    static std::string_view payload_of(const Datagram& datagram) {
         return std::string_view(datagram.bytes).substr(8);
     }
     static void append_datagram(std::string& message_bytes, const Datagram& datagram) {
-        append_binary_value(message_bytes, datagram.stamp_ns);
-        append_binary_value(message_bytes, std::uint32_t(datagram.bytes.size() - 8));
-        message_bytes.append(get_udp_payload(datagram));
+        append_raw(message_bytes, datagram.stamp_ns);
+        append_raw(message_bytes, std::uint32_t(datagram.bytes.size() - 8));
+        message_bytes.append(payload_of(datagram));
     }
-    std::uint64_t get_file_position() const {
-        return std::uint64_t(std::max<off_t>(ftello(pcap_file(pcap_.get())), 0));
-    }
+    std::uint64_t tell() const { return std::uint64_t(std::max<off_t>(ftello(pcap_file(pcap_.get())), 0)); }
     void seek_to_byte(std::uint64_t file_offset) const {
         if (fseeko(pcap_file(pcap_.get()), off_t(file_offset), SEEK_SET) != 0)
             fail("{}: cannot read the file from byte {}", path_.string(), file_offset);
@@ -304,52 +300,49 @@ private:
 
     /// Reads the next UDP datagram of the file, with its UDP header.
     /// @param callbacks_or_null  receives a note if the file is truncated
-    std::optional<Datagram> read_next_udp_datagram(IpReassembler& reassembler,
-                                                   const MessageReadCallbacks* callbacks_or_null) const {
+    std::optional<Datagram> read_datagram(IpReassembler& reassembler,
+                                          const MessageReadCallbacks* callbacks_or_null) const {
         for (;;) {
-            const std::uint64_t at = get_file_position();
+            const std::uint64_t at = tell();
             pcap_pkthdr* head = nullptr;
             const unsigned char* data = nullptr;
             const int code = pcap_next_ex(pcap_.get(), &head, &data);
             if (code == PCAP_ERROR && callbacks_or_null)
                 callbacks_or_null->note(fmt::format("{}: {}; the packets after byte {} are missing",
-                                                    path_.string(),
-                                                    shorten_for_error_message(pcap_geterr(pcap_.get())), at));
+                                                    path_.string(), quote(pcap_geterr(pcap_.get())), at));
             if (code != 1) return std::nullopt;
             if (head->caplen < head->len) {
                 ++n_cut_;
                 continue;
             }
-            constexpr std::int64_t kLatest_s = 4'000'000'000;  // later times are damaged
-            if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kLatest_s) continue;
+            constexpr std::int64_t kMaxTime_s = 4'000'000'000;  // later times are damaged
+            if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kMaxTime_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
             // tv_usec has nanoseconds, as requested from libpcap
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
-            auto datagram = reassembler.add_fragment_and_get_full_datagram(*packet, at, stamp_ns);
+            auto datagram = reassembler.add_fragment(*packet, at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
-            const unsigned length = read_big_endian_uint16(datagram->bytes, 4);
+            const unsigned length = read_be16(datagram->bytes, 4);
             if (length < 8 || length > datagram->bytes.size()) continue;
             datagram->bytes.resize(length);
-            datagram->source += fmt::format(":{}", read_big_endian_uint16(datagram->bytes, 2));
+            datagram->source += fmt::format(":{}", read_be16(datagram->bytes, 2));
             return datagram;
         }
     }
 
-    std::shared_ptr<const packets::OusterMetadata> find_ouster_metadata_of_datagram(
-        const Datagram& datagram) const {
-        return packets::find_ouster_metadata_of_packet(ousters_, datagram.source, get_udp_payload(datagram));
+    std::shared_ptr<const packets::OusterMetadata> metadata_of(const Datagram& datagram) const {
+        return packets::find_metadata(ousters_, datagram.source, payload_of(datagram));
     }
     CaptureStreamKey make_stream_key(const Datagram& datagram) const {
-        const auto ouster = find_ouster_metadata_of_datagram(datagram);
-        return {datagram.source, packets::find_product_of_packet(get_udp_payload(datagram), {{}, ouster}),
-                ouster.get()};
+        const auto ouster = metadata_of(datagram);
+        return {datagram.source, packets::find_product(payload_of(datagram), {{}, ouster}), ouster.get()};
     }
 
     /// Reports packets that cannot be decoded, although they have the size of Ouster
     /// packets, and packets of two sensors that match the same metadata file.
-    void report_undecoded_ouster_packets(const MessageReadCallbacks& callbacks) const {
+    void report_undecoded(const MessageReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
@@ -357,10 +350,10 @@ private:
                 const std::size_t bytes = size;
                 const bool has_matching_metadata = std::ranges::any_of(
                     ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
-                if (n > 1 && (has_matching_metadata || packets::is_ouster_packet_size(bytes)))
-                    callbacks.note(fmt::format(
-                        "{}: {}", path_.string(),
-                        packets::format_ouster_packet_error(ousters_, path_, std::get<0>(key), bytes)));
+                if (n > 1 && (has_matching_metadata || packets::is_ouster_size(bytes)))
+                    callbacks.note(
+                        fmt::format("{}: {}", path_.string(),
+                                    packets::ouster_error(ousters_, path_, std::get<0>(key), bytes)));
             }
             if (!stream.ouster) continue;
             std::string& first = senders[stream.ouster.get()];
@@ -373,54 +366,52 @@ private:
         }
     }
 
-    CaptureStream* find_or_add_stream(const Datagram& datagram, TopicTable& topics) {
+    CaptureStream* find_stream(const Datagram& datagram, TopicTable& topics) {
         CaptureStreamKey key = make_stream_key(datagram);
         if (const auto existing_stream = streams_.find(key); existing_stream != streams_.end())
             return &existing_stream->second;
-        if (streams_.size() >= kMostStreams) return nullptr;
+        if (streams_.size() >= kMaxStreams) return nullptr;
         CaptureStream stream;
         stream.number = streams_.size();
         stream.product = std::get<1>(key);
-        if (stream.product) stream.ouster = find_ouster_metadata_of_datagram(datagram);
-        if (packets::is_livox_point_packet(get_udp_payload(datagram))) stream.livox_frame = datagram.source;
+        if (stream.product) stream.ouster = metadata_of(datagram);
+        if (packets::is_livox_packet(payload_of(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
         // two Ousters can use the same address and port
         for (const auto& [other, known] : streams_)
             if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
                 name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
-        stream.topic = topics.find_or_add_topic_index(
+        stream.topic = topics.topic_index(
             stream.livox_frame.empty()
-                ? BagTopic{std::move(name), stream.product ? packets::kDatagrams : packets::kOtherDatagrams,
-                           packets::kDatagrams}
+                ? BagTopic{std::move(name),
+                           stream.product ? packets::kLidarDatagrams : packets::kOtherDatagrams,
+                           packets::kLidarDatagrams}
                 : BagTopic{std::move(name), packets::kLivoxType, packets::kLivoxEncoding});
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
     /// @param time_since_message_start_ns  time from the first to the last datagram
-    static bool is_message_complete(const CaptureStream& stream, std::size_t n_datagrams_in_message,
-                                    std::int64_t time_since_message_start_ns) {
-        return stream.livox_frame.empty() ? n_datagrams_in_message == kRun
+    static bool is_complete(const CaptureStream& stream, std::size_t n_datagrams_in_message,
+                            std::int64_t time_since_message_start_ns) {
+        return stream.livox_frame.empty() ? n_datagrams_in_message == kMinStreamPackets
                                           : time_since_message_start_ns >= packets::kLivoxCloud_ns ||
                                                 n_datagrams_in_message == packets::kMostLivoxPackets;
     }
     /// A datagram of a Livox after a pause begins a new message.
-    static bool is_datagram_after_pause(const CaptureStream& stream, std::size_t n_datagrams_in_message,
-                                        std::int64_t time_since_message_start_ns) {
+    static bool is_after_pause(const CaptureStream& stream, std::size_t n_datagrams_in_message,
+                               std::int64_t time_since_message_start_ns) {
         return n_datagrams_in_message > 0 && !stream.livox_frame.empty() &&
                time_since_message_start_ns >= 2 * packets::kLivoxCloud_ns;
     }
-    static std::string encode_stream_message(const CaptureStream& stream, std::string datagram_bytes) {
-        return stream.livox_frame.empty()
-                   ? datagram_bytes
-                   : packets::make_livox_cloud_message(datagram_bytes, stream.livox_frame);
+    static std::string encode_message(const CaptureStream& stream, std::string datagram_bytes) {
+        return stream.livox_frame.empty() ? datagram_bytes
+                                          : packets::join_livox_packets(datagram_bytes, stream.livox_frame);
     }
 
-    void emit_pending_message(CaptureStream& stream, const MessageReadCallbacks& callbacks) const {
+    void emit_message(CaptureStream& stream, const MessageReadCallbacks& callbacks) const {
         if (stream.at != stream.first_at) stream.late_runs[stream.at] = stream.first_at;
-        callbacks.message_callback({stream.topic,
-                                    stream.log_ns,
-                                    encode_stream_message(stream, stream.run),
-                                    {stream.at, stream.number}});
+        callbacks.message_callback(
+            {stream.topic, stream.log_ns, encode_message(stream, stream.run), {stream.at, stream.number}});
         stream.run.clear();
         stream.n = 0;
     }

@@ -15,64 +15,60 @@ namespace {
 
 constexpr std::size_t kMostLines = 40;
 // If a time step is longer than this multiple of the usual step, a sweep is missing.
-constexpr double kGap = 1.6;
+constexpr double kMinGapSteps = 1.6;
 // Time stamps have jumped if time stamp minus recording time changes by more than this.
-constexpr double kJump_s = 0.5;
+constexpr double kMinJump_s = 0.5;
 
-std::string describe_cloud_topic_content(const CloudTopic& cloud_topic) {
+std::string describe_content(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) {
         std::size_t n_missing = 0;
         for (const packets::PacketRevolution& revolution : cloud_topic.revolutions)
             n_missing += revolution.n_missing;
-        const std::string problems = cloud_topic.packets.describe_problems();
+        const std::string problems = cloud_topic.packets.describe_faults();
         return fmt::format(
-            ", frame '{}', {} packets of a {}: {} full revolutions{}{}{}",
-            shorten_for_error_message(cloud_topic.frame), cloud_topic.packets.size(),
-            cloud_topic.packets.describe_lidar_product(), cloud_topic.revolutions.size(),
+            ", frame '{}', {} packets of a {}: {} full revolutions{}{}{}", quote(cloud_topic.frame),
+            cloud_topic.packets.size(), cloud_topic.packets.describe_product(),
+            cloud_topic.revolutions.size(),
             n_missing == 0 ? ""
                            : fmt::format("; {} packets are missing, and their rays are left out", n_missing),
             problems.empty() ? "" : "; ", problems);
     }
     std::vector<std::string> names;
     for (const CloudMessage::CloudField& field : cloud_topic.fields)
-        names.push_back(
-            fmt::format("{} {}{}", shorten_for_error_message(field.name), field.kind, 8 * field.size));
-    return fmt::format(", frame '{}', {} points, fields {}", shorten_for_error_message(cloud_topic.frame),
-                       cloud_topic.compute_median_point_count(), fmt::join(names, " "));
+        names.push_back(fmt::format("{} {}{}", quote(field.name), field.kind, 8 * field.size));
+    return fmt::format(", frame '{}', {} points, fields {}", quote(cloud_topic.frame),
+                       cloud_topic.median_points(), fmt::join(names, " "));
 }
 
 }  // namespace
 
-std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& bag_index,
-                                               const std::vector<bool>& is_topic_used) {
+std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex& index,
+                                         const std::vector<bool>& is_topic_used) {
     std::vector<std::string> lines;
     for (std::size_t t = 0; t < bag.topics().size() && lines.size() < kMostLines; ++t) {
         const BagTopic& topic = bag.topics()[t];
-        const TopicStatistics& facts = bag_index.facts[t];
-        std::string line = fmt::format("topic {}: {}", shorten_for_error_message(topic.name),
-                                       shorten_for_error_message(topic.type));
+        const TopicStatistics& facts = index.facts[t];
+        std::string line = fmt::format("topic {}: {}", quote(topic.name), quote(topic.type));
         // The messages of a network capture are groups of packets that the reader makes.
-        const bool is_run = topic.type == packets::kDatagrams;
+        const bool is_run = topic.type == packets::kLidarDatagrams;
         if (!is_run) line += fmt::format(", {} messages", facts.n);
-        if (!is_run && facts.compute_message_rate_hz() > 0.0)
-            line += fmt::format(", {:.1f} Hz", facts.compute_message_rate_hz());
-        if (const auto clouds = std::ranges::find(bag_index.clouds, t, &CloudTopic::topic);
-            clouds != bag_index.clouds.end()) {
-            line += describe_cloud_topic_content(*clouds);
-            if (const auto n = std::ranges::count(bag_index.clouds, t, &CloudTopic::topic); n > 1)
+        if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
+        if (const auto clouds = std::ranges::find(index.clouds, t, &CloudTopic::topic);
+            clouds != index.clouds.end()) {
+            line += describe_content(*clouds);
+            if (const auto n = std::ranges::count(index.clouds, t, &CloudTopic::topic); n > 1)
                 line += fmt::format(", clouds of {} LiDARs, which are read as '{}' and so on", n,
-                                    shorten_for_error_message(clouds->make_name(bag)));
+                                    quote(clouds->make_name(bag)));
             if (clouds->n_empty > 0) line += fmt::format(", {} clouds without points", clouds->n_empty);
         }
-        if (const auto poses = std::ranges::find(bag_index.poses, t, &PoseTopic::topic);
-            poses != bag_index.poses.end())
+        if (const auto poses = std::ranges::find(index.poses, t, &PoseTopic::topic);
+            poses != index.poses.end())
             line += fmt::format(", frame '{}' in '{}'",
-                                poses->child.empty() ? "unknown" : shorten_for_error_message(poses->child),
-                                shorten_for_error_message(poses->parent));
-        if (const auto boxes = std::ranges::find(bag_index.boxes, t, &BoxTopic::topic);
-            boxes != bag_index.boxes.end()) {
-            line += fmt::format(", frame '{}', {} boxes, {} with a track id",
-                                shorten_for_error_message(boxes->frame), boxes->n_boxes, boxes->n_named);
+                                poses->child.empty() ? "unknown" : quote(poses->child), quote(poses->parent));
+        if (const auto boxes = std::ranges::find(index.boxes, t, &BoxTopic::topic);
+            boxes != index.boxes.end()) {
+            line += fmt::format(", frame '{}', {} boxes, {} with a track id", quote(boxes->frame),
+                                boxes->n_boxes, boxes->n_named);
             if (boxes->n_left_out != 0)
                 line += fmt::format("; {} more boxes have no size or no pose", boxes->n_left_out);
         }
@@ -88,12 +84,12 @@ std::vector<std::string> format_line_per_topic(const BagRecording& bag, const Ba
     return lines;
 }
 
-std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s) {
+std::string describe_gaps(const std::vector<double>& sweep_times_s, double sweep_period_s) {
     std::size_t n = 0;
     double missing = 0.0, longest_s = 0.0, at_s = 0.0;
     for (std::size_t i = 1; i < sweep_times_s.size(); ++i) {
         const double gap_s = sweep_times_s[i] - sweep_times_s[i - 1];
-        if (gap_s < kGap * sweep_period_s) continue;
+        if (gap_s < kMinGapSteps * sweep_period_s) continue;
         ++n;
         missing += std::round(gap_s / sweep_period_s) - 1.0;
         if (gap_s > longest_s) {
@@ -106,15 +102,14 @@ std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, do
                        missing, longest_s, at_s);
 }
 
-std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topic) {
+std::string describe_frame_ids(const CloudTopic& cloud_topic) {
     if (cloud_topic.n_other_frame == 0) return "";
     return fmt::format(
         "{} clouds have another frame than the first cloud, for example '{}'; all count as '{}'",
-        cloud_topic.n_other_frame, shorten_for_error_message(cloud_topic.other_frame),
-        shorten_for_error_message(cloud_topic.frame));
+        cloud_topic.n_other_frame, quote(cloud_topic.other_frame), quote(cloud_topic.frame));
 }
 
-std::string describe_time_jumps(const CloudTopic& cloud_topic) {
+std::string describe_jumps(const CloudTopic& cloud_topic) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;
     for (std::size_t i = 1; i < cloud_topic.clouds.size(); ++i) {
@@ -122,7 +117,7 @@ std::string describe_time_jumps(const CloudTopic& cloud_topic) {
         n_falls += entry.stamp_ns <= before.stamp_ns;
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));
-        if (std::abs(jump_s) < kJump_s) continue;
+        if (std::abs(jump_s) < kMinJump_s) continue;
         ++n_jumps;
         if (std::abs(jump_s) > std::abs(largest_s)) largest_s = jump_s;
     }

@@ -23,22 +23,22 @@ class Ros1Header {
 public:
     explicit Ros1Header(std::string_view bytes) {
         codecs::ByteReader reader(bytes);
-        while (reader.count_remaining_bytes() > 0) {
-            const std::string_view field = reader.read_length_prefixed_string();
+        while (reader.remaining() > 0) {
+            const std::string_view field = reader.read_string();
             const std::size_t equals = field.find('=');
             if (equals == std::string_view::npos)
-                fail("found the header field '{}', expected name=value", shorten_for_error_message(field));
+                fail("found the header field '{}', expected name=value", quote(field));
             values_[field.substr(0, equals)] = field.substr(equals + 1);
         }
     }
-    std::string_view get_text_field(std::string_view field_name) const {
+    std::string_view text_field(std::string_view field_name) const {
         const auto at = values_.find(field_name);
         if (at == values_.end()) fail("the header has no field '{}'", field_name);
         return at->second;
     }
     template <class T>
-    T get_number_field(std::string_view field_name) const {
-        return codecs::ByteReader(get_text_field(field_name)).read_little_endian_number<T>();
+    T number_field(std::string_view field_name) const {
+        return codecs::ByteReader(text_field(field_name)).read_number<T>();
     }
 
 private:
@@ -49,9 +49,9 @@ struct Ros1Record {
     std::string_view header, data;
 };
 
-Ros1Record read_next_ros1_record(codecs::ByteReader& reader) {
-    const std::string_view header = reader.read_length_prefixed_string();
-    return {header, reader.read_length_prefixed_string()};
+Ros1Record read_ros1_record(codecs::ByteReader& reader) {
+    const std::string_view header = reader.read_string();
+    return {header, reader.read_string()};
 }
 
 class Ros1File : public BagFile {
@@ -61,11 +61,11 @@ public:
             fail("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name());
     }
 
-    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         connections_.clear();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
-            const std::optional<Ros1RecordExtent> record = read_header_and_locate_record_data(at);
+            const std::optional<Ros1RecordExtent> record = read_extent(at);
             if (!record) {
                 callbacks.note(
                     fmt::format("{}: the file is truncated at byte {} of {}; later messages are missing",
@@ -74,21 +74,21 @@ public:
             }
             callbacks.done(double(at) / double(file_.size()));
             process_or_skip(file_.name(), at, skip_broken_, callbacks,
-                            [&] { process_ros1_record_or_chunk(at, *record, topics, callbacks); });
+                            [&] { process_at(at, *record, topics, callbacks); });
             at = record->data_at + record->data_bytes;
         }
     }
 
-    SharedBytes read_message_bytes(const MessagePosition& place) const override {
+    SharedBytes read_message(const MessagePosition& place) const override {
         if (place.in_chunk == MessagePosition::kNoChunk) {
-            const std::optional<Ros1RecordExtent> record = read_header_and_locate_record_data(place.at);
+            const std::optional<Ros1RecordExtent> record = read_extent(place.at);
             if (!record) fail("{}: the message at byte {} is truncated", file_.name(), place.at);
             return file_.read_bytes_at(record->data_at, record->data_bytes);
         }
-        const SharedBytes records = chunks_.get_or_unpack_chunk(
-            place.at, [&] { return read_records_in_chunk(*read_header_and_locate_record_data(place.at)); });
+        const SharedBytes records =
+            chunks_.find_or_unpack(place.at, [&] { return read_chunk(*read_extent(place.at)); });
         codecs::ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
-        return records.make_shared_subview(read_next_ros1_record(reader).data);
+        return records.share_part(read_ros1_record(reader).data);
     }
 
 private:
@@ -106,11 +106,11 @@ private:
 
     /// Returns the header of a record and the position of its data. Returns nothing if
     /// the file ends within the record.
-    std::optional<Ros1RecordExtent> read_header_and_locate_record_data(std::uint64_t record_offset) const {
+    std::optional<Ros1RecordExtent> read_extent(std::uint64_t record_offset) const {
         const auto length_at = [&](std::uint64_t length_offset) -> std::optional<std::uint32_t> {
             if (length_offset > file_.size() || file_.size() - length_offset < 4) return std::nullopt;
             const SharedBytes length = file_.read_bytes_at(length_offset, 4);
-            const auto n = codecs::ByteReader(length.bytes).read_little_endian_number<std::uint32_t>();
+            const auto n = codecs::ByteReader(length.bytes).read_number<std::uint32_t>();
             return n > file_.size() - length_offset - 4 ? std::nullopt : std::optional(n);
         };
         const auto header_bytes = length_at(record_offset);
@@ -124,52 +124,50 @@ private:
         return Ros1RecordExtent{file_.read_bytes_at(record_offset + 4, *header_bytes), data + 4, *data_bytes};
     }
 
-    SharedBytes read_records_in_chunk(const Ros1RecordExtent& chunk_extent) const {
+    SharedBytes read_chunk(const Ros1RecordExtent& chunk_extent) const {
         const Ros1Header header(chunk_extent.header.bytes);
-        return unpack_chunk(header.get_text_field("compression"),
+        return unpack_chunk(header.text_field("compression"),
                             file_.read_bytes_at(chunk_extent.data_at, chunk_extent.data_bytes),
-                            header.get_number_field<std::uint32_t>("size"));
+                            header.number_field<std::uint32_t>("size"));
     }
 
-    void process_ros1_record_or_chunk(std::uint64_t record_offset, const Ros1RecordExtent& record_extent,
-                                      TopicTable& topics, const MessageReadCallbacks& callbacks) {
+    void process_at(std::uint64_t record_offset, const Ros1RecordExtent& record_extent, TopicTable& topics,
+                    const MessageReadCallbacks& callbacks) {
         const Ros1Header header(record_extent.header.bytes);
-        const auto op = header.get_number_field<std::uint8_t>("op");
+        const auto op = header.number_field<std::uint8_t>("op");
         if (op == kRos1Chunk) {
-            const SharedBytes records = read_records_in_chunk(record_extent);
+            const SharedBytes records = read_chunk(record_extent);
             codecs::ByteReader reader(records.bytes);
-            while (reader.count_remaining_bytes() > 0) {
-                const std::uint64_t in_chunk = reader.get_byte_position();
-                const Ros1Record part = read_next_ros1_record(reader);
-                process_ros1_record(Ros1Header(part.header), part.data, {record_offset, in_chunk}, topics,
-                                    callbacks);
+            while (reader.remaining() > 0) {
+                const std::uint64_t in_chunk = reader.position();
+                const Ros1Record part = read_ros1_record(reader);
+                process_record(Ros1Header(part.header), part.data, {record_offset, in_chunk}, topics,
+                               callbacks);
             }
         } else if (op == kRos1Connection || op == kRos1Message) {
-            process_ros1_record(header,
-                                file_.read_bytes_at(record_extent.data_at, record_extent.data_bytes).bytes,
-                                {record_offset, MessagePosition::kNoChunk}, topics, callbacks);
+            process_record(header, file_.read_bytes_at(record_extent.data_at, record_extent.data_bytes).bytes,
+                           {record_offset, MessagePosition::kNoChunk}, topics, callbacks);
         }
     }
 
-    void process_ros1_record(const Ros1Header& record_header, std::string_view record_data,
-                             const MessagePosition& message_position, TopicTable& topics,
-                             const MessageReadCallbacks& callbacks) {
-        const auto op = record_header.get_number_field<std::uint8_t>("op");
+    void process_record(const Ros1Header& record_header, std::string_view record_data,
+                        const MessagePosition& message_position, TopicTable& topics,
+                        const MessageReadCallbacks& callbacks) {
+        const auto op = record_header.number_field<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
-        const auto id = record_header.get_number_field<std::uint32_t>("conn");
+        const auto id = record_header.number_field<std::uint32_t>("conn");
         if (op == kRos1Connection) {
             const Ros1Header about(record_data);
-            connections_[id] =
-                topics.find_or_add_topic_index({std::string(record_header.get_text_field("topic")),
-                                                std::string(about.get_text_field("type")), "ros1"});
+            connections_[id] = topics.topic_index({std::string(record_header.text_field("topic")),
+                                                   std::string(about.text_field("type")), "ros1"});
             return;
         }
         const auto connection = connections_.find(id);
         if (connection == connections_.end())
             fail("a message belongs to connection {}, but no earlier record describes this connection", id);
-        codecs::ByteReader time(record_header.get_text_field("time"));
-        const auto seconds = time.read_little_endian_number<std::uint32_t>(),
-                   nanoseconds = time.read_little_endian_number<std::uint32_t>();
+        codecs::ByteReader time(record_header.text_field("time"));
+        const auto seconds = time.read_number<std::uint32_t>(),
+                   nanoseconds = time.read_number<std::uint32_t>();
         const bool is_requested = callbacks.topic_filter(topics.topics()[connection->second]);
         callbacks.message_callback({connection->second, std::int64_t(seconds) * 1000000000 + nanoseconds,
                                     is_requested ? record_data : std::string_view(), message_position});

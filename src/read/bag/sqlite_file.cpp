@@ -23,12 +23,12 @@ struct FinishStatement {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
-std::string get_text_column(sqlite3_stmt* statement, int column) {
+std::string text_column(sqlite3_stmt* statement, int column) {
     const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement, column));
     return text ? std::string(text, std::size_t(sqlite3_column_bytes(statement, column))) : std::string();
 }
 
-std::string_view get_bytes_column(sqlite3_stmt* statement, int column) {
+std::string_view bytes_column(sqlite3_stmt* statement, int column) {
     const auto* bytes = static_cast<const char*>(sqlite3_column_blob(statement, column));
     return bytes ? std::string_view(bytes, std::size_t(sqlite3_column_bytes(statement, column)))
                  : std::string_view();
@@ -54,7 +54,7 @@ public:
         const int code = sqlite3_open_v2(
             uri.c_str(), &database, SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
-        if (code != SQLITE_OK) throw_database_error("opening the database");
+        if (code != SQLITE_OK) fail_with("opening the database");
         // No value can be larger than the file. The margin is 1 MiB.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
@@ -62,19 +62,18 @@ public:
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
     }
 
-    void for_each_message(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::map<std::int64_t, std::size_t> topic_of;
-        const Statement topic_rows =
-            prepare_statement("SELECT id, name, type, serialization_format FROM topics");
-        while (step_to_next_row(topic_rows.get()))
-            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] = topics.find_or_add_topic_index(
-                {get_text_column(topic_rows.get(), 1), get_text_column(topic_rows.get(), 2),
-                 get_text_column(topic_rows.get(), 3)});
-        const std::int64_t last = get_last_row_id();
+        const Statement topic_rows = prepare("SELECT id, name, type, serialization_format FROM topics");
+        while (next_row(topic_rows.get()))
+            topic_of[sqlite3_column_int64(topic_rows.get(), 0)] =
+                topics.topic_index({text_column(topic_rows.get(), 1), text_column(topic_rows.get(), 2),
+                                    text_column(topic_rows.get(), 3)});
+        const std::int64_t last = last_row_id();
         const Statement rows =
-            prepare_statement("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
-        while (step_to_next_row(rows.get(), &callbacks)) {
+            prepare("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid");
+        while (next_row(rows.get(), &callbacks)) {
             const std::int64_t row = sqlite3_column_int64(rows.get(), 0);
             const auto topic = topic_of.find(sqlite3_column_int64(rows.get(), 1));
             if (topic == topic_of.end())
@@ -83,20 +82,20 @@ public:
             BagMessage message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             // Reads bytes only for topics that the caller requested.
             if (callbacks.topic_filter(topics.topics()[topic->second]))
-                message.bytes = get_bytes_column(rows.get(), 3);
+                message.bytes = bytes_column(rows.get(), 3);
             callbacks.message_callback(message);
         }
     }
 
-    SharedBytes read_message_bytes(const MessagePosition& place) const override {
+    SharedBytes read_message(const MessagePosition& place) const override {
         const std::lock_guard guard(lock_);
-        if (!one_) one_ = prepare_statement("SELECT data FROM messages WHERE rowid = ?");
+        if (!one_) one_ = prepare("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
         sqlite3_bind_int64(one_.get(), 1, std::int64_t(place.at));
-        if (!step_to_next_row(one_.get()))
+        if (!next_row(one_.get()))
             fail("{}: row {} of the table 'messages' has disappeared since the file was opened", name_,
                  place.at);
-        return make_shared_bytes(std::string(get_bytes_column(one_.get(), 0)));
+        return share_bytes(std::string(bytes_column(one_.get(), 0)));
     }
 
 private:
@@ -106,40 +105,39 @@ private:
     mutable std::mutex lock_;  ///< only one thread may use the database at a time
     mutable Statement one_;
 
-    [[noreturn]] void throw_database_error(const char* action) const {
+    [[noreturn]] void fail_with(const char* action) const {
         fail("{}: {} failed: {}; expected messages of rosbag2 in SQLite", name_, action,
-             shorten_for_error_message(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory"));
+             quote(database_ ? sqlite3_errmsg(database_.get()) : "not enough memory"));
     }
 
-    Statement prepare_statement(const std::string& sql_text) const {
+    Statement prepare(const std::string& sql_text) const {
         sqlite3_stmt* statement = nullptr;
         if (sqlite3_prepare_v2(database_.get(), sql_text.c_str(), -1, &statement, nullptr) != SQLITE_OK)
-            throw_database_error("reading the list of tables");
+            fail_with("reading the list of tables");
         return Statement(statement);
     }
 
     /// Reads the next row of a query. If the file is damaged and `callbacks` are given,
     /// ends the query with a note. Messages before the damage remain usable.
-    bool step_to_next_row(sqlite3_stmt* statement, const MessageReadCallbacks* callbacks = nullptr) const {
+    bool next_row(sqlite3_stmt* statement, const MessageReadCallbacks* callbacks = nullptr) const {
         const int code = sqlite3_step(statement);
         if (callbacks && (code == SQLITE_CORRUPT || (code & 0xFF) == SQLITE_IOERR))
             callbacks->note(
                 fmt::format("{}: the file is damaged or truncated ({}); later messages are missing", name_,
                             sqlite3_errmsg(database_.get())));
-        else if (code != SQLITE_ROW && code != SQLITE_DONE)
-            throw_database_error("reading the list of messages");
+        else if (code != SQLITE_ROW && code != SQLITE_DONE) fail_with("reading the list of messages");
         return code == SQLITE_ROW;
     }
 
-    std::int64_t get_last_row_id() const {
-        const Statement row = prepare_statement("SELECT max(rowid) FROM messages");
-        return step_to_next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
+    std::int64_t last_row_id() const {
+        const Statement row = prepare("SELECT max(rowid) FROM messages");
+        return next_row(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 };
 
 }  // namespace
 
-std::unique_ptr<BagFile> open_rosbag2_sqlite(const std::filesystem::path& file) {
+std::unique_ptr<BagFile> open_sqlite_bag(const std::filesystem::path& file) {
     return std::make_unique<SqliteFile>(file);
 }
 

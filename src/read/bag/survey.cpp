@@ -13,9 +13,9 @@
 #include <relidar/base/error.hpp>
 
 #include "base/median.hpp"
+#include "read/bag/part_file.hpp"
 #include "read/packets/ouster.hpp"
 #include "read/packets/packet_messages.hpp"
-#include "read/bag/part_file.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -26,7 +26,7 @@ class BagIndexer {
 public:
     BagIndexer(const BagRecording& bag, BagIndex& survey) : bag_(bag), survey_(survey) {}
 
-    void add_message_to_index(const BagMessage& message) {
+    void index_message(const BagMessage& message) {
         if (survey_.facts.size() <= message.topic) survey_.facts.resize(message.topic + 1);
         TopicStatistics& facts = survey_.facts[message.topic];
         if (facts.n++ == 0) facts.first_ns = facts.last_ns = message.log_ns;
@@ -34,30 +34,29 @@ public:
         facts.last_ns = std::max(facts.last_ns, message.log_ns);
         count_broken(message.topic, [&] {
             const BagTopic& topic = bag_.topics()[message.topic];
-            const MessagePurpose use = get_message_purpose_of_topic(topic);
-            if (use == MessagePurpose::cloud) index_cloud_message(topic, message);
-            if (use == MessagePurpose::packets) index_packet_message(topic, message);
-            if (use == MessagePurpose::metadata) store_first_ouster_metadata_message(topic, message);
-            if (use == MessagePurpose::transforms) index_transform_message(topic, message);
-            if (use == MessagePurpose::pose) index_pose_message(topic, message);
-            if (use == MessagePurpose::boxes) index_box_list_message(topic, message);
+            const MessagePurpose use = find_purpose(topic);
+            if (use == MessagePurpose::cloud) index_cloud(topic, message);
+            if (use == MessagePurpose::packets) index_packets(topic, message);
+            if (use == MessagePurpose::metadata) index_metadata(topic, message);
+            if (use == MessagePurpose::transforms) index_transforms(topic, message);
+            if (use == MessagePurpose::pose) index_poses(topic, message);
+            if (use == MessagePurpose::boxes) index_boxes(topic, message);
         });
     }
 
     /// Packets that were recorded before their metadata are decoded in a second pass.
-    bool has_packets_for_second_pass() const { return !late_.empty(); }
-    bool is_topic_for_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
-    void index_packets_in_second_pass(const BagMessage& message) {
-        count_broken(message.topic, [&] { index_packet_message(bag_.topics()[message.topic], message); });
+    bool needs_second_pass() const { return !late_.empty(); }
+    bool is_in_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
+    void index_again(const BagMessage& message) {
+        count_broken(message.topic, [&] { index_packets(bag_.topics()[message.topic], message); });
     }
     /// Reads the metadata of Ousters from files next to the recording.
-    void read_ouster_metadata_files() {
+    void read_metadata() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
         std::vector<std::string> broken;
-        for (const std::filesystem::path& file : bag_.get_file_paths())
-            for (const auto& format :
-                 packets::read_ouster_metadata_in_folder_of(remove_gz_extension(file), broken))
+        for (const std::filesystem::path& file : bag_.file_paths())
+            for (const auto& format : packets::read_metadata_files(strip_gz(file), broken))
                 ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
@@ -82,8 +81,8 @@ private:
         }
     }
 
-    void index_cloud_message(const BagTopic& topic, const BagMessage& message) {
-        const CloudMessage cloud = read_cloud_of_message(topic, message.bytes);
+    void index_cloud(const BagTopic& topic, const BagMessage& message) {
+        const CloudMessage cloud = read_cloud(topic, message.bytes);
         // An empty cloud often has no frame.
         const bool has_too_many =
             std::ranges::count(survey_.clouds, message.topic, &CloudTopic::topic) > kMostLidarsOnTopic;
@@ -109,65 +108,62 @@ private:
             clouds.other_frame = cloud.header.frame;
         const auto n = std::uint32_t(std::min<std::size_t>(cloud.size(), UINT32_MAX));
         clouds.clouds.push_back({cloud.header.stamp_ns, message.log_ns, n, message.message_position});
-        if (const std::optional<AzimuthArc> arc = compute_azimuth_range(cloud))
+        if (const std::optional<AzimuthArc> arc = azimuth_arc(cloud))
             clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.message_position, n, *arc});
     }
 
-    void index_packet_message(const BagTopic& topic, const BagMessage& message) {
+    void index_packets(const BagTopic& topic, const BagMessage& message) {
         MessageHeader header;
         const std::vector<packets::ReceivedPacket> views =
-            packets::read_packets_of_message(topic, message.bytes, message.log_ns, header);
+            packets::read_packets(topic, message.bytes, message.log_ns, header);
         if (views.empty()) return;
         if (!corrections_) {
             corrections_.emplace();  // a file with an error is read only once
             std::vector<std::filesystem::path> names;
-            for (const std::filesystem::path& file : bag_.get_file_paths())
-                names.push_back(remove_gz_extension(file));
-            corrections_ = packets::find_angle_corrections(names);
+            for (const std::filesystem::path& file : bag_.file_paths()) names.push_back(strip_gz(file));
+            corrections_ = packets::find_angle_files(names);
         }
         packets::DecoderCalibration calibration{*corrections_};
-        if (topic.encoding == packets::kDatagrams) read_ouster_metadata_files();
-        calibration.ouster =
-            packets::find_ouster_metadata_of_packet(ousters_, topic.name, views.front().bytes);
-        if (packets::is_ouster_driver_packet_topic(topic)) {
+        if (topic.encoding == packets::kLidarDatagrams) read_metadata();
+        calibration.ouster = packets::find_metadata(ousters_, topic.name, views.front().bytes);
+        if (packets::is_ouster_topic(topic)) {
             if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
                 return void(late_.insert(message.topic));
             if (!calibration.ouster)
-                throw DataError(packets::format_ouster_packet_error(ousters_, bag_.get_file_paths().front(),
-                                                                    topic.name, views.front().bytes.size()) +
+                throw DataError(packets::ouster_error(ousters_, bag_.file_paths().front(), topic.name,
+                                                      views.front().bytes.size()) +
                                 broken_metadata_);
         }
-        CloudTopic& clouds = find_or_add_topic_entry(survey_.clouds, message.topic);
+        CloudTopic& clouds = find_entry(survey_.clouds, message.topic);
         clouds.frame = header.frame;
-        clouds.packets.add_packets_of_message(views, message.log_ns, message.message_position, calibration);
+        clouds.packets.add_packets(views, message.log_ns, message.message_position, calibration);
     }
 
     /// Drivers repeat the metadata. Ignores messages with other content.
-    void store_first_ouster_metadata_message(const BagTopic& topic, const BagMessage& message) {
+    void index_metadata(const BagTopic& topic, const BagMessage& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
             return;
-        const std::string text = packets::read_text_message(topic, message.bytes);
-        if (packets::is_ouster_metadata(text))
-            ousters_.push_back(packets::parse_ouster_metadata(text, topic.name));
+        const std::string text = packets::read_std_string(topic, message.bytes);
+        if (packets::is_metadata(text)) ousters_.push_back(packets::parse_metadata(text, topic.name));
     }
 
-    std::vector<TransformMessage> read_valid_transforms(const BagTopic& topic, const BagMessage& message) {
-        TransformListMessage list = read_transforms_of_message(topic, message.bytes);
+    std::vector<TransformMessage> read_valid(const BagTopic& topic, const BagMessage& message) {
+        TransformListMessage list = read_transforms(topic, message.bytes);
         TopicStatistics& facts = survey_.facts[message.topic];
         if (facts.n_left_out == 0) facts.left_out = list.problem;
         facts.n_left_out += list.n_left_out;
         return std::move(list.transforms);
     }
 
-    void index_transform_message(const BagTopic& topic, const BagMessage& message) {
+    void index_transforms(const BagTopic& topic, const BagMessage& message) {
         const bool is_static = topic.name.ends_with("tf_static");
-        for (const TransformMessage& transform : read_valid_transforms(topic, message))
+        for (const TransformMessage& transform : read_valid(topic, message))
             survey_.frames.add_transform(transform, message.log_ns, is_static);
     }
 
-    void index_pose_message(const BagTopic& topic, const BagMessage& message) {
-        for (const TransformMessage& transform : read_valid_transforms(topic, message)) {
-            PoseTopic& poses = find_or_add_topic_entry(survey_.poses, message.topic);
+    void index_poses(const BagTopic& topic, const BagMessage& message) {
+        for (const TransformMessage& transform : read_valid(topic, message)) {
+            PoseTopic& poses = find_entry(survey_.poses, message.topic);
             if (poses.samples.empty()) {
                 poses.parent = transform.header.frame;
                 poses.child = transform.child;
@@ -176,9 +172,9 @@ private:
         }
     }
 
-    void index_box_list_message(const BagTopic& topic, const BagMessage& message) {
-        const BoxListMessage list = read_boxes_of_message(topic, message.bytes);
-        BoxTopic& boxes = find_or_add_topic_entry(survey_.boxes, message.topic);
+    void index_boxes(const BagTopic& topic, const BagMessage& message) {
+        const BoxListMessage list = read_boxes(topic, message.bytes);
+        BoxTopic& boxes = find_entry(survey_.boxes, message.topic);
         boxes.n_left_out += list.n_left_out;
         if (list.boxes.empty()) return;
         if (boxes.frame.empty()) boxes.frame = list.boxes.front().header.frame;
@@ -189,7 +185,7 @@ private:
     }
 
     template <class Entry>
-    static Entry& find_or_add_topic_entry(std::vector<Entry>& entries, std::size_t topic_index) {
+    static Entry& find_entry(std::vector<Entry>& entries, std::size_t topic_index) {
         const auto existing_entry = std::ranges::find(entries, topic_index, &Entry::topic);
         if (existing_entry != entries.end()) return *existing_entry;
         entries.emplace_back().topic = topic_index;
@@ -199,10 +195,10 @@ private:
 
 /// Ouster packets contain no frame name. Connects their clouds to the frame `os_lidar` of
 /// Ouster's driver, which is rotated by 180 degrees about z.
-void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index) {
+void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : bag_index.clouds)
-        if (packets::is_ouster_driver_packet_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
+        if (packets::is_ouster_topic(bag.topics()[clouds.topic]) && !clouds.packets.empty())
             ousters.push_back(&clouds);
     for (CloudTopic* clouds : ousters) {
         const std::string& name = bag.topics()[clouds->topic].name;
@@ -212,8 +208,8 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index)
         for (const std::string& prefix : prefixes) {
             for (const char* frame : {"os_lidar", "os_sensor"})
                 clouds->driver_frames.push_back(prefix + frame);
-            if (bag_index.frames.list_frames_to_root(clouds->frame).size() > 1 ||
-                bag_index.frames.list_frames_to_root(prefix + "os_lidar").size() < 2)
+            if (bag_index.frames.path_to_root(clouds->frame).size() > 1 ||
+                bag_index.frames.path_to_root(prefix + "os_lidar").size() < 2)
                 continue;
             bag_index.frames.add_transform(
                 {{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}}, 0, true);
@@ -224,7 +220,7 @@ void add_missing_ouster_transforms(const BagRecording& bag, BagIndex& bag_index)
 /// Joins the entries of a topic, unless they belong to several LiDARs, which take turns.
 /// Clouds whose frame only changes once, and a few clouds with another frame, come from
 /// one LiDAR.
-void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) {
+void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
     constexpr double kLeastShare = 0.25;  // of the clouds of the LiDAR with the most clouds
     std::vector<CloudTopic*> entries;
     for (CloudTopic& clouds : all)
@@ -233,13 +229,13 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
     if (entries.size() < 2) return;
     const CloudTopic& most =
         **std::ranges::max_element(entries, {}, [](const CloudTopic* c) { return c->clouds.size(); });
-    const auto get_order = [](const auto& entry) {
+    const auto order_of = [](const auto& entry) {
         const MessagePosition& at = entry.message_position;
         return std::tuple(at.file, at.at, at.in_chunk);
     };
     const auto is_lidar = [&](const CloudTopic* c) {
-        return c == &most || (get_order(c->clouds.front()) < get_order(most.clouds.back()) &&
-                              get_order(most.clouds.front()) < get_order(c->clouds.back()) &&
+        return c == &most || (order_of(c->clouds.front()) < order_of(most.clouds.back()) &&
+                              order_of(most.clouds.front()) < order_of(c->clouds.back()) &&
                               double(c->clouds.size()) >= kLeastShare * double(most.clouds.size()));
     };
     const auto n_lidars = std::ranges::count_if(entries, is_lidar);
@@ -255,15 +251,15 @@ void join_entries_of_one_lidar(std::vector<CloudTopic>& all, std::size_t topic) 
         std::ranges::move(std::exchange(c->clouds, {}), std::back_inserter(first.clouds));
         std::ranges::move(std::exchange(c->arcs, {}), std::back_inserter(first.arcs));
     }
-    std::ranges::stable_sort(first.clouds, {}, get_order);
-    std::ranges::stable_sort(first.arcs, {}, get_order);
+    std::ranges::stable_sort(first.clouds, {}, order_of);
+    std::ranges::stable_sort(first.arcs, {}, order_of);
     std::erase_if(all, [&](const CloudTopic& c) { return c.topic == topic && c.clouds.empty(); });
 }
 
 /// Joins clouds that are parts of a revolution. A revolution begins at the rear, so the
 /// head faces forward in its middle part. The revolution gets the time of this part.
-void join_partial_clouds_of_topic(CloudTopic& cloud_topic) {
-    const JoinedRevolutions joined = join_partial_clouds_to_revolutions(std::exchange(cloud_topic.arcs, {}));
+void join_parts(CloudTopic& cloud_topic) {
+    const JoinedRevolutions joined = join_clouds(std::exchange(cloud_topic.arcs, {}));
     if (joined.revolutions.empty()) return;
     cloud_topic.clouds.clear();
     for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
@@ -282,9 +278,9 @@ void join_partial_clouds_of_topic(CloudTopic& cloud_topic) {
 
 }  // namespace
 
-bool CloudTopic::has_field_with_attribute(read::PointAttribute attribute) const {
+bool CloudTopic::has_field(read::PointAttribute attribute) const {
     return std::ranges::any_of(fields, [&](const CloudMessage::CloudField& field) {
-        return read::find_attribute_of_field_name(field.name) == attribute;
+        return read::find_attribute(field.name) == attribute;
     });
 }
 
@@ -292,46 +288,43 @@ std::string CloudTopic::make_name(const BagRecording& bag) const {
     return bag.topics()[topic].name + (lidar.empty() ? "" : ":" + lidar);
 }
 
-std::size_t CloudTopic::compute_median_point_count() const {
+std::size_t CloudTopic::median_points() const {
     if (clouds.empty()) return 0;
     std::vector<std::uint32_t> counts;
     for (const CloudIndexEntry& cloud : clouds) counts.push_back(cloud.n_points);
     return compute_median(std::move(counts));
 }
 
-BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress) {
+BagIndex index_bag(BagRecording& bag, const Progress& progress) {
     BagIndex survey;
     BagIndexer surveyor(bag, survey);
-    bag.for_each_message(
-        [](const BagTopic& topic) { return get_message_purpose_of_topic(topic) != MessagePurpose::nothing; },
-        [&](const BagMessage& message) { surveyor.add_message_to_index(message); }, progress);
+    bag.read_messages([](const BagTopic& topic) { return find_purpose(topic) != MessagePurpose::nothing; },
+                      [&](const BagMessage& message) { surveyor.index_message(message); }, progress);
     survey.facts.resize(bag.topics().size());
-    if (surveyor.has_packets_for_second_pass()) {
-        surveyor.read_ouster_metadata_files();
+    if (surveyor.needs_second_pass()) {
+        surveyor.read_metadata();
         std::vector<bool> is_late;
         for (std::size_t t = 0; t < bag.topics().size(); ++t)
-            is_late.push_back(surveyor.is_topic_for_second_pass(t));
-        bag.for_each_message(
-            [&](const BagTopic& topic) { return packets::is_ouster_driver_packet_topic(topic); },
-            [&](const BagMessage& message) {
-                if (message.topic < is_late.size() && is_late[message.topic])
-                    surveyor.index_packets_in_second_pass(message);
-            },
-            progress);
+            is_late.push_back(surveyor.is_in_second_pass(t));
+        bag.read_messages([&](const BagTopic& topic) { return packets::is_ouster_topic(topic); },
+                          [&](const BagMessage& message) {
+                              if (message.topic < is_late.size() && is_late[message.topic])
+                                  surveyor.index_again(message);
+                          },
+                          progress);
     }
-    for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries_of_one_lidar(survey.clouds, t);
+    for (std::size_t t = 0; t < bag.topics().size(); ++t) join_entries(survey.clouds, t);
     for (CloudTopic& clouds : survey.clouds) {
-        clouds.packets.sort_packets_and_find_revolutions();
-        clouds.revolutions = clouds.packets.get_revolutions();
+        clouds.packets.finish();
+        clouds.revolutions = clouds.packets.revolutions();
         for (std::size_t t = 0; t < clouds.revolutions.size(); ++t) {
             const packets::PacketRevolution& revolution = clouds.revolutions[t];
-            clouds.clouds.push_back(
-                {revolution.forward_ns, revolution.log_ns, 0,
-                 clouds.packets.find_messages_of_revolution(revolution).front().message_position, t});
+            clouds.clouds.push_back({revolution.forward_ns, revolution.log_ns, 0,
+                                     clouds.packets.messages_of(revolution).front().message_position, t});
         }
     }
-    for (CloudTopic& clouds : survey.clouds) join_partial_clouds_of_topic(clouds);
-    add_missing_ouster_transforms(bag, survey);
+    for (CloudTopic& clouds : survey.clouds) join_parts(clouds);
+    add_ouster_frames(bag, survey);
     return survey;
 }
 

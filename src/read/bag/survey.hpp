@@ -30,18 +30,18 @@ struct StampedPose {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Pose pose;
 
-    std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
+    std::int64_t time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
 
 /// Pose of a frame in one of its ancestor frames as a function of time: the product of
 /// all transforms in between.
 class TransformChain {
 public:
-    void append_constant_child_transform(Pose transform) { links_.push_back({{0.0}, {transform}}); }
+    void append_constant(Pose transform) { links_.push_back({{0.0}, {transform}}); }
     /// @param pose_samples  in any order
     /// @param time_origin_ns  time in nanoseconds at which the time of the log is 0 s
-    void append_sampled_child_transform(const std::vector<StampedPose>& pose_samples, LogClock clock,
-                                        std::int64_t time_origin_ns);
+    void append_samples(const std::vector<StampedPose>& pose_samples, LogClock clock,
+                        std::int64_t time_origin_ns);
     Pose compute_pose_at(double t_s) const;
     /// Returns true if every transform is known at `t_s`: a moving one from 0.1 s before
     /// its first sample to 0.1 s after its last.
@@ -71,26 +71,23 @@ public:
     void add_transform(const TransformMessage& transform, std::int64_t recording_time_ns, bool is_static);
     bool empty() const { return parents_.empty(); }
     /// Returns a frame and all its ancestors, up to the root of the tree.
-    std::vector<std::string> list_frames_to_root(const std::string& start_frame) const;
+    std::vector<std::string> path_to_root(const std::string& start_frame) const;
     bool is_frame_moving(const std::string& frame) const;
     /// Returns the pose of frame `source_frame` in frame `target_frame`. Returns nothing
     /// if a transform between the frames is missing or changes over time.
-    std::optional<Pose> find_constant_transform(const std::string& target_frame,
-                                                const std::string& source_frame) const;
-    TransformChain make_transform_chain_to_ancestor(const std::string& ancestor_frame,
-                                                    const std::string& child_frame, LogClock clock,
-                                                    std::int64_t time_origin_ns) const;
+    std::optional<Pose> find_constant(const std::string& target_frame, const std::string& source_frame) const;
+    TransformChain make_chain(const std::string& ancestor_frame, const std::string& child_frame,
+                              LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns nothing if no transforms connect the two frames.
-    std::optional<RelativeFramePose> find_pose_function_between_frames(const std::string& target_frame,
-                                                                       const std::string& source_frame,
-                                                                       LogClock clock,
-                                                                       std::int64_t time_origin_ns) const;
+    std::optional<RelativeFramePose> find_chain(const std::string& target_frame,
+                                                const std::string& source_frame, LogClock clock,
+                                                std::int64_t time_origin_ns) const;
     /// Returns the samples of the moving transform with the most samples between a frame
     /// and its ancestor frame. Returns null if no transform moves.
-    const std::vector<StampedPose>* find_fastest_samples(const std::string& ancestor_frame,
-                                                         const std::string& child_frame) const;
+    const std::vector<StampedPose>* fastest_samples(const std::string& ancestor_frame,
+                                                    const std::string& child_frame) const;
     /// This class uses the parent with the most transforms.
-    std::vector<std::string> list_frames_with_several_parents() const;
+    std::vector<std::string> ambiguous_frames() const;
 
 private:
     struct FrameTreeEdge {
@@ -102,8 +99,7 @@ private:
     };
     std::map<std::string, std::map<std::string, FrameTreeEdge>> parents_;  ///< by frame, then by parent
 
-    const std::pair<const std::string, FrameTreeEdge>* find_parent_with_most_transforms(
-        const std::string& frame) const;
+    const std::pair<const std::string, FrameTreeEdge>* find_parent(const std::string& frame) const;
 };
 
 /// Interval of azimuths that contains a set of points.
@@ -112,7 +108,7 @@ struct AzimuthArc {
 };
 /// Computes the azimuth range of a cloud, in steps of 6 degrees, from about 256 of its
 /// points. Returns nothing if the cloud has no field x or y.
-std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud);
+std::optional<AzimuthArc> azimuth_arc(const CloudMessage& cloud);
 
 struct RevolutionPart {
     std::int64_t stamp_ns = 0, log_ns = 0;
@@ -130,7 +126,7 @@ struct JoinedRevolutions {
 /// Joins clouds that are parts of a revolution. Joins nothing if the clouds are full
 /// revolutions, or if the LiDAR scans a window and does not rotate.
 /// @param partial_clouds  all clouds of a topic
-JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds);
+JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds);
 
 struct TopicStatistics {
     std::size_t n = 0;                       ///< number of messages
@@ -140,7 +136,7 @@ struct TopicStatistics {
     std::size_t n_left_out = 0;              ///< transforms with an invalid pose
     std::string left_out;                    ///< text about the first of them
 
-    double compute_message_rate_hz() const {
+    double rate_hz() const {
         return n > 1 && last_ns > first_ns ? 1e9 * double(n - 1) / double(last_ns - first_ns) : 0.0;
     }
 };
@@ -156,7 +152,7 @@ struct CloudIndexEntry {
     /// during the recording.
     std::int64_t correction_ns = 0;
 
-    std::int64_t get_time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
+    std::int64_t time_ns(LogClock clock) const { return clock == LogClock::stamps ? stamp_ns : log_ns; }
 };
 
 /// The clouds of a LiDAR on a topic.
@@ -181,8 +177,8 @@ struct CloudTopic {
     packets::PacketIndex packets;
     std::vector<packets::PacketRevolution> revolutions;
 
-    bool has_field_with_attribute(read::PointAttribute attribute) const;
-    std::size_t compute_median_point_count() const;
+    bool has_field(read::PointAttribute attribute) const;
+    std::size_t median_points() const;
     /// Returns the name of the LiDAR: the topic, and `lidar` if it is not empty.
     std::string make_name(const BagRecording& bag) const;
 };
@@ -219,19 +215,19 @@ struct BagIndex {
 
 /// Reads all messages of a recording and lists its content. Counts invalid messages.
 /// @throws DataError if a file is damaged
-BagIndex index_bag_messages(BagRecording& bag, const ProgressReporter& progress);
+BagIndex index_bag(BagRecording& bag, const Progress& progress);
 
 /// Returns one line per topic: name, type, number of messages, rate, and its content.
 /// @param is_topic_used  [topics] true if the topic is loaded
-std::vector<std::string> format_line_per_topic(const BagRecording& bag, const BagIndex& bag_index,
-                                               const std::vector<bool>& is_topic_used);
+std::vector<std::string> describe_topics(const BagRecording& bag, const BagIndex& index,
+                                         const std::vector<bool>& is_topic_used);
 
 // The following texts are empty if there is nothing to report.
 /// Describes missing sweeps, which cause time steps that are much longer than usual.
-std::string describe_missing_sweeps(const std::vector<double>& sweep_times_s, double sweep_period_s);
+std::string describe_gaps(const std::vector<double>& sweep_times_s, double sweep_period_s);
 /// Describes clouds that have another frame than the first cloud of the topic.
-std::string describe_clouds_with_differing_frame_id(const CloudTopic& cloud_topic);
+std::string describe_frame_ids(const CloudTopic& cloud_topic);
 /// Describes time stamps that decrease, or that jump relative to the recording times.
-std::string describe_time_jumps(const CloudTopic& cloud_topic);
+std::string describe_jumps(const CloudTopic& cloud_topic);
 
 }  // namespace relidar::bag

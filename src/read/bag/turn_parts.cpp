@@ -14,24 +14,23 @@
 namespace relidar::bag {
 namespace {
 
-constexpr std::size_t kSamples = 256, kBins = 60;
+constexpr std::size_t kAzimuthSamples = 256, kAzimuthBins = 60;
 // A cloud with a wider azimuth range is a full revolution in which the vehicle blocks
 // some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
-// exp(i step)| >= kTogether, and about as wide as a cloud, |mean step - w| <= kAbut mean
+// exp(i step)| >= kMaxOverlap, and about as wide as a cloud, |mean step - w| <= kMaxAbutGap mean
 // step. w is the median width of a cloud, or 2 pi minus this width if that is smaller.
-constexpr double kTogether = 0.8, kAbut = 0.4;
+constexpr double kMaxOverlap = 0.8, kMaxAbutGap = 0.4;
 // A part of a revolution is missing if a time step exceeds this multiple of the usual
 // step.
-constexpr double kPause = 1.6;
-constexpr double kDegrees = 180.0 / kPi;
+constexpr double kMinPauseSteps = 1.6;
+constexpr double kDegreesPerRad = 180.0 / kPi;
 
 /// @param field  float or double
-double read_float_field_value(const CloudMessage& cloud, const CloudMessage::CloudField& field,
-                              std::size_t point_index) {
+double read_float(const CloudMessage& cloud, const CloudMessage::CloudField& field, std::size_t point_index) {
     const std::size_t row = point_index / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
     std::memcpy(raw, cloud.data.data() + row + point_index % cloud.width * cloud.point_step + field.offset,
@@ -44,37 +43,37 @@ double read_float_field_value(const CloudMessage& cloud, const CloudMessage::Clo
     return field.size == sizeof narrow ? double(narrow) : wide;
 }
 
-const CloudMessage::CloudField* find_float_field(const CloudMessage& cloud, const char* field_name) {
+const CloudMessage::CloudField* find_float(const CloudMessage& cloud, const char* field_name) {
     const auto field = std::ranges::find(cloud.fields, field_name, &CloudMessage::CloudField::name);
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
 /// Returns the full circle except its widest gap.
-std::optional<AzimuthArc> find_occupied_azimuth_range(const std::array<bool, kBins>& is_bin_occupied) {
+std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_occupied) {
     std::size_t widest = 0, end = 0, run = 0;
     // Loops over the circle twice, because its widest gap may contain the azimuth pi.
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {
-        run = is_bin_occupied[b % kBins] ? 0 : run + 1;
+    for (std::size_t b = 0; b < 2 * kAzimuthBins; ++b) {
+        run = is_bin_occupied[b % kAzimuthBins] ? 0 : run + 1;
         if (run > widest) {
             widest = run;
             end = b + 1;
         }
     }
-    if (widest >= kBins) return std::nullopt;
-    const double bin = 2.0 * kPi / kBins, extent = 2.0 * kPi - bin * double(widest);
+    if (widest >= kAzimuthBins) return std::nullopt;
+    const double bin = 2.0 * kPi / kAzimuthBins, extent = 2.0 * kPi - bin * double(widest);
     return AzimuthArc{float(std::remainder(bin * double(end) - kPi + 0.5 * extent, 2.0 * kPi)),
                       float(extent)};
 }
 
-double compute_widest_azimuth_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
-    std::array<bool, kBins> is_bin_occupied{};
+double widest_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
+    std::array<bool, kAzimuthBins> is_bin_occupied{};
     for (const RevolutionPart& cloud : partial_clouds)
         for (double a = -0.5; a <= 0.5; a += 0.01) {
             const double azimuth =
                 std::remainder(double(cloud.arc.middle_rad) + a * double(cloud.arc.extent_rad), 2.0 * kPi);
-            is_bin_occupied[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+            is_bin_occupied[std::size_t((azimuth / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins] = true;
         }
-    const std::optional<AzimuthArc> all = find_occupied_azimuth_range(is_bin_occupied);
+    const std::optional<AzimuthArc> all = find_arc(is_bin_occupied);
     return 2.0 * kPi - double(all ? all->extent_rad : 0.0f);
 }
 
@@ -90,8 +89,7 @@ struct RevolutionPartition {
     double cut_rad;
 };
 
-std::optional<RevolutionPartition> estimate_how_clouds_split_revolution(
-    const std::vector<RevolutionPart>& partial_clouds) {
+std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPart>& partial_clouds) {
     if (partial_clouds.size() < 4) return std::nullopt;
     std::vector<float> extents;
     std::vector<std::int64_t> steps_ns;
@@ -104,10 +102,10 @@ std::optional<RevolutionPartition> estimate_how_clouds_split_revolution(
             1.0, double(partial_clouds[k].arc.middle_rad) - double(partial_clouds[k - 1].arc.middle_rad));
     }
     const double extent = compute_median(extents), step = std::abs(std::arg(sum));
-    if (extent > kMostOfPart || std::abs(sum) < kTogether * double(partial_clouds.size() - 1))
+    if (extent > kMostOfPart || std::abs(sum) < kMaxOverlap * double(partial_clouds.size() - 1))
         return std::nullopt;
-    if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kAbut * step ||
-        compute_widest_azimuth_gap_rad(partial_clouds) > kLeastGap_rad)
+    if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kMaxAbutGap * step ||
+        widest_gap_rad(partial_clouds) > kLeastGap_rad)
         return std::nullopt;
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
@@ -121,24 +119,24 @@ std::optional<RevolutionPartition> estimate_how_clouds_split_revolution(
 
 }  // namespace
 
-std::optional<AzimuthArc> compute_azimuth_range(const CloudMessage& cloud) {
-    const CloudMessage::CloudField *x = find_float_field(cloud, "x"), *y = find_float_field(cloud, "y");
+std::optional<AzimuthArc> azimuth_arc(const CloudMessage& cloud) {
+    const CloudMessage::CloudField *x = find_float(cloud, "x"), *y = find_float(cloud, "y");
     if (!x || !y) return std::nullopt;
-    std::array<bool, kBins> is_bin_occupied{};
-    const std::size_t n = std::min(kSamples, cloud.size());
+    std::array<bool, kAzimuthBins> is_bin_occupied{};
+    const std::size_t n = std::min(kAzimuthSamples, cloud.size());
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t point = k * cloud.size() / n;
-        const double px = read_float_field_value(cloud, *x, point),
-                     py = read_float_field_value(cloud, *y, point);
+        const double px = read_float(cloud, *x, point), py = read_float(cloud, *y, point);
         if (!std::isfinite(px) || !std::isfinite(py) || (px == 0.0 && py == 0.0)) continue;
-        is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kBins) % kBins] = true;
+        is_bin_occupied[std::size_t((std::atan2(py, px) / (2.0 * kPi) + 0.5) * kAzimuthBins) % kAzimuthBins] =
+            true;
     }
-    return find_occupied_azimuth_range(is_bin_occupied);
+    return find_arc(is_bin_occupied);
 }
 
-JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart> partial_clouds) {
+JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds) {
     std::ranges::stable_sort(partial_clouds, {}, &RevolutionPart::stamp_ns);
-    const std::optional<RevolutionPartition> parts = estimate_how_clouds_split_revolution(partial_clouds);
+    const std::optional<RevolutionPartition> parts = estimate_split(partial_clouds);
     JoinedRevolutions joined;
     if (!parts) return joined;
     // rotation since the start of the revolution, 0 to 2 pi
@@ -151,7 +149,7 @@ JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart>
     for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
         const bool is_first = k == 0 || turned(partial_clouds[k]) <= turned(partial_clouds[k - 1]) ||
                               1e-9 * double(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns) >
-                                  kPause * parts->step_s;
+                                  kMinPauseSteps * parts->step_s;
         if (is_first) revolutions.emplace_back();
         revolutions.back().push_back(partial_clouds[k]);
     }
@@ -161,7 +159,7 @@ JoinedRevolutions join_partial_clouds_to_revolutions(std::vector<RevolutionPart>
         else joined.n_left_out += revolution.size();
     }
     joined.about = fmt::format("each cloud covers only a part of a revolution, about {:.0f} degrees",
-                               parts->extent_rad * kDegrees);
+                               parts->extent_rad * kDegreesPerRad);
     return joined;
 }
 

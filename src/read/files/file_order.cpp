@@ -14,32 +14,29 @@ namespace relidar::read {
 namespace {
 
 // Within a ring, the azimuth can jump back by at most this angle.
-constexpr double kBack_rad = 3.0 * kPi / 180.0;
+constexpr double kRingStepBack_rad = 3.0 * kPi / 180.0;
 // Share of azimuth steps with the same sign in files in the order of rotation.
 constexpr double kMinSameSignFraction = 0.9;
-constexpr std::size_t kStride = 4;
+constexpr std::size_t kSearchStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
 // Share of elevation steps from ring to ring with the same sign, if rings are sorted.
-constexpr double kSorted = 0.9;
+constexpr double kMinSortedShare = 0.9;
 // Points are in the correct rings if the median elevation difference between a point and
 // its ring is below this fraction of the step between rings.
 constexpr double kInRing = 0.5;
 
-double compute_point_azimuth_rad(const glm::vec3& point) {
-    return std::atan2(double(point.y), double(point.x));
-}
-double compute_point_elevation_rad(const glm::vec3& point) {
+double azimuth_of_rad(const glm::vec3& point) { return std::atan2(double(point.y), double(point.x)); }
+double elevation_of_rad(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
 /// Returns 1 if the azimuth increases from point to point, -1 if it decreases, and
 /// nothing if the points are not in the order of rotation.
-std::optional<double> estimate_rotation_sign(const LidarPoints& points) {
+std::optional<double> rotation_sign_of(const LidarPoints& points) {
     std::size_t n_up = 0, n_down = 0;
     for (std::size_t i = 1; i < points.size(); ++i) {
-        const double step = std::remainder(compute_point_azimuth_rad(points.position_m[i]) -
-                                               compute_point_azimuth_rad(points.position_m[i - 1]),
-                                           2.0 * kPi);
+        const double step = std::remainder(
+            azimuth_of_rad(points.position_m[i]) - azimuth_of_rad(points.position_m[i - 1]), 2.0 * kPi);
         n_up += step > 0.0;
         n_down += step < 0.0;
     }
@@ -50,17 +47,17 @@ std::optional<double> estimate_rotation_sign(const LidarPoints& points) {
 }
 
 /// Returns azimuths without jumps at full turns.
-std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rotation_sign) {
+std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_sign) {
     std::vector<double> turned;
     turned.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const double azimuth = rotation_sign * compute_point_azimuth_rad(points.position_m[i]);
+        const double azimuth = rotation_sign * azimuth_of_rad(points.position_m[i]);
         if (i == 0) {
             turned.push_back(azimuth);
             continue;
         }
         double step = std::remainder(azimuth - turned.back(), 2.0 * kPi);
-        if (step < -kBack_rad) step += 2.0 * kPi;
+        if (step < -kRingStepBack_rad) step += 2.0 * kPi;
         turned.push_back(turned.back() + step);
     }
     return turned;
@@ -68,8 +65,8 @@ std::vector<double> unwrap_point_azimuths(const LidarPoints& points, double rota
 
 /// Returns how often the azimuth has passed `start_azimuth_rad` before each point. In
 /// files that store one ring after another, this is the number of the ring.
-std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>& unwrapped_azimuths_rad,
-                                                      double start_azimuth_rad) {
+std::vector<std::uint16_t> count_turns(const std::vector<double>& unwrapped_azimuths_rad,
+                                       double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
     revolution_numbers.reserve(unwrapped_azimuths_rad.size());
     double first_revolution = INFINITY;
@@ -86,14 +83,14 @@ std::vector<std::uint16_t> compute_revolution_numbers(const std::vector<double>&
 
 /// Uses only the farther half of the points, because beams start beside the sensor
 /// origin.
-std::vector<double> compute_median_ring_elevations(const LidarPoints& points,
-                                                   const std::vector<std::uint16_t>& ring_of_point) {
+std::vector<double> ring_elevations(const LidarPoints& points,
+                                    const std::vector<std::uint16_t>& ring_of_point) {
     std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (ring_of_point[i] >= samples_by_ring.size())
             samples_by_ring.resize(std::size_t(ring_of_point[i]) + 1);
         samples_by_ring[ring_of_point[i]].emplace_back(glm::length(points.position_m[i]),
-                                                       compute_point_elevation_rad(points.position_m[i]));
+                                                       elevation_of_rad(points.position_m[i]));
     }
     std::vector<double> elevations;
     for (auto& points_of_ring : samples_by_ring) {
@@ -116,24 +113,22 @@ std::vector<double> ring_errors(const LidarPoints& points, const std::vector<std
     std::vector<double> errors;
     errors.reserve(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        errors.push_back(std::abs(compute_point_elevation_rad(points.position_m[i]) -
-                                  ring_elevations_rad[ring_of_point[i]]));
+        errors.push_back(
+            std::abs(elevation_of_rad(points.position_m[i]) - ring_elevations_rad[ring_of_point[i]]));
     return errors;
 }
 
 /// Selects the azimuth with the smallest deviation of points from their rings.
-double find_ring_start_azimuth_rad(const LidarPoints& points,
-                                   const std::vector<double>& unwrapped_azimuths_rad) {
+double find_ring_start_rad(const LidarPoints& points, const std::vector<double>& unwrapped_azimuths_rad) {
     LidarPoints some;
     std::vector<double> some_turned;
-    for (std::size_t i = 0; i < points.size(); i += kStride) {
+    for (std::size_t i = 0; i < points.size(); i += kSearchStride) {
         some.position_m.push_back(points.position_m[i]);
         some_turned.push_back(unwrapped_azimuths_rad[i]);
     }
     const auto spread = [&](double first_rad) {
-        const std::vector<std::uint16_t> ring = compute_revolution_numbers(some_turned, first_rad);
-        const std::vector<double> errors =
-            ring_errors(some, ring, compute_median_ring_elevations(some, ring));
+        const std::vector<std::uint16_t> ring = count_turns(some_turned, first_rad);
+        const std::vector<double> errors = ring_errors(some, ring, ring_elevations(some, ring));
         // Unlike the median, the mean increases even if only a few points are in a wrong
         // ring.
         return std::accumulate(errors.begin(), errors.end(), 0.0) / double(errors.size());
@@ -154,9 +149,8 @@ double find_ring_start_azimuth_rad(const LidarPoints& points,
 }
 
 /// In separated rings, most points are closer to their ring than to other rings.
-bool are_rings_sorted_and_separated(const LidarPoints& points,
-                                    const std::vector<std::uint16_t>& ring_of_point,
-                                    const std::vector<double>& ring_elevations_rad) {
+bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
+                     const std::vector<double>& ring_elevations_rad) {
     if (ring_elevations_rad.size() < kFewestRings || ring_elevations_rad.size() > kMostOrderedRings)
         return false;
     std::vector<double> steps;
@@ -167,7 +161,8 @@ bool are_rings_sorted_and_separated(const LidarPoints& points,
         n_down += step < 0.0;
         if (std::isfinite(step)) steps.push_back(std::abs(step));
     }
-    if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(ring_elevations_rad.size() - 1))
+    if (steps.empty() ||
+        double(std::max(n_up, n_down)) < kMinSortedShare * double(ring_elevations_rad.size() - 1))
         return false;
     return compute_median(ring_errors(points, ring_of_point, ring_elevations_rad)) <
            kInRing * compute_median(steps);
@@ -178,29 +173,28 @@ bool are_rings_sorted_and_separated(const LidarPoints& points,
 RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return;
-    const std::optional<double> turning = estimate_rotation_sign(*fullest);
+    const std::optional<double> turning = rotation_sign_of(*fullest);
     if (!turning) return;
     turning_ = *turning;
-    const std::vector<double> turned = unwrap_point_azimuths(*fullest, turning_);
+    const std::vector<double> turned = unwrap_azimuths(*fullest, turning_);
     if (turned.back() - turned.front() < 2.0 * kPi * double(kFewestRings - 1)) return;
-    first_azimuth_rad_ = find_ring_start_azimuth_rad(*fullest, turned);
+    first_azimuth_rad_ = find_ring_start_rad(*fullest, turned);
     for (const LidarPoints& scan : scans) {
-        if (estimate_rotation_sign(scan) != turning) continue;
+        if (rotation_sign_of(scan) != turning) continue;
         const std::vector<std::uint16_t> ring =
-            compute_revolution_numbers(unwrap_point_azimuths(scan, turning_), first_azimuth_rad_);
-        std::vector<double> elevations = compute_median_ring_elevations(scan, ring);
+            count_turns(unwrap_azimuths(scan, turning_), first_azimuth_rad_);
+        std::vector<double> elevations = ring_elevations(scan, ring);
         // The scan with the most rings probably has returns of every beam.
-        if (elevations.size() > elevation_rad_.size() &&
-            are_rings_sorted_and_separated(scan, ring, elevations))
+        if (elevations.size() > elevation_rad_.size() && are_rings_clear(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }
 }
 
-void RingOrderDetector::assign_ring_numbers(LidarPoints& points) const {
+void RingOrderDetector::number_rings(LidarPoints& points) const {
     points.ring.clear();
     if (points.size() == 0) return;
-    points.ring = compute_revolution_numbers(unwrap_point_azimuths(points, turning_), first_azimuth_rad_);
-    const std::vector<double> elevations = compute_median_ring_elevations(points, points.ring);
+    points.ring = count_turns(unwrap_azimuths(points, turning_), first_azimuth_rad_);
+    const std::vector<double> elevations = ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;
     std::vector<std::uint16_t> nearest;
     for (const double elevation : elevations) {

@@ -14,11 +14,11 @@ class RingOrderDetector {
 public:
     explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
     /// At least 4 rings are stored one after another.
-    bool is_stored_ring_by_ring() const { return !elevation_rad_.empty(); }
+    bool is_ring_by_ring() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
     /// Ring 0 is the first ring in the files. In a scan with fewer rings, each ring gets
     /// the number of the ring with the nearest elevation.
-    void assign_ring_numbers(LidarPoints& points) const;
+    void number_rings(LidarPoints& points) const;
 
 private:
     double first_azimuth_rad_ = 0.0;     ///< azimuth at which each ring begins

@@ -44,7 +44,7 @@ constexpr UnsupportedPointFormat kOtherFormats[] = {
 
 }  // namespace
 
-std::string describe_unsupported_format(const std::filesystem::path& file) {
+std::string describe_format(const std::filesystem::path& file) {
     std::string ending = file.extension().string();
     std::ranges::transform(ending, ending.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
@@ -54,11 +54,11 @@ std::string describe_unsupported_format(const std::filesystem::path& file) {
     return "";
 }
 
-std::string describe_unsupported_file_in(const std::filesystem::path& folder) {
+std::string find_unsupported(const std::filesystem::path& folder) {
     std::error_code failed;
     if (!std::filesystem::is_directory(folder, failed)) return "";
-    for (const std::filesystem::path& file : list_folder_entries(folder))
-        if (const std::string about = describe_unsupported_format(file); !about.empty())
+    for (const std::filesystem::path& file : list_folder(folder))
+        if (const std::string about = describe_format(file); !about.empty())
             return fmt::format("{} is {}", file.filename().string(), about);
     return "";
 }

@@ -8,10 +8,10 @@
 namespace relidar {
 
 /// Returns the name of the format and a tool that converts it, or an empty string.
-std::string describe_unsupported_format(const std::filesystem::path& file);
+std::string describe_format(const std::filesystem::path& file);
 
 /// Describes the first file of a folder that relidar cannot read, or returns an empty
 /// string.
-std::string describe_unsupported_file_in(const std::filesystem::path& folder);
+std::string find_unsupported(const std::filesystem::path& folder);
 
 }  // namespace relidar

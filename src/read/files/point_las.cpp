@@ -18,7 +18,7 @@ constexpr std::size_t kVersionAt = 24, kPointsAt = 96, kFormatAt = 104, kRecordA
                       kLongHeader = 255;
 constexpr int kMostFormat = 10, kFirstLongFormat = 6;
 constexpr double kMostAway_m = 100.0;  // a scan has points closer to the origin than this along x and y
-constexpr int kPacked = 128;           // added to the point format if the points are compressed
+constexpr int kPackedFlag = 128;       // added to the point format if the points are compressed
 
 template <class T>
 T read_unaligned(std::string_view bytes, std::size_t offset) {
@@ -33,17 +33,17 @@ struct LasHeader {
     std::uint64_t n = 0;                ///< number of points
     std::array<double, 3> scale{}, offset_m{};
 
-    bool has_extended_point_format() const { return format >= kFirstLongFormat; }
-    bool has_gps_time_per_point() const { return has_extended_point_format() || format == 1 || format >= 3; }
-    std::size_t get_gps_time_byte_offset() const { return has_extended_point_format() ? 22 : 20; }
+    bool is_extended() const { return format >= kFirstLongFormat; }
+    bool has_gps_time() const { return is_extended() || format == 1 || format >= 3; }
+    std::size_t gps_time_offset() const { return is_extended() ? 22 : 20; }
 };
 
-LasHeader parse_las_header(std::string_view bytes, const std::string& where) {
+LasHeader parse_header(std::string_view bytes, const std::string& where) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
         fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", where, bytes.size());
     LasHeader header;
     header.format = read_unaligned<std::uint8_t>(bytes, kFormatAt);
-    if (header.format >= kPacked)
+    if (header.format >= kPackedFlag)
         fail("{}: found compressed points (LAZ), expected LAS; 'laszip IN.laz OUT.las' unpacks them", where);
     if (header.format > kMostFormat)
         fail("{}: found the point format {}, expected a format from 0 to {}", where, header.format,
@@ -57,8 +57,7 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& where) {
         header.scale[axis] = read_unaligned<double>(bytes, kScaleAt + 8 * axis);
         header.offset_m[axis] = read_unaligned<double>(bytes, kOffsetAt + 8 * axis);
     }
-    const std::size_t min_record_bytes =
-        header.get_gps_time_byte_offset() + (header.has_gps_time_per_point() ? 8 : 0);
+    const std::size_t min_record_bytes = header.gps_time_offset() + (header.has_gps_time() ? 8 : 0);
     if (header.record < min_record_bytes || header.begin > bytes.size() ||
         header.n > (bytes.size() - header.begin) / header.record)
         fail("{}: the file is truncated: found {} bytes, expected {} points of {} bytes from byte {}", where,
@@ -68,8 +67,7 @@ LasHeader parse_las_header(std::string_view bytes, const std::string& where) {
 
 /// Throws for a map or survey coordinates. The sensor is at the origin, so some points
 /// must be near it, perhaps all on one side.
-void require_points_near_origin(const std::array<std::vector<double>, 3>& coordinates_m,
-                                const std::string& where) {
+void check_near_origin(const std::array<std::vector<double>, 3>& coordinates_m, const std::string& where) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
         if (least <= kMostAway_m && most >= -kMostAway_m) continue;
@@ -82,34 +80,33 @@ void require_points_near_origin(const std::array<std::vector<double>, 3>& coordi
 
 }  // namespace
 
-PointTable parse_las_points(const SharedBytes& file, const std::string& where) {
-    const LasHeader header = parse_las_header(file.bytes, where);
+PointTable parse_las(const SharedBytes& file, const std::string& where) {
+    const LasHeader header = parse_header(file.bytes, where);
     const auto n = std::size_t(header.n);
-    require_valid_point_count(n, where);
+    check_point_count(n, where);
     const char* points = file.bytes.data() + header.begin;
-    std::array<std::vector<double>, 3> position_m;
+    std::array<std::vector<double>, 3> p;
     std::vector<std::uint8_t> return_numbers(n);
-    for (std::size_t axis = 0; axis < 3; ++axis) position_m[axis].resize(n);
+    for (std::size_t axis = 0; axis < 3; ++axis) p[axis].resize(n);
     for (std::size_t i = 0; i < n; ++i) {
         const std::string_view point(points + i * header.record, header.record);
         for (std::size_t axis = 0; axis < 3; ++axis)
-            position_m[axis][i] =
+            p[axis][i] =
                 header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
-        return_numbers[i] =
-            std::uint8_t(std::min(point[14] & (header.has_extended_point_format() ? 15 : 7), 8));
+        return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_extended() ? 15 : 7), 8));
     }
-    require_points_near_origin(position_m, where);
+    check_near_origin(p, where);
     PointTable table(n);
-    table.keep_memory_alive(file.memory);
+    table.keep_alive(file.memory);
     const char* names[] = {"x", "y", "z"};
     for (std::size_t axis = 0; axis < 3; ++axis)
-        table.add_value_field(names[axis], ScalarType::f8, std::move(position_m[axis]), where);
+        table.add_value_field(names[axis], ScalarType::f8, std::move(p[axis]), where);
     table.add_value_field("intensity", {ScalarType::u2, points + 12, header.record}, where);
     // Some programs write 0 for all return numbers.
     if (std::ranges::any_of(return_numbers, [](std::uint8_t number) { return number > 1; }))
         table.add_value_field("return_number", ScalarType::u1, std::move(return_numbers), where);
-    if (!header.has_gps_time_per_point()) return table;
-    const PointFieldView times(ScalarType::f8, points + header.get_gps_time_byte_offset(), header.record);
+    if (!header.has_gps_time()) return table;
+    const PointFieldView times(ScalarType::f8, points + header.gps_time_offset(), header.record);
     bool is_constant = true;  // some programs write the time 0 for all points
     for (std::size_t i = 1; i < n; ++i) is_constant = is_constant && times[i] == times[0];
     if (!is_constant) table.add_value_field("time", times, where);

@@ -25,14 +25,12 @@ struct PcdHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-std::vector<double> parse_numbers_after_keyword(const std::vector<std::string>& words,
-                                                const std::string& where) {
+std::vector<double> parse_counts(const std::vector<std::string>& words, const std::string& where) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
         const auto number = parse_number(words[i]);
         if (!number || !(*number >= 0.0 && *number <= 1e9) || *number != double(std::int64_t(*number)))
-            fail("{}: found {} '{}', expected a whole number", where, words[0],
-                 shorten_for_error_message(words[i]));
+            fail("{}: found {} '{}', expected a whole number", where, words[0], quote(words[i]));
         numbers.push_back(*number);
     }
     if (numbers.empty()) fail("{}: the line {} has no number, expected at least one", where, words[0]);
@@ -49,17 +47,17 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
         header.length = end + 1;
         if (words.empty() || words[0].front() == '#') continue;
         if (words[0] == "FIELDS") header.names.assign(words.begin() + 1, words.end());
-        else if (words[0] == "SIZE") header.sizes = parse_numbers_after_keyword(words, where);
-        else if (words[0] == "COUNT") header.counts = parse_numbers_after_keyword(words, where);
-        else if (words[0] == "WIDTH") header.width = parse_numbers_after_keyword(words, where)[0];
-        else if (words[0] == "HEIGHT") header.height = parse_numbers_after_keyword(words, where)[0];
-        else if (words[0] == "POINTS") header.points = parse_numbers_after_keyword(words, where)[0];
+        else if (words[0] == "SIZE") header.sizes = parse_counts(words, where);
+        else if (words[0] == "COUNT") header.counts = parse_counts(words, where);
+        else if (words[0] == "WIDTH") header.width = parse_counts(words, where)[0];
+        else if (words[0] == "HEIGHT") header.height = parse_counts(words, where)[0];
+        else if (words[0] == "POINTS") header.points = parse_counts(words, where)[0];
         else if (words[0] == "TYPE")
             for (std::size_t i = 1; i < words.size(); ++i) header.types += words[i].front();
         else if (words[0] == "DATA") header.data = words.size() == 2 ? words[1] : "?";
         else if (words[0] != "VERSION" && words[0] != "VIEWPOINT")
             fail("{}: found a line that starts with '{}', expected the header of a PCD file", where,
-                 shorten_for_error_message(words[0]));
+                 quote(words[0]));
     }
     if (header.points < 0.0) header.points = header.width * header.height;
     if (header.counts.empty()) header.counts.assign(header.names.size(), 1.0);
@@ -75,9 +73,8 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
     std::vector<PointField> fields;
     double record = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
-        if (header.counts[i] < 1.0 && is_known_point_field(header.names[i]))
-            fail("{}: COUNT of the field '{}' is 0, expected at least 1", where,
-                 shorten_for_error_message(header.names[i]));
+        if (header.counts[i] < 1.0 && is_known_field(header.names[i]))
+            fail("{}: COUNT of the field '{}' is 0, expected at least 1", where, quote(header.names[i]));
         record += header.sizes[i] * header.counts[i];
         fields.push_back(
             {header.names[i], header.types[i], std::size_t(header.sizes[i]), std::size_t(header.counts[i])});
@@ -90,8 +87,8 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
 /// Decides which fields with COUNT 0 exist: some programs write COUNT 0 for padding that
 /// the file does not have, others for padding that it has.
 /// @param record  values per point (text) or bytes per point that the file has
-void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, bool is_text,
-                          const std::string& where) {
+void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool is_text,
+                   const std::string& where) {
     std::size_t known = 0, of_empty = 0, n_empty = 0;
     for (const PointField& field : fields) {
         known += (is_text ? 1 : field.size) * field.count;
@@ -108,12 +105,12 @@ void resolve_empty_fields(std::vector<PointField>& fields, std::size_t record, b
     std::erase_if(fields, [&](PointField& field) {
         if (field.count > 0) return false;
         if (has_one_value_each) field.count = 1;
-        else field = {std::string(kPadding), 'U', 1, missing};
+        else field = {std::string(kPaddingName), 'U', 1, missing};
         return missing == 0;
     });
 }
 
-[[noreturn]] void throw_damaged_lzf_error(const std::string& where) {
+[[noreturn]] void fail_lzf(const std::string& where) {
     fail("{}: the compressed data is damaged, expected LZF data of the size in the file", where);
 }
 
@@ -126,13 +123,13 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
     std::size_t at = 0;
     const auto next = [&] {
         return at < compressed_data.size() ? std::size_t(static_cast<unsigned char>(compressed_data[at++]))
-                                           : (throw_damaged_lzf_error(where), 0);
+                                           : (fail_lzf(where), 0);
     };
     while (at < compressed_data.size()) {
         const std::size_t control = next();
         if (control < 32) {
             if (control + 1 > compressed_data.size() - at || control + 1 > decompressed_size - out.size())
-                throw_damaged_lzf_error(where);
+                fail_lzf(where);
             out.append(compressed_data.substr(at, control + 1));
             at += control + 1;
             continue;
@@ -141,17 +138,17 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
         if (length == 7) length += next();
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
-        if (back > out.size() || length > decompressed_size - out.size()) throw_damaged_lzf_error(where);
+        if (back > out.size() || length > decompressed_size - out.size()) fail_lzf(where);
         // byte by byte, because copied bytes may overlap appended bytes
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
-    if (out.size() != decompressed_size) throw_damaged_lzf_error(where);
+    if (out.size() != decompressed_size) fail_lzf(where);
     return out;
 }
 
 /// The data have the compressed size, the decompressed size, and LZF data. The result
 /// stores one field after another.
-std::string decompress_pcd_points(std::string_view compressed_data, const std::string& where) {
+std::string decompress_points(std::string_view compressed_data, const std::string& where) {
     if (compressed_data.size() < 8)
         fail("{}: the file is truncated: found {} bytes after the header, expected at least 8", where,
              compressed_data.size());
@@ -167,28 +164,26 @@ std::string decompress_pcd_points(std::string_view compressed_data, const std::s
 
 }  // namespace
 
-PointTable parse_pcd_points(const SharedBytes& file, const std::string& where) {
+PointTable parse_pcd(const SharedBytes& file, const std::string& where) {
     const PcdHeader header = parse_pcd_header(file.bytes, where);
     std::vector<PointField> fields = list_pcd_fields(header, where);
     const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
-    require_valid_point_count(n, where);
+    check_point_count(n, where);
     if (header.data == "ascii") {
-        resolve_empty_fields(fields, split_words(data.substr(0, data.find('\n'))).size(), true, where);
-        return parse_point_lines(data, fields, n, where);
+        resolve_empty(fields, split_words(data.substr(0, data.find('\n'))).size(), true, where);
+        return parse_lines(data, fields, n, where);
     }
     if (header.data == "binary") {
-        resolve_empty_fields(fields, data.size() / n, false, where);
-        return make_table_of_binary_points(file.make_shared_subview(data), fields, n,
-                                           PointMemoryLayout::by_point, where);
+        resolve_empty(fields, data.size() / n, false, where);
+        return table_of_records(file.share_part(data), fields, n, PointMemoryLayout::by_point, where);
     }
     if (header.data == "binary_compressed") {
-        const SharedBytes points = make_shared_bytes(decompress_pcd_points(data, where));
-        resolve_empty_fields(fields, points.bytes.size() / n, false, where);
-        return make_table_of_binary_points(points, fields, n, PointMemoryLayout::by_field, where);
+        const SharedBytes points = share_bytes(decompress_points(data, where));
+        resolve_empty(fields, points.bytes.size() / n, false, where);
+        return table_of_records(points, fields, n, PointMemoryLayout::by_field, where);
     }
-    fail("{}: found DATA '{}', expected ascii, binary or binary_compressed", where,
-         shorten_for_error_message(header.data));
+    fail("{}: found DATA '{}', expected ascii, binary or binary_compressed", where, quote(header.data));
 }
 
 }  // namespace relidar::read

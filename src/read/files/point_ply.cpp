@@ -18,14 +18,14 @@ PointField make_ply_field(const std::string& type_name, const std::string& name,
         char kind;
         std::size_t size;
     };
-    static constexpr PlyScalarType kTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8},
-                                               {"char", "int8", 'I', 1},     {"short", "int16", 'I', 2},
-                                               {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
-                                               {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
-    for (const PlyScalarType& row : kTypes)
+    static constexpr PlyScalarType kPlyTypes[] = {{"float", "float32", 'F', 4}, {"double", "float64", 'F', 8},
+                                                  {"char", "int8", 'I', 1},     {"short", "int16", 'I', 2},
+                                                  {"int", "int32", 'I', 4},     {"uchar", "uint8", 'U', 1},
+                                                  {"ushort", "uint16", 'U', 2}, {"uint", "uint32", 'U', 4}};
+    for (const PlyScalarType& row : kPlyTypes)
         if (type_name == row.name || type_name == row.other) return {name, row.kind, row.size};
     fail("{}: the property '{}' has the type '{}', expected a number type (lists are not supported)", where,
-         shorten_for_error_message(name), shorten_for_error_message(type_name));
+         quote(name), quote(type_name));
 }
 
 struct PlyHeader {
@@ -35,8 +35,7 @@ struct PlyHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
-void parse_ply_header_line(const std::string& line, PlyHeader& header, int& n_elements,
-                           const std::string& where) {
+void parse_ply_line(const std::string& line, PlyHeader& header, int& n_elements, const std::string& where) {
     std::istringstream words(line);
     std::string keyword, a, b;
     words >> keyword >> a >> b;
@@ -45,8 +44,7 @@ void parse_ply_header_line(const std::string& line, PlyHeader& header, int& n_el
     } else if (keyword == "element") {
         const auto n = parse_number(b);
         if (++n_elements == 1 && (a != "vertex" || !n || !(*n >= 0.0 && *n <= 1e9)))
-            fail("{}: found '{}', expected 'element vertex N' as the first element", where,
-                 shorten_for_error_message(line));
+            fail("{}: found '{}', expected 'element vertex N' as the first element", where, quote(line));
         if (n_elements == 1) header.n = std::size_t(*n);
     } else if (keyword == "property" && n_elements == 1) {
         if (header.fields.size() >= kMostPlyFields)
@@ -63,24 +61,23 @@ PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
         const std::size_t end = bytes.find('\n', header.length);
         if (end == std::string_view::npos)
             fail("{}: the line end_header is missing, expected the header of a PLY file", where);
-        line = trim_blanks_at_both_ends(bytes.substr(header.length, end - header.length));
+        line = trim(bytes.substr(header.length, end - header.length));
         header.length = end + 1;
-        parse_ply_header_line(std::string(line), header, elements, where);
+        parse_ply_line(std::string(line), header, elements, where);
     }
     return header;
 }
 
 }  // namespace
 
-PointTable parse_ply_points(const SharedBytes& file, const std::string& where) {
+PointTable parse_ply(const SharedBytes& file, const std::string& where) {
     const PlyHeader header = parse_ply_header(file.bytes, where);
     const std::string_view data = file.bytes.substr(header.length);
-    if (header.format == "ascii") return parse_point_lines(data, header.fields, header.n, where);
+    if (header.format == "ascii") return parse_lines(data, header.fields, header.n, where);
     if (header.format == "binary_little_endian")
-        return make_table_of_binary_points(file.make_shared_subview(data), header.fields, header.n,
-                                           PointMemoryLayout::by_point, where);
-    fail("{}: found the format '{}', expected ascii or binary_little_endian", where,
-         shorten_for_error_message(header.format));
+        return table_of_records(file.share_part(data), header.fields, header.n, PointMemoryLayout::by_point,
+                                where);
+    fail("{}: found the format '{}', expected ascii or binary_little_endian", where, quote(header.format));
 }
 
 }  // namespace relidar::read

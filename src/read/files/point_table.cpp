@@ -61,17 +61,17 @@ constexpr PointFieldName kFieldNames[] = {
 };
 constexpr std::size_t kNotRead = std::size(kFieldNames);
 
-constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
-                                          "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
+constexpr std::string_view kNamePrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
+                                              "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
 
-std::size_t find_exact_field_index(std::string_view field_name) {
+std::size_t find_exact_field(std::string_view field_name) {
     const auto* const row = std::ranges::find(kFieldNames, field_name, &PointFieldName::name);
     return std::size_t(row - std::begin(kFieldNames));
 }
 
-/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from kPrefixes.
-std::size_t find_field_index_ignoring_case(std::string_view field_name) {
-    std::string name(trim_blanks_at_both_ends(field_name));
+/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from kNamePrefixes.
+std::size_t find_field_index(std::string_view field_name) {
+    std::string name(trim(field_name));
     std::ranges::transform(name, name.begin(),
                            [](unsigned char character) { return char(std::tolower(character)); });
     // VeloView and ParaView store x, y and z as elements 0, 1 and 2 of a vector:
@@ -81,10 +81,9 @@ std::size_t find_field_index_ignoring_case(std::string_view field_name) {
             return std::size_t(axis - '0');
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
-    for (const std::string_view prefix : kPrefixes)
-        if (rest.starts_with(prefix) && find_exact_field_index(rest) == kNotRead)
-            rest.remove_prefix(prefix.size());
-    return find_exact_field_index(rest);
+    for (const std::string_view prefix : kNamePrefixes)
+        if (rest.starts_with(prefix) && find_exact_field(rest) == kNotRead) rest.remove_prefix(prefix.size());
+    return find_exact_field(rest);
 }
 
 struct ScalarTypeEntry {
@@ -99,39 +98,37 @@ constexpr ScalarTypeEntry kNumberTypes[] = {{'F', 4, ScalarType::f4, "f4"}, {'F'
                                             {'U', 1, ScalarType::u1, "u1"}, {'U', 2, ScalarType::u2, "u2"},
                                             {'U', 4, ScalarType::u4, "u4"}, {'U', 8, ScalarType::u8, "u8"}};
 
-ScalarType get_field_number_type(const PointField& field, const std::string& where) {
+ScalarType field_scalar_type(const PointField& field, const std::string& where) {
     for (const ScalarTypeEntry& row : kNumberTypes)
         if (row.kind == field.kind && row.size == field.size) return row.type;
     fail("{}: the field '{}' has the type {}{}, expected F4, F8, or I or U with 1, 2, 4 or 8 bytes", where,
-         shorten_for_error_message(field.name), shorten_for_error_message(std::string(1, field.kind)),
-         field.size);
+         quote(field.name), quote(std::string(1, field.kind)), field.size);
 }
 
 /// Returns true for points of an HDL-32E as the dataset NCLT stores them. The number of
 /// the laser is the highest byte of the second float32 otherwise.
-bool is_nclt_packed_file(std::string_view bytes) {
-    constexpr std::size_t kRecord = 8, kMostLasers = 32, kMostTested = 1000;
-    const std::size_t n = std::min(bytes.size() / kRecord, kMostTested);
+bool is_nclt_file(std::string_view bytes) {
+    constexpr std::size_t kRecordBytes = 8, kMaxLasers = 32, kMaxTestedRecords = 1000;
+    const std::size_t n = std::min(bytes.size() / kRecordBytes, kMaxTestedRecords);
     std::size_t n_not_zero = 0;
     for (std::size_t i = 0; i < n; ++i) {
-        const auto laser = static_cast<unsigned char>(bytes[i * kRecord + 7]);
-        if (laser >= kMostLasers) return false;
+        const auto laser = static_cast<unsigned char>(bytes[i * kRecordBytes + 7]);
+        if (laser >= kMaxLasers) return false;
         n_not_zero += laser > 0;
     }
-    return bytes.size() % kRecord == 0 && 2 * n_not_zero > n;
+    return bytes.size() % kRecordBytes == 0 && 2 * n_not_zero > n;
 }
 
-PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::string>& column_names) {
-    const SharedBytes data = make_shared_bytes(read_file(bin_file));
+PointTable read_floats(const fs::path& bin_file, const std::vector<std::string>& column_names) {
+    const SharedBytes data = share_bytes(read_file(bin_file));
     const std::size_t n_bytes = data.bytes.size();
     std::vector<PointField> fields;
     for (const std::string& column : column_names) fields.push_back({column, 'F', sizeof(float)});
-    if (is_nclt_packed_file(data.bytes))
+    if (is_nclt_file(data.bytes))
         fail(
             "{}: found points of NCLT (uint16 x, y, z, uint8 intensity, laser), expected float32; convert x, "
             "y, z to metres (value * 0.005 - 100), negate y and z, and set \"columns\": [\"x\", \"y\", "
-            "\"z\", \"intensity\", "
-            "\"ring\"]",
+            "\"z\", \"intensity\", \"ring\"]",
             bin_file.string());
     const std::size_t record = fields.size() * sizeof(float);
     if (n_bytes % record != 0)
@@ -139,35 +136,34 @@ PointTable read_float32_points(const fs::path& bin_file, const std::vector<std::
             "{}: found {} bytes, expected a multiple of {} bytes: {} float32 values (\"columns\" in "
             "sequence.json)",
             bin_file.string(), n_bytes, record, fields.size());
-    PointTable table = make_table_of_binary_points(data, fields, n_bytes / record,
-                                                   PointMemoryLayout::by_point, bin_file.string());
+    PointTable table =
+        table_of_records(data, fields, n_bytes / record, PointMemoryLayout::by_point, bin_file.string());
     // When sequence.json was read, the user got a note about unread columns.
     table.unread.clear();
     return table;
 }
 
 /// Adds those columns of an array [points, columns] that relidar reads.
-void add_array_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
-                       const std::string& where) {
+void add_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
+                 const std::string& where) {
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
-    if (type_row == std::end(kNumberTypes) ||
-        array.bytes.size() != array.count_array_elements() * type_row->size) {
-        const std::vector<double> values = array.convert_to_doubles();
+    if (type_row == std::end(kNumberTypes) || array.bytes.size() != array.element_count() * type_row->size) {
+        const std::vector<double> values = array.to_doubles();
         array = make_array(array.name, array.shape, values.data(), values.size());
         type_row = std::ranges::find(kNumberTypes, ScalarType::f8, &ScalarTypeEntry::type);
     }
     const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
-    table.keep_memory_alive(memory);
+    table.keep_alive(memory);
     const auto* first = reinterpret_cast<const char*>(memory->data());
     for (std::size_t c = 0; c < column_names.size(); ++c)
-        if (is_known_point_field(column_names[c]))
+        if (is_known_field(column_names[c]))
             table.add_value_field(
                 column_names[c],
                 {type_row->type, first + c * type_row->size, column_names.size() * type_row->size}, where);
 }
 
-PointTable make_table_of_array(NamedArray array, const std::vector<std::string>& column_names,
-                               const std::string& where) {
+PointTable table_of_array(NamedArray array, const std::vector<std::string>& column_names,
+                          const std::string& where) {
     if (array.shape.size() != 2 || array.shape[1] != column_names.size())
         fail(
             "{}: found an array of {} dimensions{}, expected the shape [points, {}] with the columns {}; set "
@@ -175,19 +171,19 @@ PointTable make_table_of_array(NamedArray array, const std::vector<std::string>&
             where, array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", whose last dimension is {}", array.shape.back()),
             column_names.size(), fmt::join(column_names, ", "));
-    require_valid_point_count(array.shape[0], where);
+    check_point_count(array.shape[0], where);
     PointTable table(array.shape[0]);
-    add_array_columns(table, std::move(array), column_names, where);
+    add_columns(table, std::move(array), column_names, where);
     return table;
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& column_names) {
-    if (const SharedBytes bytes = make_shared_bytes(read_file(file)); is_structured_npy(bytes.bytes))
-        return parse_structured_npy_points(bytes, file.string());
-    return make_table_of_array(read_npy(file), column_names, file.string());
+    if (const SharedBytes bytes = share_bytes(read_file(file)); is_structured(bytes.bytes))
+        return parse_npy(bytes, file.string());
+    return table_of_array(read_npy(file), column_names, file.string());
 }
 
-const NamedArray* find_point_array(const std::vector<NamedArray>& arrays) {
+const NamedArray* find_points(const std::vector<NamedArray>& arrays) {
     for (const char* name : {"points", "xyz", "point_cloud", "pointcloud", "arr_0"})
         if (const NamedArray* array = find_array(arrays, name); array && array->shape.size() >= 2)
             return array;
@@ -198,34 +194,34 @@ const NamedArray* find_point_array(const std::vector<NamedArray>& arrays) {
 /// value per point.
 PointTable read_npz_points(const fs::path& file, const std::vector<std::string>& column_names) {
     const std::vector<NamedArray> arrays = read_npz(file);
-    const NamedArray* found = find_point_array(arrays);
+    const NamedArray* found = find_points(arrays);
     if (!found) fail("{}: the array 'points' is missing, expected it in every scan file", file.string());
     NamedArray points = *found;
     const std::size_t width = points.shape.back();
-    points.shape = {width == 0 ? 0 : points.count_array_elements() / width, width};
+    points.shape = {width == 0 ? 0 : points.element_count() / width, width};
     std::vector<std::string> columns = column_names;
     if (columns.empty()) columns = {"x", "y", "z", "intensity"};
     if (column_names.empty() && width == 3) columns.pop_back();
-    PointTable table = make_table_of_array(std::move(points), columns, file.string());
+    PointTable table = table_of_array(std::move(points), columns, file.string());
     for (const NamedArray& array : arrays)
-        if (&array != found && is_known_point_field(array.name) && !table.find_field(array.name) &&
-            array.count_array_elements() == table.n)
-            add_array_columns(table, array, {array.name}, file.string());
+        if (&array != found && is_known_field(array.name) && !table.find_field(array.name) &&
+            array.element_count() == table.n)
+            add_columns(table, array, {array.name}, file.string());
     return table;
 }
 
 }  // namespace
 
-std::optional<PointAttribute> find_attribute_of_field_name(std::string_view field_name) {
-    const std::size_t row = find_field_index_ignoring_case(field_name);
+std::optional<PointAttribute> find_attribute(std::string_view field_name) {
+    const std::size_t row = find_field_index(field_name);
     return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
 }
 
-std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute attribute) const {
+std::vector<std::string> PointTable::list_fields(PointAttribute attribute) const {
     // row in the table of known names; true if the case differs from the known name; name
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
-        const std::size_t row = find_field_index_ignoring_case(name);
+        const std::size_t row = find_field_index(name);
         if (row != kNotRead && kFieldNames[row].value == attribute)
             ranked.emplace_back(row, name != kFieldNames[row].name, name);
     }
@@ -235,7 +231,7 @@ std::vector<std::string> PointTable::list_fields_with_attribute(PointAttribute a
     return names;
 }
 
-void require_valid_point_count(std::size_t n_points, const std::string& where) {
+void check_point_count(std::size_t n_points, const std::string& where) {
     if (n_points == 0 || n_points > kMostPoints)
         fail("{}: found {} points, expected 1 to {}", where, n_points, kMostPoints);
 }
@@ -246,7 +242,7 @@ const PointFieldView* PointTable::find_field(const std::string& field_name) cons
 }
 
 const PointFieldView* PointTable::find_field(PointAttribute attribute) const {
-    const std::vector<std::string> all = list_fields_with_attribute(attribute);
+    const std::vector<std::string> all = list_fields(attribute);
     return all.empty() ? nullptr : find_field(all[0]);
 }
 
@@ -256,38 +252,35 @@ void PointTable::add_value_field(const std::string& field_name, const PointField
         fail("{}: the field '{}' occurs twice, expected it once", where, field_name);
 }
 
-void PointTable::remove_fields_with_attribute(PointAttribute attribute) {
-    std::erase_if(fields_,
-                  [&](const auto& field) { return find_attribute_of_field_name(field.first) == attribute; });
+void PointTable::remove_fields(PointAttribute attribute) {
+    std::erase_if(fields_, [&](const auto& field) { return find_attribute(field.first) == attribute; });
 }
 
-PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
-                                       std::size_t n_points, PointMemoryLayout memory_layout,
-                                       const std::string& where) {
-    require_valid_point_count(n_points, where);
+PointTable table_of_records(const SharedBytes& data, const std::vector<PointField>& fields,
+                            std::size_t n_points, PointMemoryLayout memory_layout, const std::string& where) {
+    check_point_count(n_points, where);
     std::size_t record = 0;
     for (const PointField& field : fields) {
         if (field.size == 0 || field.count == 0)
-            fail("{}: field '{}' has no values, expected at least one per point", where,
-                 shorten_for_error_message(field.name));
+            fail("{}: field '{}' has no values, expected at least one per point", where, quote(field.name));
         record += field.size * field.count;
     }
     if (data.bytes.size() / n_points < record)
         fail("{}: the file is truncated: found {} bytes of points, expected {} points of {} bytes", where,
              data.bytes.size(), n_points, record);
     PointTable table(n_points);
-    table.keep_memory_alive(data.memory);
+    table.keep_alive(data.memory);
     std::size_t before = 0;  // number of bytes of the previous fields in a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
-        if (is_known_point_field(field.name)) {
+        if (is_known_field(field.name)) {
             const char* first = data.bytes.data() +
                                 (memory_layout == PointMemoryLayout::by_point ? before : before * n_points);
             table.add_value_field(field.name,
-                                  {get_field_number_type(field, where), first,
+                                  {field_scalar_type(field, where), first,
                                    memory_layout == PointMemoryLayout::by_point ? record : width},
                                   where);
-        } else if (field.name != kPadding) {
+        } else if (field.name != kPaddingName) {
             table.unread.push_back(field.name);
         }
         before += width;
@@ -297,7 +290,7 @@ PointTable make_table_of_binary_points(const SharedBytes& data, const std::vecto
 
 std::vector<std::string> split_words(std::string_view line) {
     std::vector<std::string> words;
-    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
+    for (line = trim(line); !line.empty(); line = trim(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         words.emplace_back(line.substr(0, end));
         line.remove_prefix(end);
@@ -305,9 +298,9 @@ std::vector<std::string> split_words(std::string_view line) {
     return words;
 }
 
-PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
-                             std::size_t n_points, const std::string& where) {
-    require_valid_point_count(n_points, where);
+PointTable parse_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n_points,
+                       const std::string& where) {
+    check_point_count(n_points, where);
     if (n_points > text.size())
         fail("{}: the file is truncated: found {} bytes of text, expected {} points", where, text.size(),
              n_points);
@@ -319,7 +312,7 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
     std::vector<Column> point_columns;
     std::size_t width = 0;
     for (const PointField& field : fields) {
-        if (is_known_point_field(field.name))
+        if (is_known_field(field.name))
             point_columns.push_back({width, field.name, std::vector<double>(n_points)});
         width += field.count;
     }
@@ -327,14 +320,13 @@ PointTable parse_point_lines(std::string_view text, const std::vector<PointField
         const std::size_t end = std::min(text.find('\n'), text.size());
         const auto numbers = parse_numbers(text.substr(0, end));
         if (!numbers || numbers->size() != width)
-            fail("{}: point {} is '{}', expected {} numbers", where, i,
-                 shorten_for_error_message(text.substr(0, end)), width);
+            fail("{}: point {} is '{}', expected {} numbers", where, i, quote(text.substr(0, end)), width);
         for (Column& column : point_columns) column.values[i] = (*numbers)[column.index_in_line];
         text.remove_prefix(std::min(end + 1, text.size()));
     }
     PointTable table(n_points);
     for (const PointField& field : fields)
-        if (!is_known_point_field(field.name) && field.name != kPadding) table.unread.push_back(field.name);
+        if (!is_known_field(field.name) && field.name != kPaddingName) table.unread.push_back(field.name);
     for (Column& column : point_columns)
         table.add_value_field(column.name, ScalarType::f8, std::move(column.values), where);
     return table;
@@ -350,15 +342,14 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-PointTable read_point_file_with_header(const fs::path& file,
-                                       PointTable (*parse_points)(const SharedBytes& bytes,
-                                                                  const std::string& where)) {
-    const SharedBytes bytes = make_shared_bytes(read_text_file(file));
+PointTable read_with_header(const fs::path& file,
+                            PointTable (*parse_points)(const SharedBytes& bytes, const std::string& where)) {
+    const SharedBytes bytes = share_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
     // relidar writes one of two texts with "points_in" if points are motion-compensated
     // or in the world frame.
-    constexpr std::size_t kHeader = 4096;  // number of bytes at the start of the file that are searched
-    const std::string_view header = bytes.bytes.substr(0, kHeader);
+    constexpr std::size_t kSearchedBytes = 4096;
+    const std::string_view header = bytes.bytes.substr(0, kSearchedBytes);
     table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||
                         header.find(" points_in world") != header.npos;
     return table;
@@ -375,7 +366,7 @@ bool has_npz_points(const std::vector<fs::path>& scan_files) {
         return false;  // the error is reported when the scan is read
     }
     if (arrays.empty() || find_array(arrays, "range")) return false;
-    if (find_point_array(arrays)) return true;
+    if (find_points(arrays)) return true;
     std::vector<std::string> names;
     for (const NamedArray& array : arrays) names.push_back(array.name);
     fail("{}: found the arrays {}; expected 'range' and 'directions' (rays), or 'points'", file->string(),
@@ -383,20 +374,19 @@ bool has_npz_points(const std::vector<fs::path>& scan_files) {
 }
 
 PointTable read_point_file(const fs::path& file, const std::vector<std::string>& column_names) {
-    static const std::vector<std::string> kKitti = {"x", "y", "z", "intensity"};
+    static const std::vector<std::string> kKittiColumns = {"x", "y", "z", "intensity"};
     const std::string ending = file.extension().string();
-    if (ending == ".bin") return read_float32_points(file, column_names.empty() ? kKitti : column_names);
-    if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKitti : column_names);
+    if (ending == ".bin") return read_floats(file, column_names.empty() ? kKittiColumns : column_names);
+    if (ending == ".npy") return read_npy_points(file, column_names.empty() ? kKittiColumns : column_names);
     if (ending == ".npz") return read_npz_points(file, column_names);
-    if (ending == ".pcd") return read_point_file_with_header(file, parse_pcd_points);
-    if (ending == ".ply") return read_point_file_with_header(file, parse_ply_points);
-    if (ending == ".las") return parse_las_points(make_shared_bytes(read_file(file)), file.string());
+    if (ending == ".pcd") return read_with_header(file, parse_pcd);
+    if (ending == ".ply") return read_with_header(file, parse_ply);
+    if (ending == ".las") return parse_las(share_bytes(read_file(file)), file.string());
     if (ending == ".csv" || ending == ".xyz")
-        return parse_text_points(make_shared_bytes(read_file(file)), column_names, file.string());
-    if (const std::string other = describe_unsupported_format(file); !other.empty())
-        fail("{}: {}", file.string(), other);
+        return parse_text(share_bytes(read_file(file)), column_names, file.string());
+    if (const std::string other = describe_format(file); !other.empty()) fail("{}: {}", file.string(), other);
     fail("{}: found a file '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .las, .csv or .xyz",
-         file.string(), shorten_for_error_message(ending));
+         file.string(), quote(ending));
 }
 
 }  // namespace relidar::read

@@ -27,10 +27,8 @@ enum class PointAttribute { x, y, z, intensity, ring, time, return_number, retur
 
 /// Ignores upper case and prefixes such as "scalar_". Returns nothing for fields that
 /// relidar does not read, such as colours.
-std::optional<PointAttribute> find_attribute_of_field_name(std::string_view field_name);
-inline bool is_known_point_field(std::string_view field_name) {
-    return find_attribute_of_field_name(field_name).has_value();
-}
+std::optional<PointAttribute> find_attribute(std::string_view field_name);
+inline bool is_known_field(std::string_view field_name) { return find_attribute(field_name).has_value(); }
 
 enum class ScalarType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
@@ -38,7 +36,7 @@ enum class ScalarType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 class PointFieldView {
     // Must precede its uses, so that older versions of clang can deduce the return type.
     template <class T>
-    auto make_value_reader() const {
+    auto value_reader() const {
         return [first = first_, step = step_](std::size_t index) {
             T value;
             std::memcpy(&value, first + index * step, sizeof value);
@@ -54,41 +52,41 @@ public:
     /// Calls callback(value_at); value_at(i) returns the value of point i in the type of
     /// the file.
     template <class Callback>
-    void call_with_value_reader(const Callback& callback) const {
+    void with_reader(const Callback& callback) const {
         switch (type_) {
             case ScalarType::f4:
-                return callback(make_value_reader<float>());
+                return callback(value_reader<float>());
             case ScalarType::f8:
-                return callback(make_value_reader<double>());
+                return callback(value_reader<double>());
             case ScalarType::i1:
-                return callback(make_value_reader<std::int8_t>());
+                return callback(value_reader<std::int8_t>());
             case ScalarType::i2:
-                return callback(make_value_reader<std::int16_t>());
+                return callback(value_reader<std::int16_t>());
             case ScalarType::i4:
-                return callback(make_value_reader<std::int32_t>());
+                return callback(value_reader<std::int32_t>());
             case ScalarType::i8:
-                return callback(make_value_reader<std::int64_t>());
+                return callback(value_reader<std::int64_t>());
             case ScalarType::u1:
-                return callback(make_value_reader<std::uint8_t>());
+                return callback(value_reader<std::uint8_t>());
             case ScalarType::u2:
-                return callback(make_value_reader<std::uint16_t>());
+                return callback(value_reader<std::uint16_t>());
             case ScalarType::u4:
-                return callback(make_value_reader<std::uint32_t>());
+                return callback(value_reader<std::uint32_t>());
             case ScalarType::u8:
-                return callback(make_value_reader<std::uint64_t>());
+                return callback(value_reader<std::uint64_t>());
         }
     }
     /// Calls visit(i, value) for the first n points.
     template <class Visit>
     void for_each(std::size_t n, const Visit& visit) const {
-        call_with_value_reader([&](const auto& value_at) {
+        with_reader([&](const auto& value_at) {
             for (std::size_t i = 0; i < n; ++i) visit(i, double(value_at(i)));
         });
     }
     /// Returns one value. To read many values, for_each() is faster.
     double operator[](std::size_t index) const {
         double value = 0.0;
-        call_with_value_reader([&](const auto& value_at) { value = double(value_at(index)); });
+        with_reader([&](const auto& value_at) { value = double(value_at(index)); });
         return value;
     }
 
@@ -109,12 +107,12 @@ public:
     bool is_deskewed = false;
     std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
-    /// Returns the first field of list_fields_with_attribute(), or null.
+    /// Returns the first field of list_fields(), or null.
     const PointFieldView* find_field(PointAttribute attribute) const;
     const PointFieldView* find_field(const std::string& field_name) const;
     /// Returns the names of all fields with a meaning, in the order of the list of known
     /// names.
-    std::vector<std::string> list_fields_with_attribute(PointAttribute attribute) const;
+    std::vector<std::string> list_fields(PointAttribute attribute) const;
     /// @throws DataError if the field already exists
     void add_value_field(const std::string& field_name, const PointFieldView& values,
                          const std::string& where);
@@ -122,11 +120,11 @@ public:
     void add_value_field(const std::string& field_name, ScalarType type, std::vector<T> values,
                          const std::string& where) {
         const auto memory = std::make_shared<const std::vector<T>>(std::move(values));
-        keep_memory_alive(memory);
+        keep_alive(memory);
         add_value_field(field_name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
     }
-    void remove_fields_with_attribute(PointAttribute attribute);
-    void keep_memory_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
+    void remove_fields(PointAttribute attribute);
+    void keep_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
     std::map<std::string, PointFieldView> fields_;
@@ -134,7 +132,7 @@ private:
 };
 
 /// Name of fields that only fill gaps between other fields.
-inline constexpr std::string_view kPadding = "_";
+inline constexpr std::string_view kPaddingName = "_";
 
 struct PointField {
     std::string name;
@@ -150,17 +148,16 @@ enum class PointMemoryLayout {
 };
 
 /// @throws DataError if there are no points, or too many for one scan
-void require_valid_point_count(std::size_t n_points, const std::string& where);
+void check_point_count(std::size_t n_points, const std::string& where);
 /// Returns a table of binary little-endian numbers, without copying them.
 /// @throws DataError if a number type does not exist or if the data is too short
-PointTable make_table_of_binary_points(const SharedBytes& data, const std::vector<PointField>& fields,
-                                       std::size_t n_points, PointMemoryLayout memory_layout,
-                                       const std::string& where);
+PointTable table_of_records(const SharedBytes& data, const std::vector<PointField>& fields,
+                            std::size_t n_points, PointMemoryLayout memory_layout, const std::string& where);
 /// Splits a line at blanks and tabs.
 std::vector<std::string> split_words(std::string_view line);
 /// Parses `n_points` lines of numbers that are separated by blanks, one line per point.
-PointTable parse_point_lines(std::string_view text, const std::vector<PointField>& fields,
-                             std::size_t n_points, const std::string& where);
+PointTable parse_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n_points,
+                       const std::string& where);
 
 bool is_point_file(const std::filesystem::path& file);
 /// Returns true if each pixel of the file is a ray.
@@ -191,18 +188,18 @@ PointTable read_point_file(const std::filesystem::path& file, const std::vector<
 
 /// Reads a LAS file that contains a single scan.
 /// @throws DataError if no points are near the origin, where the sensor is
-PointTable parse_las_points(const SharedBytes& file, const std::string& where);
-PointTable parse_pcd_points(const SharedBytes& file, const std::string& where);
-PointTable parse_ply_points(const SharedBytes& file, const std::string& where);
+PointTable parse_las(const SharedBytes& file, const std::string& where);
+PointTable parse_pcd(const SharedBytes& file, const std::string& where);
+PointTable parse_ply(const SharedBytes& file, const std::string& where);
 
 /// Reads lines of numbers that are separated by blanks, commas or semicolons.
 /// @param column_names  names of the fields if the file has no header. If empty, the
 /// fields are x y z, or x y z intensity.
-PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,
-                             const std::string& where);
+PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& column_names,
+                      const std::string& where);
 
 /// Returns true if the bytes are a .npy file whose elements have named fields.
-bool is_structured_npy(std::string_view bytes);
-PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& where);
+bool is_structured(std::string_view bytes);
+PointTable parse_npy(const SharedBytes& file, const std::string& where);
 
 }  // namespace relidar::read

@@ -14,20 +14,19 @@ namespace {
 constexpr std::size_t kMostTextFields = 1024;
 constexpr std::size_t kNpyPrefix = 8;  // size of the magic string and the version of a .npy file
 
-std::vector<PointField> make_named_fields(const std::vector<std::string>& names) {
+std::vector<PointField> named_fields(const std::vector<std::string>& names) {
     std::vector<PointField> fields;
     for (const std::string& name : names) fields.push_back({name, 'F', sizeof(double)});
     return fields;
 }
 
 /// @param n_values_per_line  number of values of a file that has no header
-std::vector<PointField> make_default_fields(std::size_t n_values_per_line,
-                                            const std::vector<std::string>& column_names,
-                                            const std::string& where) {
-    if (column_names.size() == n_values_per_line) return make_named_fields(column_names);
-    if (column_names.empty() && n_values_per_line == 3) return make_named_fields({"x", "y", "z"});
-    if (column_names.empty() && n_values_per_line == 4)
-        return make_named_fields({"x", "y", "z", "intensity"});
+std::vector<PointField> default_fields(std::size_t n_values_per_line,
+                                       const std::vector<std::string>& column_names,
+                                       const std::string& where) {
+    if (column_names.size() == n_values_per_line) return named_fields(column_names);
+    if (column_names.empty() && n_values_per_line == 3) return named_fields({"x", "y", "z"});
+    if (column_names.empty() && n_values_per_line == 4) return named_fields({"x", "y", "z", "intensity"});
     fail(
         "{}: found {} numbers per line and no header, expected names in the first line, or \"columns\" in "
         "sequence.json",
@@ -40,38 +39,34 @@ public:
     NumpyFieldListParser(std::string_view text, const std::string& location)
         : text_(text), where_(location) {}
 
-    std::vector<PointField> parse_field_list() {
+    std::vector<PointField> parse_fields() {
         std::vector<PointField> fields;
-        require_next_character('[');
-        while (!consume_character_if_next(']')) {
-            require_next_character('(');
-            const std::string name = parse_quoted_text();
-            require_next_character(',');
-            fields.push_back(parse_numpy_field(name, parse_quoted_text()));
-            if (consume_character_if_next(',') && is_next_nonblank_character('('))
-                fields.back().count *= parse_shape_and_count_elements();
-            require_next_character(')');
-            if (!consume_character_if_next(',') && !is_next_nonblank_character(']')) fail_header();
+        expect('[');
+        while (!consume(']')) {
+            expect('(');
+            const std::string name = parse_quoted();
+            expect(',');
+            fields.push_back(parse_type(name, parse_quoted()));
+            if (consume(',') && is_next('(')) fields.back().count *= parse_shape();
+            expect(')');
+            if (!consume(',') && !is_next(']')) fail_header();
             if (fields.size() > kMostTextFields) fail_header();
         }
         return fields;
     }
     /// Returns the product of a tuple of numbers.
-    std::size_t parse_shape_and_count_elements() {
+    std::size_t parse_shape() {
         std::size_t n = 1;
-        require_next_character('(');
-        while (!consume_character_if_next(')')) {
+        expect('(');
+        while (!consume(')')) {
             std::size_t value = 0, n_digits = 0;
-            for (is_next_nonblank_character(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9';
-                 ++n_digits) {
+            for (is_next(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9'; ++n_digits) {
                 value = 10 * value + std::size_t(text_[0] - '0');
                 text_.remove_prefix(1);
             }
             if (n_digits == 0 || n_digits > 8) fail_header();
             n *= value;
-            if (n > std::size_t(1) << 32 ||
-                (!consume_character_if_next(',') && !is_next_nonblank_character(')')))
-                fail_header();
+            if (n > std::size_t(1) << 32 || (!consume(',') && !is_next(')'))) fail_header();
         }
         return n;
     }
@@ -86,36 +81,35 @@ private:
             "[('x', '<f4'), ('y', '<f4')]",
             where_);
     }
-    bool is_next_nonblank_character(char expected_character) {
+    bool is_next(char expected_character) {
         while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
         return !text_.empty() && text_[0] == expected_character;
     }
-    bool consume_character_if_next(char expected_character) {
-        if (!is_next_nonblank_character(expected_character)) return false;
+    bool consume(char expected_character) {
+        if (!is_next(expected_character)) return false;
         text_.remove_prefix(1);
         return true;
     }
-    void require_next_character(char expected_character) {
-        if (!consume_character_if_next(expected_character)) fail_header();
+    void expect(char expected_character) {
+        if (!consume(expected_character)) fail_header();
     }
-    std::string parse_quoted_text() {
-        require_next_character('\'');
+    std::string parse_quoted() {
+        expect('\'');
         const std::size_t end = std::min(text_.find('\''), text_.size());
         const std::string text(text_.substr(0, end));
         text_.remove_prefix(end);
-        require_next_character('\'');
+        expect('\'');
         return text;
     }
     /// Fields without a name, or with the type 'V', contain no data.
-    PointField parse_numpy_field(const std::string& field_name, const std::string& type_code) const {
+    PointField parse_type(const std::string& field_name, const std::string& type_code) const {
         const auto size =
             parse_number(std::string_view(type_code).substr(std::min<std::size_t>(2, type_code.size())));
         if (type_code.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail_header();
         if (type_code[0] == '>')
-            fail("{}: the field '{}' is big-endian, expected little-endian", where_,
-                 shorten_for_error_message(field_name));
+            fail("{}: the field '{}' is big-endian, expected little-endian", where_, quote(field_name));
         if (type_code[1] == 'V' || field_name.empty())
-            return {std::string(kPadding), 'U', 1, std::size_t(*size)};
+            return {std::string(kPaddingName), 'U', 1, std::size_t(*size)};
         char kind = 'U';
         if (type_code[1] == 'f') kind = 'F';
         else if (type_code[1] == 'i') kind = 'I';
@@ -125,8 +119,8 @@ private:
 
 }  // namespace
 
-PointTable parse_text_points(const SharedBytes& file, const std::vector<std::string>& column_names,
-                             const std::string& where) {
+PointTable parse_text(const SharedBytes& file, const std::vector<std::string>& column_names,
+                      const std::string& where) {
     std::string text(file.bytes);
     std::ranges::replace_if(
         text,
@@ -134,15 +128,15 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
             return character == ',' || character == ';' || character == '\r' || character == '\t';
         },
         ' ');
-    std::string_view rest = trim_blanks_at_both_ends(text);
+    std::string_view rest = trim(text);
     const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
     std::vector<PointField> fields;
     if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
     if (const auto numbers = parse_numbers(first_line()); numbers) {
-        fields = make_default_fields(numbers->size(), column_names, where);
+        fields = default_fields(numbers->size(), column_names, where);
     } else {
-        std::string_view names = trim_blanks_at_both_ends(first_line());
+        std::string_view names = trim(first_line());
         names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
         for (std::string& name : split_words(names)) {
             std::erase(name, '"');
@@ -153,17 +147,17 @@ PointTable parse_text_points(const SharedBytes& file, const std::vector<std::str
     if (fields.size() > kMostTextFields)
         fail("{}: found {} fields, expected at most {}", where, fields.size(), kMostTextFields);
     const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
-    return parse_point_lines(rest, fields, n, where);
+    return parse_lines(rest, fields, n, where);
 }
 
-bool is_structured_npy(std::string_view bytes) {
+bool is_structured(std::string_view bytes) {
     const std::string_view header = bytes.substr(0, 256);
     const std::size_t at = header.find("'descr':");
     return header.starts_with("\x93NUMPY") && at != header.npos &&
-           trim_blanks_at_both_ends(header.substr(at + 8)).starts_with('[');
+           trim(header.substr(at + 8)).starts_with('[');
 }
 
-PointTable parse_structured_npy_points(const SharedBytes& file, const std::string& where) {
+PointTable parse_npy(const SharedBytes& file, const std::string& where) {
     const std::string_view bytes = file.bytes;
     const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
     if (bytes.size() < kNpyPrefix + n_length) fail("{}: the npy header is truncated", where);
@@ -176,11 +170,10 @@ PointTable parse_structured_npy_points(const SharedBytes& file, const std::strin
     if (fields_at == header.npos || shape_at == header.npos)
         fail("{}: the npy header has no descr or no shape, expected both", where);
     const std::vector<PointField> fields =
-        NumpyFieldListParser(header.substr(fields_at + 8), where).parse_field_list();
-    const std::size_t n =
-        NumpyFieldListParser(header.substr(shape_at + 8), where).parse_shape_and_count_elements();
-    return make_table_of_binary_points(file.make_shared_subview(bytes.substr(start + length)), fields, n,
-                                       PointMemoryLayout::by_point, where);
+        NumpyFieldListParser(header.substr(fields_at + 8), where).parse_fields();
+    const std::size_t n = NumpyFieldListParser(header.substr(shape_at + 8), where).parse_shape();
+    return table_of_records(file.share_part(bytes.substr(start + length)), fields, n,
+                            PointMemoryLayout::by_point, where);
 }
 
 }  // namespace relidar::read

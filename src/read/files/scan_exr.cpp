@@ -14,17 +14,16 @@
 namespace relidar::read {
 namespace {
 
-constexpr const char* kAxes[] = {".x", ".y", ".z"};
+constexpr const char* kAxisSuffixes[] = {".x", ".y", ".z"};
 
 /// Combines the channels x, y and z of an image into one array of vectors. Does nothing
 /// if all three are missing. Throws an error if only some are missing.
-void append_xyz_channels_as_array(const ExrImage& image, const std::string& channel_prefix,
-                                  const std::string& array_name, const std::string& where,
-                                  std::vector<NamedArray>& arrays) {
+void append_vectors(const ExrImage& image, const std::string& channel_prefix, const std::string& array_name,
+                    const std::string& where, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
     std::size_t n_axes_found = 0;
     for (std::size_t k = 0; k < 3; ++k) {
-        const auto axis_channel = image.channels.find(channel_prefix + kAxes[k]);
+        const auto axis_channel = image.channels.find(channel_prefix + kAxisSuffixes[k]);
         if (axis_channel == image.channels.end()) continue;
         axis[k] = &axis_channel->second;
         ++n_axes_found;
@@ -41,11 +40,11 @@ void append_xyz_channels_as_array(const ExrImage& image, const std::string& chan
                                 values.data(), values.size()));
 }
 
-std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const std::string& where) {
+std::vector<NamedArray> convert_channels(const ExrImage& image, const std::string& where) {
     if (!image.channels.contains("range")) {
         std::vector<std::string> names;
         for (const auto& [name, values] : image.channels)
-            if (names.size() < 8) names.push_back(shorten_for_error_message(name));
+            if (names.size() < 8) names.push_back(quote(name));
         fail("{}: the channel 'range' is missing, expected it among the channels of the image: {}", where,
              fmt::join(names, ", "));
     }
@@ -54,8 +53,8 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
         if (name.find('.') == std::string::npos)
             arrays.push_back(make_array(name, {std::size_t(image.rows), std::size_t(image.columns)},
                                         values.data(), values.size()));
-    append_xyz_channels_as_array(image, "direction", "directions", where, arrays);
-    append_xyz_channels_as_array(image, "origin", "origin", where, arrays);
+    append_vectors(image, "direction", "directions", where, arrays);
+    append_vectors(image, "origin", "origin", where, arrays);
     // name of the frame that the points are in; relidar writes it into the metadata of
     // rendered images
     const auto frame = image.notes.find("points_in");
@@ -68,13 +67,13 @@ std::vector<NamedArray> convert_channels_to_arrays(const ExrImage& image, const 
 
 /// If the beams of a LiDAR are unknown, sets them from the sensor name in the image.
 /// Accepts only built-in sensors. Otherwise an image could make relidar read any file.
-Lidar fill_missing_sensor_from_image(Lidar lidar, const ExrImage& image) {
+Lidar fill_sensor(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
-    if (!find_built_in_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
+    if (!find_built_in(note->second.substr(0, note->second.rfind(':')))) return lidar;
     const SensorModel model = find_sensor(note->second);
     if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) lidar.sensor = *spinning;
-    else lidar.pattern = get_non_spinning_pattern(model);
+    else lidar.pattern = other_pattern(model);
     return lidar;
 }
 
@@ -83,13 +82,12 @@ Lidar fill_missing_sensor_from_image(Lidar lidar, const ExrImage& image) {
 Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context) {
     const ExrImage image = read_exr(file);
     const std::string where = file.string();
-    std::vector<NamedArray> arrays = convert_channels_to_arrays(image, where);
-    if (find_array(arrays, "directions"))
-        return make_scan_from_arrays(where, std::move(arrays), image_context);
-    const Lidar lidar = fill_missing_sensor_from_image(image_context.lidar, image);
-    return make_scan_from_arrays(where, std::move(arrays),
-                                 {image_context.units, image_context.motion_compensated,
-                                  image_context.lowest_first, lidar, image_context.time_s});
+    std::vector<NamedArray> arrays = convert_channels(image, where);
+    if (find_array(arrays, "directions")) return scan_from_arrays(where, std::move(arrays), image_context);
+    const Lidar lidar = fill_sensor(image_context.lidar, image);
+    return scan_from_arrays(where, std::move(arrays),
+                            {image_context.units, image_context.motion_compensated,
+                             image_context.lowest_first, lidar, image_context.time_s});
 }
 
 }  // namespace relidar::read

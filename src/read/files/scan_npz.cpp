@@ -21,9 +21,8 @@ class ScanNpzArrays {
 public:
     ScanNpzArrays(const std::string& location, std::vector<NamedArray> arrays)
         : where_(location), arrays_(std::move(arrays)) {
-        const std::vector<std::size_t>& shape = get_required_array("range").shape;
-        if (shape.empty() || shape.size() > 2 ||
-            get_required_array("range").count_array_elements() > kMaxRays)
+        const std::vector<std::size_t>& shape = required_array("range").shape;
+        if (shape.empty() || shape.size() > 2 || required_array("range").element_count() > kMaxRays)
             fail(
                 "{}: the array range has the shape [{}], expected [rows, columns] or [rays] with at most {} "
                 "rays",
@@ -33,44 +32,44 @@ public:
     }
     std::size_t rows = 0, columns = 0;
 
-    const NamedArray* find_optional_array(const std::string& array_name) const {
+    const NamedArray* find_optional(const std::string& array_name) const {
         return find_array(arrays_, array_name);
     }
-    const NamedArray& get_required_array(const std::string& array_name) const {
-        if (const NamedArray* array = find_optional_array(array_name)) return *array;
+    const NamedArray& required_array(const std::string& array_name) const {
+        if (const NamedArray* array = find_optional(array_name)) return *array;
         fail("{}: the array '{}' is missing, expected it in every scan file", where_, array_name);
     }
     /// Returns the value of an array that contains a single number.
-    double get_single_number(const std::string& array_name) const {
-        if (get_required_array(array_name).count_array_elements() != 1)
+    double single_number(const std::string& array_name) const {
+        if (required_array(array_name).element_count() != 1)
             fail("{}: the array {} has the shape [{}], expected one number", where_, array_name,
-                 fmt::join(get_required_array(array_name).shape, ", "));
-        return get_required_array(array_name).convert_to_doubles()[0];
+                 fmt::join(required_array(array_name).shape, ", "));
+        return required_array(array_name).to_doubles()[0];
     }
     /// Returns the values of an array with one number per ray.
     /// @param default_value  value of all rays if the file does not contain the array
-    std::vector<double> get_ray_values_or(const std::string& array_name, double default_value) const {
-        return find_optional_array(array_name) ? get_ray_values(array_name, 1)
-                                               : std::vector<double>(rows * columns, default_value);
+    std::vector<double> ray_values_or(const std::string& array_name, double default_value) const {
+        return find_optional(array_name) ? ray_values(array_name, 1)
+                                         : std::vector<double>(rows * columns, default_value);
     }
     /// Returns the values of an array with `n_values_per_ray` numbers per ray.
     /// @throws DataError if the file does not contain the array
-    std::vector<double> get_ray_values(const std::string& array_name, std::size_t n_values_per_ray) const {
-        if (get_required_array(array_name).count_array_elements() != rows * columns * n_values_per_ray)
+    std::vector<double> ray_values(const std::string& array_name, std::size_t n_values_per_ray) const {
+        if (required_array(array_name).element_count() != rows * columns * n_values_per_ray)
             fail("{}: the array {} has the shape [{}], expected {} x {} x {} values", where_, array_name,
-                 fmt::join(get_required_array(array_name).shape, ", "), rows, columns, n_values_per_ray);
-        return get_required_array(array_name).convert_to_doubles();
+                 fmt::join(required_array(array_name).shape, ", "), rows, columns, n_values_per_ray);
+        return required_array(array_name).to_doubles();
     }
-    std::vector<glm::vec3> get_ray_vectors(const std::string& array_name) const {
-        const std::vector<double> v = get_ray_values(array_name, 3);
+    std::vector<glm::vec3> ray_vectors(const std::string& array_name) const {
+        const std::vector<double> v = ray_values(array_name, 3);
         std::vector<glm::vec3> vectors;
         for (std::size_t i = 0; i < v.size(); i += 3) vectors.emplace_back(v[i], v[i + 1], v[i + 2]);
         return vectors;
     }
-    std::string format_ray_location(const char* array_name, std::size_t ray_index) const {
-        return fmt::format("{}: {} of ray {}", where_, array_name, ray_index);
+    std::string ray_location(const char* array_name, std::size_t ray) const {
+        return fmt::format("{}: {} of ray {}", where_, array_name, ray);
     }
-    const std::string& get_error_location() const { return where_; }
+    const std::string& error_place() const { return where_; }
 
 private:
     std::string where_;
@@ -78,14 +77,14 @@ private:
 };
 
 std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& array_name) {
-    const std::vector<double> file_ranges_m = arrays.get_ray_values(array_name, 1),
-                              drop = arrays.get_ray_values_or("drop_prob", 0.0);
+    const std::vector<double> file_ranges_m = arrays.ray_values(array_name, 1),
+                              drop = arrays.ray_values_or("drop_prob", 0.0);
     std::vector<float> range_m;
     for (std::size_t i = 0; i < file_ranges_m.size(); ++i) {
-        const bool has_return = is_valid_return_range(file_ranges_m[i]) && drop[i] < 0.5;
+        const bool has_return = is_return_range(file_ranges_m[i]) && drop[i] < 0.5;
         if (has_return && file_ranges_m[i] > 1e6)
             fail("{} has the value {}, expected a range in metres, or 0 for a ray without return",
-                 arrays.format_ray_location(array_name.c_str(), i), file_ranges_m[i]);
+                 arrays.ray_location(array_name.c_str(), i), file_ranges_m[i]);
         range_m.push_back(has_return ? float(file_ranges_m[i]) : 0.0f);
     }
     return range_m;
@@ -93,13 +92,12 @@ std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& a
 
 std::vector<float> read_intensities(const ScanNpzArrays& arrays, const std::string& array_name,
                                     const std::vector<float>& range_m, const PointFileUnits& units) {
-    const std::vector<double> file_intensities = arrays.get_ray_values_or(array_name, 0.0);
+    const std::vector<double> file_intensities = arrays.ray_values_or(array_name, 0.0);
     std::vector<float> intensity;
     for (std::size_t i = 0; i < file_intensities.size(); ++i)
-        intensity.push_back(range_m[i] > 0.0f
-                                ? normalise_file_intensity(file_intensities[i], units,
-                                                           arrays.format_ray_location(array_name.c_str(), i))
-                                : 0.0f);
+        intensity.push_back(range_m[i] > 0.0f ? scale_intensity(file_intensities[i], units,
+                                                                arrays.ray_location(array_name.c_str(), i))
+                                              : 0.0f);
     return intensity;
 }
 
@@ -107,13 +105,13 @@ std::vector<float> read_intensities(const ScanNpzArrays& arrays, const std::stri
 /// empty array if the file does not contain the channel.
 std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const std::vector<float>& range_m) {
     std::vector<SurfaceClass> classes;
-    if (!arrays.find_optional_array("class")) return classes;
-    const std::vector<double> numbers = arrays.get_ray_values("class", 1);
+    if (!arrays.find_optional("class")) return classes;
+    const std::vector<double> numbers = arrays.ray_values("class", 1);
     for (std::size_t i = 0; i < numbers.size(); ++i) {
         const double number = range_m[i] > 0.0f ? numbers[i] : 0.0;
         if (!(number >= 0.0 && number < double(kSurfaceClasses)) || number != std::floor(number))
-            fail("{} has the value {}, expected a whole number below {}",
-                 arrays.format_ray_location("class", i), number, kSurfaceClasses);
+            fail("{} has the value {}, expected a whole number below {}", arrays.ray_location("class", i),
+                 number, kSurfaceClasses);
         classes.push_back(SurfaceClass(int(number)));
     }
     return classes;
@@ -121,21 +119,20 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
 
 /// Returns the rays of the LiDAR's sensor model, for a range image without ray
 /// directions. Throws if the image and the model differ in size.
-RayTable make_sensor_rays_matching_scan_arrays(const ScanNpzArrays& arrays,
-                                               const ScanImageContext& image_context) {
-    RayTable rays = make_nominal_rays(image_context.lidar, image_context.time_s);
+RayTable match_sensor_rays(const ScanNpzArrays& arrays, const ScanImageContext& image_context) {
+    RayTable rays = make_lidar_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)
         fail("{}: the array of ray directions and the sensor in sequence.json are missing",
-             arrays.get_error_location());
+             arrays.error_place());
     if (std::size_t(rays.rows) != arrays.rows || std::size_t(rays.columns) != arrays.columns)
         fail("{}: the array range has {} x {} values, expected {} x {} (beams x columns) or ray directions",
-             arrays.get_error_location(), arrays.rows, arrays.columns, rays.rows, rays.columns);
+             arrays.error_place(), arrays.rows, arrays.columns, rays.rows, rays.columns);
     return rays;
 }
 
 /// Reverses the order of the image rows, if row 0 of the file is the lowest beam. In
 /// relidar, row 0 is the highest beam.
-void reverse_image_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
+void reverse_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
     for (NamedArray& array : arrays) {
         const std::size_t row = n_rows > 0 && array.shape.size() >= 2 && array.shape[0] == n_rows
                                     ? array.bytes.size() / n_rows
@@ -150,37 +147,36 @@ void reverse_image_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
 }
 
 /// Reads the times, rings and divergences of the rays, if the file contains them.
-void set_ray_fields_that_exist(const ScanNpzArrays& arrays, const ScanImageContext& image_context,
-                               RayTable& rays) {
+void set_ray_fields(const ScanNpzArrays& arrays, const ScanImageContext& image_context, RayTable& rays) {
     const PointFileUnits& units = image_context.units;
     const std::size_t n = rays.size();
-    if (arrays.find_optional_array("time") && !units.ignore_times) {
-        const std::vector<double> time = arrays.get_ray_values("time", 1);
+    if (arrays.find_optional("time") && !units.ignore_times) {
+        const std::vector<double> time = arrays.ray_values("time", 1);
         for (std::size_t i = 0; i < n; ++i)
-            rays.time_offset_s[i] = convert_point_time_to_frame_offset_s(
-                time[i], units, image_context.time_s, arrays.format_ray_location("time", i));
+            rays.time_offset_s[i] =
+                frame_offset_s(time[i], units, image_context.time_s, arrays.ray_location("time", i));
     }
-    if (arrays.find_optional_array("ring")) {
-        const std::vector<double> ring = arrays.get_ray_values("ring", 1);
+    if (arrays.find_optional("ring")) {
+        const std::vector<double> ring = arrays.ray_values("ring", 1);
         for (std::size_t i = 0; i < n; ++i)
-            rays.channel[i] = convert_ring_number(ring[i], arrays.format_ray_location("ring", i));
+            rays.channel[i] = convert_ring(ring[i], arrays.ray_location("ring", i));
     }
-    if (arrays.find_optional_array("divergence_rad")) {
-        rays.divergence_rad = float(arrays.get_single_number("divergence_rad"));
+    if (arrays.find_optional("divergence_rad")) {
+        rays.divergence_rad = float(arrays.single_number("divergence_rad"));
         rays.ray_divergence_rad.clear();
     }
-    if (arrays.find_optional_array("divergence")) {
-        const std::vector<double> angles = arrays.get_ray_values("divergence", 1);
+    if (arrays.find_optional("divergence")) {
+        const std::vector<double> angles = arrays.ray_values("divergence", 1);
         rays.ray_divergence_rad.assign(angles.begin(), angles.end());
     }
 }
 
-RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
+RayTable make_stored_rays(const ScanNpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
-    rays.direction = to_scan_array(arrays.get_ray_vectors("directions"));
-    if (arrays.find_optional_array("origin")) rays.origin = to_scan_array(arrays.get_ray_vectors("origin"));
+    rays.direction = to_scan_array(arrays.ray_vectors("directions"));
+    if (arrays.find_optional("origin")) rays.origin = to_scan_array(arrays.ray_vectors("origin"));
     else rays.origin.assign(rays.direction.size(), glm::vec3(0.0f));
     rays.time_offset_s.assign(rays.size(), 0.0f);
     for (std::size_t i = 0; i < rays.size(); ++i) rays.channel.push_back(std::uint16_t(i / arrays.columns));
@@ -189,7 +185,7 @@ RayTable make_rays_from_stored_directions(const ScanNpzArrays& arrays) {
 
 }  // namespace
 
-void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& where) {
+void check_deskewing(bool is_deskewed, bool is_declared, const std::string& where) {
     if (is_deskewed && !is_declared)
         fail(
             "{}: the points are motion-compensated or in the world frame, but sequence.json does not say so; "
@@ -198,7 +194,7 @@ void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::s
             where);
 }
 
-float normalise_file_intensity(double file_value, const PointFileUnits& units, const std::string& where) {
+float scale_intensity(double file_value, const PointFileUnits& units, const std::string& where) {
     if (!std::isfinite(file_value))
         fail("{}: the intensity is {}, expected a finite number", where, file_value);
     if (units.intensity_max) return float(std::clamp(file_value / *units.intensity_max, 0.0, 1.0));
@@ -208,8 +204,8 @@ float normalise_file_intensity(double file_value, const PointFileUnits& units, c
     return float(file_value);
 }
 
-float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,
-                                           double frame_time_s, const std::string& where) {
+float frame_offset_s(double file_value, const PointFileUnits& units, double frame_time_s,
+                     const std::string& where) {
     const double offset_s =
         (file_value - units.time_zero) * units.time_unit_s - (units.absolute_times ? frame_time_s : 0.0);
     if (!(std::abs(offset_s) <= kMaxTimeOffset_s))
@@ -220,36 +216,34 @@ float convert_point_time_to_frame_offset_s(double file_value, const PointFileUni
     return float(offset_s);
 }
 
-std::uint16_t convert_ring_number(double file_value, const std::string& where) {
+std::uint16_t convert_ring(double file_value, const std::string& where) {
     if (!(file_value >= 0.0 && file_value < kNoBeam) || file_value != std::floor(file_value))
         fail("{}: the ring is {}, expected a whole number below {}", where, file_value, kNoBeam);
     return std::uint16_t(file_value);
 }
 
-Scan make_scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
-                           const ScanImageContext& image_context) {
+Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
+                      const ScanImageContext& image_context) {
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     const NamedArray* range = find_array(stored_arrays, "range");
     if (!has_rays && image_context.lowest_first && range && range->shape.size() == 2)
-        reverse_image_rows(stored_arrays, range->shape[0]);
+        reverse_rows(stored_arrays, range->shape[0]);
     const ScanNpzArrays arrays(where, std::move(stored_arrays));
-    const NamedArray* deskewed = arrays.find_optional_array("deskewed");
-    require_declared_deskewing(
-        deskewed && deskewed->count_array_elements() == 1 && deskewed->convert_to_floats()[0] != 0.0f,
-        image_context.motion_compensated, arrays.get_error_location());
+    const NamedArray* deskewed = arrays.find_optional("deskewed");
+    check_deskewing(deskewed && deskewed->element_count() == 1 && deskewed->to_floats()[0] != 0.0f,
+                    image_context.motion_compensated, arrays.error_place());
     Scan scan;
-    scan.rays = has_rays ? make_rays_from_stored_directions(arrays)
-                         : make_sensor_rays_matching_scan_arrays(arrays, image_context);
-    set_ray_fields_that_exist(arrays, image_context, scan.rays);
+    scan.rays = has_rays ? make_stored_rays(arrays) : match_sensor_rays(arrays, image_context);
+    set_ray_fields(arrays, image_context, scan.rays);
     // A rendered file contains a median and a mean range. The median is used, because the
     // mean can be between two surfaces.
     const std::vector<float> range_m =
-        read_ranges(arrays, arrays.find_optional_array("median_range") ? "median_range" : "range");
+        read_ranges(arrays, arrays.find_optional("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
     scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, image_context.units));
     scan.classes = to_scan_array(read_ray_classes(arrays, range_m));
     for (std::size_t number = 2;
-         number <= kMostReturns && arrays.find_optional_array(fmt::format("range_{}", number)); ++number) {
+         number <= kMostReturns && arrays.find_optional(fmt::format("range_{}", number)); ++number) {
         AdditionalReturns echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
         echo.intensity =
             read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, image_context.units);
@@ -260,7 +254,7 @@ Scan make_scan_from_arrays(const std::string& where, std::vector<NamedArray> sto
 
 Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context) {
     return file.extension() == ".exr" ? read_scan_exr(file, image_context)
-                                      : make_scan_from_arrays(file.string(), read_npz(file), image_context);
+                                      : scan_from_arrays(file.string(), read_npz(file), image_context);
 }
 
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated) {

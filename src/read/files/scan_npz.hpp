@@ -29,8 +29,8 @@ Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& im
 /// Reads a scan from an npz file or an EXR image.
 /// @throws DataError if the file is damaged, an array is missing, or array sizes differ
 Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context);
-Scan make_scan_from_arrays(const std::string& where, std::vector<NamedArray> arrays,
-                           const ScanImageContext& image_context);
+Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> arrays,
+                      const ScanImageContext& image_context);
 
 /// Writes without loss. If the scan is motion-compensated, all rays get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
@@ -38,19 +38,19 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
 /// @param is_deskewed  true if points are motion-compensated or in the world frame
 /// @param is_declared  true if sequence.json says that all scans are motion-compensated
 /// @throws DataError if the points are motion-compensated and not declared so
-void require_declared_deskewing(bool is_deskewed, bool is_declared, const std::string& where);
+void check_deskewing(bool is_deskewed, bool is_declared, const std::string& where);
 
 /// Scales an intensity to 0 to 1.
 /// @throws DataError for NaN, and for values outside 0 to 1 without a maximum intensity
-float normalise_file_intensity(double file_value, const PointFileUnits& units, const std::string& where);
+float scale_intensity(double file_value, const PointFileUnits& units, const std::string& where);
 /// No sweep is longer, and no point is farther in time from its frame.
 inline constexpr float kMaxTimeOffset_s = 10.0f;
 
 /// Returns seconds relative to the time of the frame.
 /// @throws DataError if the result is longer than any sweep can be
-float convert_point_time_to_frame_offset_s(double file_value, const PointFileUnits& units,
-                                           double frame_time_s, const std::string& where);
+float frame_offset_s(double file_value, const PointFileUnits& units, double frame_time_s,
+                     const std::string& where);
 /// @throws DataError if the number is not a valid beam number
-std::uint16_t convert_ring_number(double file_value, const std::string& where);
+std::uint16_t convert_ring(double file_value, const std::string& where);
 
 }  // namespace relidar::read

@@ -12,13 +12,14 @@ namespace {
 
 constexpr double kFewFilled = 0.3;    // minimum share of rays with a return, if no points were removed
 constexpr double kFewRegular = 0.78;  // minimum share of regular azimuth steps, if no points were removed
-constexpr double kRegular = 1.5;      // A step is regular if it is at most this multiple of the median step.
+constexpr double kMaxRegularStep =
+    1.5;  // A step is regular if it is at most this multiple of the median step.
 // Limits of azimuth steps from point to point that count.
-constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
+constexpr double kMinStep_rad = 1e-5, kMaxStep_rad = 0.2;
 
-/// A step between neighbouring points of a ring is regular if it is at most kRegular
+/// A step between neighbouring points of a ring is regular if it is at most kMaxRegularStep
 /// times the median step.
-double compute_fraction_of_regular_azimuth_steps(const LidarPoints& scan) {
+double regular_fraction(const LidarPoints& scan) {
     std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
         rings_and_azimuths.emplace_back(
@@ -27,20 +28,19 @@ double compute_fraction_of_regular_azimuth_steps(const LidarPoints& scan) {
     std::vector<double> steps;
     for (std::size_t i = 1; i < rings_and_azimuths.size(); ++i) {
         const double step = rings_and_azimuths[i].second - rings_and_azimuths[i - 1].second;
-        if (rings_and_azimuths[i].first == rings_and_azimuths[i - 1].first && step > kShortest_rad &&
-            step < kLongest_rad)
+        if (rings_and_azimuths[i].first == rings_and_azimuths[i - 1].first && step > kMinStep_rad &&
+            step < kMaxStep_rad)
             steps.push_back(step);
     }
     if (steps.empty()) return 1.0;
     std::ranges::sort(steps);
-    const double most = kRegular * steps[steps.size() / 2];
+    const double most = kMaxRegularStep * steps[steps.size() / 2];
     return double(std::ranges::upper_bound(steps, most) - steps.begin()) / double(steps.size());
 }
 
 }  // namespace
 
-std::string explain_removed_points(const std::vector<LidarPoints>& scans,
-                                   const SpinningSensor& fitted_sensor) {
+std::string why_thinned(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return "";
     const double filled =
@@ -50,7 +50,7 @@ std::string explain_removed_points(const std::vector<LidarPoints>& scans,
             "the points fill only {:.0f} % of the rays of {} beams and {} columns, so points were probably "
             "removed",
             100.0 * filled, fitted_sensor.beams.size(), fitted_sensor.columns);
-    if (const double share = compute_fraction_of_regular_azimuth_steps(*fullest); share < kFewRegular)
+    if (const double share = regular_fraction(*fullest); share < kFewRegular)
         return fmt::format(
             "only {:.0f} % of the azimuth steps between points are equal, so points were probably removed",
             100.0 * share);

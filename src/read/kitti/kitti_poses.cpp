@@ -4,8 +4,8 @@
 //   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude),
 //   R = 6378137 m,  rotation R_z(yaw) R_y(pitch) R_x(roll)
 #include "base/fail.hpp"
-#include "read/scans/folder_head.hpp"
 #include "read/kitti/log_files.hpp"
+#include "read/scans/folder_head.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -27,44 +27,41 @@ constexpr double kLargestCoordinate_m = 1e8;
 // Grid cells have unique keys only up to 105 km (base/geometry/cell_key.hpp).
 constexpr double kLongestLog_m = 1e5;
 
-void require_plausible_pose_positions(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
-                                      const std::string& error_location) {
+void check_positions(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
+                     const std::string& place) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
         if (std::max({std::abs(t.x), std::abs(t.y), std::abs(t.z)}) > kLargestCoordinate_m)
-            fail("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most {} m",
-                 error_location, frame_numbers[i], t.x, t.y, t.z, kLargestCoordinate_m);
+            fail("{}: the pose of frame {} is at ({}, {}, {}), expected coordinates of at most {} m", place,
+                 frame_numbers[i], t.x, t.y, t.z, kLargestCoordinate_m);
         if (glm::length(step) > kLongestLog_m)
             fail("{}: the poses of frames {} and {} are {:.6g} m apart, expected at most {} m within a drive",
-                 error_location, frame_numbers[0], frame_numbers[i], glm::length(step), kLongestLog_m);
+                 place, frame_numbers[0], frame_numbers[i], glm::length(step), kLongestLog_m);
     }
 }
 
-std::vector<double> parse_finite_numbers(const std::string& line, std::size_t expected_count,
-                                         const std::string& error_location) {
+std::vector<double> parse_finite(const std::string& line, std::size_t count, const std::string& place) {
     const auto numbers = parse_numbers(line);
-    if (!numbers)
-        fail("{}: found a word that is not a number, expected {} numbers", error_location, expected_count);
-    if (numbers->size() != expected_count)
-        fail("{}: found {} numbers, expected {}", error_location, numbers->size(), expected_count);
-    for (std::size_t i = 0; i < expected_count; ++i)
+    if (!numbers) fail("{}: found a word that is not a number, expected {} numbers", place, count);
+    if (numbers->size() != count) fail("{}: found {} numbers, expected {}", place, numbers->size(), count);
+    for (std::size_t i = 0; i < count; ++i)
         if (!std::isfinite((*numbers)[i]))
-            fail("{}: number {} is {}, expected a finite value", error_location, i + 1, (*numbers)[i]);
+            fail("{}: number {} is {}, expected a finite value", place, i + 1, (*numbers)[i]);
     return *numbers;
 }
 
-Pose parse_pose_matrix(const std::string& line, const std::string& error_location) {
-    return check_rotation_and_make_pose(parse_finite_numbers(line, 12, error_location), error_location);
+Pose parse_pose(const std::string& line, const std::string& place) {
+    return make_pose(parse_finite(line, 12, place), place);
 }
 
-fs::path make_oxts_file_path(const fs::path& drive_folder, int frame_number) {
-    return drive_folder / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
+fs::path oxts_path(const fs::path& drive, int frame_number) {
+    return drive / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
 /// The position is in Mercator coordinates from latitude and longitude 0.
-Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
+Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
-    const std::vector<double> v = parse_finite_numbers(lines.empty() ? "" : lines[0], 30, oxts_file.string());
+    const std::vector<double> v = parse_finite(lines.empty() ? "" : lines[0], 30, oxts_file.string());
     if (std::abs(v[0]) > 89.0 || std::abs(v[1]) > 360.0)
         fail("{}: found the latitude {} and the longitude {}, expected angles in degrees", oxts_file.string(),
              v[0], v[1]);
@@ -78,11 +75,11 @@ Pose read_imu_pose_from_oxts(const fs::path& oxts_file, std::optional<double>& m
 
 /// The first OXTS file defines origin and scale, so that poses do not depend on the
 /// requested frames.
-int find_first_oxts_frame(const fs::path& drive_folder) {
-    const fs::path folder = drive_folder / "oxts/data";
+int find_first_oxts(const fs::path& drive) {
+    const fs::path folder = drive / "oxts/data";
     if (does_path_exist(folder))
-        for (const fs::path& file : list_folder_entries(folder)) {
-            const auto number = parse_file_stem_as_number(file.stem().string());
+        for (const fs::path& file : list_folder(folder)) {
+            const auto number = parse_stem(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
         }
     fail(
@@ -92,12 +89,11 @@ int find_first_oxts_frame(const fs::path& drive_folder) {
 }
 
 /// Searches the folder of the drive, two folders above it, and their calibration folders.
-fs::path find_imu_calibration_file(const fs::path& drive_folder) {
+fs::path find_imu_file(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
     // date in a name such as 2011_09_26_drive_0005_sync
-    const std::string date = drive_folder.filename().string().substr(0, 10);
-    for (const fs::path& base :
-         {drive_folder.parent_path(), drive_folder, drive_folder.parent_path().parent_path()}) {
+    const std::string date = drive.filename().string().substr(0, 10);
+    for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
         for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date),
                                       fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
             if (does_path_exist(base / inner / name)) return base / inner / name;
@@ -107,53 +103,49 @@ fs::path find_imu_calibration_file(const fs::path& drive_folder) {
         "{}: no such file, and it was not found in the folder of the drive or in a folder calib, calibration "
         "or {}_calib either; copy KITTI's calibration file of that day to this path, or use "
         "dataset.poses=FILE",
-        (drive_folder.parent_path() / name).string(), date);
+        (drive.parent_path() / name).string(), date);
 }
 
 }  // namespace
 
-Pose read_calibration_transform(const fs::path& file) {
+Pose read_calibration(const fs::path& file) {
     std::vector<double> r, t;
     for (const std::string& line : split_lines(read_text_file(file))) {
         const std::string where = file.string();
-        if (line.rfind("R:", 0) == 0) r = parse_finite_numbers(line.substr(2), 9, where + " key R");
-        if (line.rfind("T:", 0) == 0) t = parse_finite_numbers(line.substr(2), 3, where + " key T");
+        if (line.rfind("R:", 0) == 0) r = parse_finite(line.substr(2), 9, where + " key R");
+        if (line.rfind("T:", 0) == 0) t = parse_finite(line.substr(2), 3, where + " key T");
     }
     if (r.empty() || t.empty())
         fail(
             "{}: the line that begins with '{}:' is missing, expected a line 'R:' with 9 numbers and a line "
             "'T:' with 3 numbers",
             file.string(), r.empty() ? "R" : "T");
-    return check_rotation_and_make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
-                                        {t[0], t[1], t[2]}, file.string());
+    return make_pose(glm::dmat3(r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]), {t[0], t[1], t[2]},
+                     file.string());
 }
 
-Pose read_transform_of_key(const fs::path& file, const std::string& key) {
+Pose read_transform(const fs::path& file, const std::string& key) {
     for (const std::string& line : split_lines(read_text_file(file)))
         if (line.rfind(key + ":", 0) == 0)
-            return parse_pose_matrix(line.substr(key.size() + 1),
-                                     fmt::format("{} key {}", file.string(), key));
+            return parse_pose(line.substr(key.size() + 1), fmt::format("{} key {}", file.string(), key));
     fail("{}: the line '{}:' is missing, expected this key with 12 numbers", file.string(), key);
 }
 
-std::vector<Pose> compute_lidar_poses_from_oxts_files(const fs::path& drive_folder,
-                                                      const std::vector<int>& frame_numbers) {
+std::vector<Pose> read_oxts_poses(const fs::path& drive, const std::vector<int>& frame_numbers) {
     std::optional<double> scale;
-    const glm::dvec3 origin =
-        read_imu_pose_from_oxts(make_oxts_file_path(drive_folder, find_first_oxts_frame(drive_folder)), scale)
-            .translation;
-    const Pose imu_from_sensor = inverse(read_calibration_transform(find_imu_calibration_file(drive_folder)));
+    const glm::dvec3 origin = read_imu_pose(oxts_path(drive, find_first_oxts(drive)), scale).translation;
+    const Pose imu_from_sensor = inverse(read_calibration(find_imu_file(drive)));
     std::vector<Pose> poses;
     for (const int frame : frame_numbers) {
-        Pose world_from_imu = read_imu_pose_from_oxts(make_oxts_file_path(drive_folder, frame), scale);
+        Pose world_from_imu = read_imu_pose(oxts_path(drive, frame), scale);
         world_from_imu.translation -= origin;
         poses.push_back(world_from_imu * imu_from_sensor);
     }
-    require_plausible_pose_positions(poses, frame_numbers, (drive_folder / "oxts/data").string());
+    check_positions(poses, frame_numbers, (drive / "oxts/data").string());
     return poses;
 }
 
-std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {
+std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int>& frame_numbers) {
     const std::vector<std::string> lines = split_lines(read_text_file(pose_file));
     std::vector<Pose> poses;
     for (const int frame : frame_numbers) {
@@ -164,55 +156,54 @@ std::vector<Pose> read_pose_matrices(const fs::path& pose_file, const std::vecto
                 "frame, starting with frame 0",
                 pose_file.string(), lines.size(), frame, line + 1);
         const std::string where = fmt::format("{} line {}", pose_file.string(), line + 1);
-        poses.push_back(parse_pose_matrix(lines[line], where));
+        poses.push_back(parse_pose(lines[line], where));
     }
-    require_plausible_pose_positions(poses, frame_numbers, pose_file.string());
+    check_positions(poses, frame_numbers, pose_file.string());
     return poses;
 }
 
-std::vector<Pose> read_user_pose_file(const fs::path& pose_file, const std::vector<int>& frame_numbers,
-                                      const std::vector<double>& frame_times_s, Notes& notes) {
-    std::vector<read::SequenceHeaderFrame> heads;
+std::vector<Pose> read_user_poses(const fs::path& pose_file, const std::vector<int>& frame_numbers,
+                                  const std::vector<double>& times_s, Notes& notes) {
+    std::vector<read::HeaderFrame> heads;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i)
-        heads.push_back({frame_numbers[i], frame_times_s[i], 0, {}});
-    const auto poses = read::read_frame_poses(pose_file, heads, nullptr, notes);
+        heads.push_back({frame_numbers[i], times_s[i], 0, {}});
+    const auto poses = read::load_poses(pose_file, heads, nullptr, notes);
     if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
     return *poses;
 }
 
-void replace_vehicle_poses_from_file(LidarSequence& sequence, const fs::path& pose_file) {
+void replace_poses(Log& sequence, const fs::path& pose_file) {
     if (pose_file.empty()) return;
     PoseTrack user_track{sequence.world_from_vehicle.time_s,
                          std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
     // All LiDARs of a sweep share number and pose.
     std::vector<int> frames;
-    for (const LidarFrame& frame : sequence.frames)
+    for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     if (pose_file != kNoPoses)
-        user_track.pose = read_user_pose_file(pose_file, frames, user_track.time_s, sequence.notes);
+        user_track.pose = read_user_poses(pose_file, frames, user_track.time_s, sequence.notes);
     else sequence.notes.push_back(kNoPosesNote);
-    set_vehicle_poses(sequence, std::move(user_track));
+    set_trajectory(sequence, std::move(user_track));
 }
 
-std::map<int, Pose> read_poses_by_frame_number(const fs::path& file) {
+std::map<int, Pose> read_numbered_poses(const fs::path& file) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<int> frames;
     std::vector<Pose> poses;
     for (std::size_t l = 0; l < lines.size(); ++l) {
         const std::string where = fmt::format("{} line {}", file.string(), l + 1);
-        const std::string_view line = trim_blanks_at_both_ends(lines[l]);
+        const std::string_view line = trim(lines[l]);
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
-        const std::optional<int> frame = parse_file_stem_as_number(std::string(line.substr(0, end)));
+        const std::optional<int> frame = parse_stem(std::string(line.substr(0, end)));
         if (!frame || (!frames.empty() && *frame <= frames.back()))
             fail("{}: found the frame '{}'{}, expected increasing frame numbers", where,
-                 shorten_for_error_message(line.substr(0, end)),
-                 frames.empty() ? "" : fmt::format(" after {}", frames.back()));
+                 quote(line.substr(0, end)), frames.empty() ? "" : fmt::format(" after {}", frames.back()));
         frames.push_back(*frame);
-        poses.push_back(parse_pose_matrix(std::string(line.substr(end)), where));
+        poses.push_back(parse_pose(std::string(line.substr(end)), where));
     }
     if (poses.empty())
         fail("{}: the file is empty, expected a frame number and 12 numbers per line", file.string());
-    require_plausible_pose_positions(poses, frames, file.string());
+    check_positions(poses, frames, file.string());
     std::map<int, Pose> by_frame;
     for (std::size_t i = 0; i < frames.size(); ++i)
         by_frame.emplace_hint(by_frame.end(), frames[i], poses[i]);

@@ -24,25 +24,24 @@ namespace fs = std::filesystem;
 namespace {
 
 /// Parses "YYYY-MM-DD HH:MM:SS.nnnnnnnnn". 64 bits reach up to the year 2261.
-std::int64_t parse_date_time_ns(const std::string& line, const std::string& error_location) {
+std::int64_t parse_time_ns(const std::string& line, const std::string& where) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
         std::sscanf(line.c_str(), "%4d-%2d-%2d %2d:%2d:%n", &year, &month, &day, &hour, &minute, &used);
-    const auto second = n == 5 && used > 0
-                            ? parse_number(trim_blanks_at_both_ends(line.substr(std::size_t(used))))
-                            : std::nullopt;
+    const auto second =
+        n == 5 && used > 0 ? parse_number(trim(line.substr(std::size_t(used)))) : std::nullopt;
     const bool sane = second && *second >= 0.0 && *second < 61.0 && year >= 1970 && year < 2200 &&
                       month >= 1 && month <= 12 && day >= 1 && day <= 31 && hour >= 0 && hour < 24 &&
                       minute >= 0 && minute < 60;
     if (!sane)
-        fail("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the years 1970 and 2199",
-             error_location, shorten_for_error_message(line));
+        fail("{}: found '{}', expected YYYY-MM-DD HH:MM:SS.nnnnnnnnn between the years 1970 and 2199", where,
+             quote(line));
     const std::chrono::sys_days date(std::chrono::year(year) / month / day);
     const std::int64_t minutes = (date.time_since_epoch().count() * 24ll + hour) * 60 + minute;
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file) {
+std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
     if (!does_path_exist(file))
         fail("{}: no such file, expected one time per frame; copy the file from the download of the dataset",
              file.string());
@@ -50,8 +49,8 @@ std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
     bool any = false;
     for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
-        time_ns[l] = parse_date_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
+        if (trim(lines[l]).empty()) continue;
+        time_ns[l] = parse_time_ns(lines[l], fmt::format("{} line {}", file.string(), l + 1));
         any = true;
     }
     if (!any) fail("{}: the file is empty, expected one time per frame", file.string());
@@ -60,27 +59,26 @@ std::vector<std::optional<std::int64_t>> read_timestamps_ns(const fs::path& file
 
 }  // namespace
 
-std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
-                                                const std::vector<int>& frame_numbers,
-                                                LidarSequence& sequence) {
-    const std::vector<std::optional<std::int64_t>> time_ns = read_timestamps_ns(time_file);
+std::vector<double> read_frame_times(const fs::path& time_file, const std::vector<int>& numbers,
+                                     Log& sequence) {
+    const std::vector<std::optional<std::int64_t>> time_ns = read_stamps_ns(time_file);
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
     set_log_start(sequence, first_ns,
                   "after 1970; the files have no time zone, so their local times are read as UTC");
     std::vector<double> time_s;
-    for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
-        const std::size_t line = std::size_t(frame_numbers[i]);
+    for (std::size_t i = 0; i < numbers.size(); ++i) {
+        const std::size_t line = std::size_t(numbers[i]);
         if (line >= time_ns.size())
             fail("{}: found {} lines, but frame {} needs line {}", time_file.string(), time_ns.size(),
-                 frame_numbers[i], line + 1);
+                 numbers[i], line + 1);
         if (!time_ns[line])
             fail("{} line {}: the line is empty, expected the time of frame {}, because its scan exists",
-                 time_file.string(), line + 1, frame_numbers[i]);
+                 time_file.string(), line + 1, numbers[i]);
         time_s.push_back(double(*time_ns[line] - first_ns) * 1e-9);
         if (i > 0 && !(time_s[i] > time_s[i - 1]))
             fail("{} line {}: the time is not later than the time of frame {}, expected increasing times",
-                 time_file.string(), line + 1, frame_numbers[i - 1]);
+                 time_file.string(), line + 1, numbers[i - 1]);
     }
     return time_s;
 }
@@ -88,8 +86,7 @@ std::vector<double> read_relative_frame_times_s(const fs::path& time_file,
 namespace {
 
 /// Throws if the median is not a plausible period.
-double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::path& file,
-                              const char* missing_lines) {
+double find_period_s(std::vector<double> sweep_durations_s, const fs::path& file, const char* missing_lines) {
     if (sweep_durations_s.empty())
         fail("{}: found no {}, expected one line with a time for each sweep", file.string(), missing_lines);
     const double period_s = compute_median(std::move(sweep_durations_s));
@@ -100,23 +97,23 @@ double compute_sweep_period_s(std::vector<double> sweep_durations_s, const fs::p
 
 }  // namespace
 
-double read_median_sweep_duration_s(const fs::path& drive_folder) {
-    const fs::path file = drive_folder / "velodyne_points/timestamps_end.txt";
-    const auto start = read_timestamps_ns(drive_folder / "velodyne_points/timestamps_start.txt"),
-               end = read_timestamps_ns(file);
+double read_sweep_s(const fs::path& drive) {
+    const fs::path file = drive / "velodyne_points/timestamps_end.txt";
+    const auto start = read_stamps_ns(drive / "velodyne_points/timestamps_start.txt"),
+               end = read_stamps_ns(file);
     std::vector<double> lasts_s;
     for (std::size_t i = 0; i < std::min(start.size(), end.size()); ++i)
         if (start[i] && end[i]) lasts_s.push_back(double(*end[i] - *start[i]) * 1e-9);
-    return compute_sweep_period_s(std::move(lasts_s), file,
-                                  "sweep with a time both in this file and in timestamps_start.txt");
+    return find_period_s(std::move(lasts_s), file,
+                         "sweep with a time both in this file and in timestamps_start.txt");
 }
 
-double read_median_time_step_s(const fs::path& time_file) {
-    const auto time_ns = read_timestamps_ns(time_file);
+double read_time_step_s(const fs::path& time_file) {
+    const auto time_ns = read_stamps_ns(time_file);
     std::vector<double> lasts_s;
     for (std::size_t i = 1; i < time_ns.size(); ++i)
         if (time_ns[i - 1] && time_ns[i]) lasts_s.push_back(double(*time_ns[i] - *time_ns[i - 1]) * 1e-9);
-    return compute_sweep_period_s(std::move(lasts_s), time_file, "two consecutive lines with times");
+    return find_period_s(std::move(lasts_s), time_file, "two consecutive lines with times");
 }
 
 }  // namespace relidar::kitti

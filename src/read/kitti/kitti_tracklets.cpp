@@ -21,44 +21,39 @@ namespace {
 constexpr double kLargestOfLabel = 1e6;
 
 /// @throws DataError with track and field if the number is missing or out of range
-double read_number_field(const pugi::xml_node& node, const char* field_name,
-                         const std::string& error_location) {
-    const std::string text = node.child_value(field_name);
-    const auto value = parse_number(trim_blanks_at_both_ends(text));
+double read_tracklet_number(const pugi::xml_node& node, const char* name, const std::string& where) {
+    const std::string text = node.child_value(name);
+    const auto value = parse_number(trim(text));
     if (!value || !(std::abs(*value) <= kLargestOfLabel))
-        fail("{}: {} is '{}', expected a finite number of at most {:.0e}", error_location, field_name,
-             shorten_for_error_message(text), kLargestOfLabel);
+        fail("{}: {} is '{}', expected a finite number of at most {:.0e}", where, name, quote(text),
+             kLargestOfLabel);
     return *value;
 }
 
-Pose read_box_pose_in_sensor_frame(const pugi::xml_node& pose_item, double box_height_m,
-                                   const std::string& error_location) {
-    const auto get = [&](const char* field) { return read_number_field(pose_item, field, error_location); };
+Pose read_box_pose(const pugi::xml_node& pose_item, double box_height_m, const std::string& where) {
+    const auto get = [&](const char* field) { return read_tracklet_number(pose_item, field, where); };
     const glm::dquat rotation = make_rotation(get("rz"), get("ry"), get("rx"));
     return {rotation,
             glm::dvec3(get("tx"), get("ty"), get("tz")) + rotation * glm::dvec3(0, 0, 0.5 * box_height_m)};
 }
 
-BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
-                                          const std::vector<int>& frame_numbers,
-                                          const PoseTrack& world_from_sensor,
-                                          const std::string& error_location) {
+BoxTrack read_tracklet(const pugi::xml_node& tracklet_item, const std::vector<int>& numbers,
+                       const PoseTrack& world_from_sensor, const std::string& where) {
     BoxTrack track;
     track.category = tracklet_item.child_value("objectType");
-    track.size_m = {read_number_field(tracklet_item, "l", error_location),
-                    read_number_field(tracklet_item, "w", error_location),
-                    read_number_field(tracklet_item, "h", error_location)};
+    track.size_m = {read_tracklet_number(tracklet_item, "l", where),
+                    read_tracklet_number(tracklet_item, "w", where),
+                    read_tracklet_number(tracklet_item, "h", where)};
     if (!(std::min({track.size_m.x, track.size_m.y, track.size_m.z}) > 0.0))
-        fail("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0", error_location,
+        fail("{}: the size of a box is l {} w {} h {} m, expected three lengths above 0", where,
              track.size_m.x, track.size_m.y, track.size_m.z);
-    int frame = int(read_number_field(tracklet_item, "first_frame", error_location));
+    int frame = int(read_tracklet_number(tracklet_item, "first_frame", where));
     for (const pugi::xml_node& pose : tracklet_item.child("poses").children("item")) {
-        const auto matching_frame = std::lower_bound(frame_numbers.begin(), frame_numbers.end(), frame);
-        const Pose in_sensor = read_box_pose_in_sensor_frame(
-            pose, track.size_m.z, fmt::format("{} frame {}", error_location, frame));
+        const auto matching_frame = std::lower_bound(numbers.begin(), numbers.end(), frame);
+        const Pose in_sensor = read_box_pose(pose, track.size_m.z, fmt::format("{} frame {}", where, frame));
         ++frame;
-        if (matching_frame == frame_numbers.end() || *matching_frame != frame - 1) continue;
-        const std::size_t at = std::size_t(matching_frame - frame_numbers.begin());
+        if (matching_frame == numbers.end() || *matching_frame != frame - 1) continue;
+        const std::size_t at = std::size_t(matching_frame - numbers.begin());
         track.world_from_box.append(world_from_sensor.time_s[at], world_from_sensor.pose[at] * in_sensor);
     }
     return track;
@@ -66,9 +61,8 @@ BoxTrack read_world_box_track_of_tracklet(const pugi::xml_node& tracklet_item,
 
 }  // namespace
 
-std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_file,
-                                          const std::vector<int>& frame_numbers,
-                                          const PoseTrack& world_from_sensor) {
+std::vector<BoxTrack> read_tracklets(const std::filesystem::path& tracklet_file,
+                                     const std::vector<int>& numbers, const PoseTrack& world_from_sensor) {
     if (!does_path_exist(tracklet_file)) return {};
     const std::string text = read_text_file(tracklet_file);
     pugi::xml_document document;
@@ -83,8 +77,8 @@ std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_
     int number = 0;
     for (const pugi::xml_node& item : tracklets.children("item")) {
         const std::string id = std::to_string(number++);
-        BoxTrack track = read_world_box_track_of_tracklet(
-            item, frame_numbers, world_from_sensor, fmt::format("{}: track {}", tracklet_file.string(), id));
+        BoxTrack track = read_tracklet(item, numbers, world_from_sensor,
+                                       fmt::format("{}: track {}", tracklet_file.string(), id));
         track.id = id;
         if (!track.world_from_box.pose.empty()) tracks.push_back(std::move(track));
     }

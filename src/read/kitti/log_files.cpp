@@ -19,7 +19,7 @@ namespace {
 // A larger range means that the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 
-std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file, std::size_t n_points) {
+std::vector<SurfaceClass> read_classes(const fs::path& label_file, std::size_t n_points) {
     const std::string bytes = read_file(label_file);
     if (bytes.size() != 4 * n_points)
         fail("file {} has {} bytes, expected 4 bytes for each of the {} points of the scan",
@@ -28,14 +28,14 @@ std::vector<SurfaceClass> read_semantic_kitti_classes(const fs::path& label_file
     for (std::size_t i = 0; i < n_points; ++i) {
         std::uint32_t label;
         std::memcpy(&label, bytes.data() + 4 * i, sizeof label);
-        classes.push_back(convert_semantic_kitti_label(int(label & 0xFFFFu)));
+        classes.push_back(from_semantic_kitti(int(label & 0xFFFFu)));
     }
     return classes;
 }
 
 }  // namespace
 
-std::string describe_mistaken_kitti_folder(const fs::path& folder, const std::string& expected_subfolder) {
+std::string describe_mistake(const fs::path& folder, const std::string& expected_subfolder) {
     std::error_code failed;
     const auto has = [&](const char* name) { return fs::exists(folder / name, failed); };
     if ((has("velodyne") && (has("times.txt") || has("calib.txt"))) || has("sequences"))
@@ -60,30 +60,28 @@ std::string describe_mistaken_kitti_folder(const fs::path& folder, const std::st
                                 n, n == 1 ? "" : "s", (folder / first).string());
 }
 
-std::string describe_or_reject_missing_scan_files(const fs::path& folder,
-                                                  const std::vector<int>& frame_numbers, bool allow_missing) {
-    constexpr std::size_t kShown = 5;
-    const std::size_t n =
-        std::size_t(frame_numbers.back() - frame_numbers.front() + 1) - frame_numbers.size();
+std::string check_scan_files(const fs::path& folder, const std::vector<int>& numbers, bool allow_missing) {
+    constexpr std::size_t kMaxShownNumbers = 5;
+    const std::size_t n = std::size_t(numbers.back() - numbers.front() + 1) - numbers.size();
     if (n == 0) return "";
     std::vector<int> shown;
-    for (std::size_t i = 1; i < frame_numbers.size(); ++i) {
-        for (int frame = frame_numbers[i - 1] + 1; frame < frame_numbers[i] && shown.size() < kShown; ++frame)
+    for (std::size_t i = 1; i < numbers.size(); ++i) {
+        for (int frame = numbers[i - 1] + 1; frame < numbers[i] && shown.size() < kMaxShownNumbers; ++frame)
             shown.push_back(frame);
     }
     const std::string gaps =
-        fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, frame_numbers.front(),
-                    frame_numbers.back(), fmt::join(shown, ", "), n > kShown ? ", ..." : "");
+        fmt::format("{} of the scans with numbers {} to {} are missing ({}{})", n, numbers.front(),
+                    numbers.back(), fmt::join(shown, ", "), n > kMaxShownNumbers ? ", ..." : "");
     if (!allow_missing) fail("{}: {}, expected one file for each scan number", folder.string(), gaps);
     return gaps;
 }
 
-std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int end_number) {
-    require_existing_folder(folder, "KITTI raw scans with names like 0000000000.bin");
+std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_number) {
+    require_folder(folder, "KITTI raw scans with names like 0000000000.bin");
     std::vector<int> all, frames;
     bool text_scans = false;
-    for (const fs::path& file : list_folder_entries(folder)) {
-        const auto number = parse_file_stem_as_number(file.stem().string());
+    for (const fs::path& file : list_folder(folder)) {
+        const auto number = parse_stem(file.stem().string());
         if (file.extension() == ".bin" && number) all.push_back(*number);
         else if (file.extension() == ".bin" &&
                  file.stem().string().find_first_not_of("0123456789") == std::string::npos)
@@ -105,7 +103,7 @@ std::vector<int> list_scan_numbers(const fs::path& folder, int begin_number, int
     return frames;
 }
 
-ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& label_file) {
+ScanPoints read_kitti_scan(const fs::path& scan_file, const fs::path& label_file) {
     const std::string bytes = read_file(scan_file);
     static_assert(sizeof(glm::vec4) == 16);
     if (bytes.empty())
@@ -121,15 +119,15 @@ ScanPoints read_kitti_scan_points(const fs::path& scan_file, const fs::path& lab
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-        if (!is_valid_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
+        if (!is_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
         fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
              scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
     }
     if (!label_file.empty() && does_path_exist(label_file))
-        scan.classes = read_semantic_kitti_classes(label_file, points.size());
+        scan.classes = read_classes(label_file, points.size());
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        if (!is_valid_return_point(points[i])) continue;
+        if (!is_return_point(points[i])) continue;
         if (!scan.classes.empty()) scan.classes[n] = scan.classes[i];
         points[n++] = points[i];
     }

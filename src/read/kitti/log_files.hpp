@@ -18,7 +18,7 @@ namespace relidar::kitti {
 /// @param end_number  first number that is not returned; -1: no limit
 /// @throws DataError if the folder or its scans do not exist
 /// @throws UsageError if the range contains no scan
-std::vector<int> list_scan_numbers(const std::filesystem::path& folder, int begin_number, int end_number);
+std::vector<int> list_scans(const std::filesystem::path& folder, int begin_number, int end_number);
 
 struct ScanPoints {
     std::vector<glm::vec4> points;      ///< x, y, z in metres in the sensor frame, and reflectance
@@ -29,71 +29,65 @@ struct ScanPoints {
 /// the class; may not exist
 /// @throws DataError if the scan is truncated, empty or invalid, or if the number of
 /// labels differs
-ScanPoints read_kitti_scan_points(const std::filesystem::path& scan_file,
-                                  const std::filesystem::path& label_file = {});
+ScanPoints read_kitti_scan(const std::filesystem::path& scan_file,
+                           const std::filesystem::path& label_file = {});
 
 /// Returns a note about missing scan files, or an empty string.
 /// @throws DataError if scan files are missing and allow_missing is false
-std::string describe_or_reject_missing_scan_files(const std::filesystem::path& folder,
-                                                  const std::vector<int>& frame_numbers, bool allow_missing);
+std::string check_scan_files(const std::filesystem::path& folder, const std::vector<int>& numbers,
+                             bool allow_missing);
 
 /// Returns an error message that names the folder to use instead, for an odometry
 /// sequence, a folder of drives, and a folder inside a drive. Otherwise an empty string.
 /// @param expected_subfolder  subfolder that every drive has
-std::string describe_mistaken_kitti_folder(const std::filesystem::path& folder,
-                                           const std::string& expected_subfolder);
+std::string describe_mistake(const std::filesystem::path& folder, const std::string& expected_subfolder);
 
 /// Returns seconds after the first time in the file. Line i contains the time of frame i.
 /// The line is empty if the frame has no scan. Times can cross midnight.
 /// @throws DataError if a requested frame has no time, or if times do not increase
 /// @param sequence  gets the date of the log
-std::vector<double> read_relative_frame_times_s(const std::filesystem::path& time_file,
-                                                const std::vector<int>& frame_numbers,
-                                                LidarSequence& sequence);
+std::vector<double> read_frame_times(const std::filesystem::path& time_file, const std::vector<int>& numbers,
+                                     Log& sequence);
 
 /// Returns the median of the times in timestamps_end.txt minus timestamps_start.txt.
-double read_median_sweep_duration_s(const std::filesystem::path& drive_folder);
+double read_sweep_s(const std::filesystem::path& drive);
 
 /// Returns the median time between consecutive lines of a timestamp file.
-double read_median_time_step_s(const std::filesystem::path& time_file);
+double read_time_step_s(const std::filesystem::path& time_file);
 
 /// Reads the keys R (9 numbers, row-major) and T (3 numbers) of a calibration file.
-Pose read_calibration_transform(const std::filesystem::path& file);
+Pose read_calibration(const std::filesystem::path& file);
 
 /// Reads the line "key: 12 numbers", a 3x4 matrix, row-major.
-Pose read_transform_of_key(const std::filesystem::path& file, const std::string& key);
+Pose read_transform(const std::filesystem::path& file, const std::string& key);
 
 /// Computes the LiDAR poses from GPS/IMU data (OXTS). Uses the Mercator projection at the
 /// latitude of the first frame of the log, with x to the east and y to the north. The
 /// origin of the world frame is the IMU in that frame.
 /// @throws DataError with the file, or with the setting to use if the drive has no OXTS
 /// data
-std::vector<Pose> compute_lidar_poses_from_oxts_files(const std::filesystem::path& drive_folder,
-                                                      const std::vector<int>& frame_numbers);
+std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std::vector<int>& numbers);
 
 /// Line i contains the pose of frame i as 12 numbers: a 3x4 matrix, row-major.
-std::vector<Pose> read_pose_matrices(const std::filesystem::path& pose_file,
-                                     const std::vector<int>& frame_numbers);
+std::vector<Pose> read_matrices(const std::filesystem::path& pose_file, const std::vector<int>& numbers);
 
-/// Reads a matrix per line (as read_pose_matrices()), or poses with times (as
-/// read::read_frame_poses()).
-std::vector<Pose> read_user_pose_file(const std::filesystem::path& pose_file,
-                                      const std::vector<int>& frame_numbers,
-                                      const std::vector<double>& frame_times_s, Notes& notes);
+/// Reads a matrix per line (as read_matrices()), or poses with times (as
+/// read::load_poses()).
+std::vector<Pose> read_user_poses(const std::filesystem::path& pose_file, const std::vector<int>& numbers,
+                                  const std::vector<double>& times_s, Notes& notes);
 
 inline const Note kNoPosesNote{
     "no_poses", -1, "poses are not read (dataset.poses=none); they must be estimated from the scans"};
 
 /// Boxes move with the vehicle. Does nothing if no file is given.
-void replace_vehicle_poses_from_file(LidarSequence& sequence, const std::filesystem::path& pose_file);
+void replace_poses(Log& sequence, const std::filesystem::path& pose_file);
 
 /// Each line contains a frame number and a 3x4 matrix. The frame numbers must increase.
-std::map<int, Pose> read_poses_by_frame_number(const std::filesystem::path& file);
+std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
 
 /// Reads tracklet_labels.xml, if it exists.
 /// @param world_from_sensor  sensor poses, one per frame
-std::vector<BoxTrack> read_tracklet_boxes(const std::filesystem::path& tracklet_file,
-                                          const std::vector<int>& frame_numbers,
-                                          const PoseTrack& world_from_sensor);
+std::vector<BoxTrack> read_tracklets(const std::filesystem::path& tracklet_file,
+                                     const std::vector<int>& numbers, const PoseTrack& world_from_sensor);
 
 }  // namespace relidar::kitti

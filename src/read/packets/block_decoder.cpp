@@ -39,13 +39,13 @@ namespace {
 
 constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3E, kTriple = 0x3D;
 constexpr int kNoRing = -1;
-constexpr double kDegree = kPi / 180.0;
+constexpr double kRadPerDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
 /// A ray keeps at most two returns. A third return replaces the darker of the two, if it
 /// is brighter and differs in range from both.
-void keep_two_brightest_returns_of_ray(std::array<DecodedReturn, 2>& ray_returns, std::size_t return_index,
-                                       const DecodedReturn& new_return) {
+void keep_brightest(std::array<DecodedReturn, 2>& ray_returns, std::size_t return_index,
+                    const DecodedReturn& new_return) {
     if (return_index < 2) {
         ray_returns[return_index] = new_return;
         return;
@@ -63,35 +63,33 @@ class BlockDecoder : public PacketDecoder {
 public:
     BlockDecoder(const PacketLayout& layout, const std::vector<AngleCorrection>& corrections)
         : layout_(layout) {
-        if (layout.has_correction_file) set_laser_angles_if_one_file_matches(corrections);
+        if (layout.has_correction_file) set_laser_angles(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
-        timing_.parts = int(layout.count_firing_sequences());
-        table_ = get_beam_firings(layout.sensor);
-        beams_ = list_beams_of_packet_layout(layout);
+        timing_.parts = int(layout.n_sequences());
+        table_ = read_firings(layout.sensor);
+        beams_ = list_beams(layout);
         if (!angles_.empty()) {
             for (PacketBeam& beam : beams_) beam.elevation_deg = angles_[beam.laser].elevation_deg;
             std::ranges::stable_sort(beams_, std::greater(), &PacketBeam::elevation_deg);
         }
-        ring_of_.assign(layout.count_firing_sequences(),
-                        std::vector<int>(layout.count_lasers_per_firing(), kNoRing));
+        ring_of_.assign(layout.n_sequences(), std::vector<int>(layout.n_lasers(), kNoRing));
         for (std::size_t ring = 0; ring < beams_.size(); ++ring) {
             ring_of_[beams_[ring].part][beams_[ring].laser] = int(ring);
             timing_.offset_us.push_back(beams_[ring].offset_us);
         }
     }
 
-    const FiringTiming& get_laser_timing() const override { return timing_; }
+    const FiringTiming& timing() const override { return timing_; }
 
-    std::string describe_lidar_product() const override {
+    std::string describe_product() const override {
         return fmt::format("{}, {}", layout_.name, angles_about_);
     }
 
-    SpinningSensor make_spinning_sensor_model(int columns_per_revolution,
-                                              double rotation_rate_hz) const override {
+    SpinningSensor make_sensor(int columns_per_revolution, double rotation_rate_hz) const override {
         auto sensor = std::get<SpinningSensor>(
-            find_built_in_sensor(layout_.sensor, columns_per_revolution, rotation_rate_hz)->pattern);
+            find_built_in(layout_.sensor, columns_per_revolution, rotation_rate_hz)->pattern);
         const double turned_rad_us = 2e-6 * kPi * rotation_rate_hz;
         const std::vector<Beam> nominal = sensor.beams;
         sensor.beams.clear();
@@ -100,15 +98,15 @@ public:
             beam.azimuth_offset_rad += turned_rad_us * (table_[row.line].offset_us - row.offset_us);
             if (angles_.empty()) continue;
             const LaserAngles& angles = angles_[row.laser];
-            beam.elevation_rad = angles.elevation_deg * kDegree;
-            beam.azimuth_offset_rad = -angles.azimuth_deg * kDegree - turned_rad_us * row.offset_us;
+            beam.elevation_rad = angles.elevation_deg * kRadPerDegree;
+            beam.azimuth_offset_rad = -angles.azimuth_deg * kRadPerDegree - turned_rad_us * row.offset_us;
         }
         return sensor;
     }
 
     DecodedPacket decode_packet(std::string_view packet_bytes) const override {
         DecodedPacket packet;
-        packet.clock_ns = read_sensor_clock_ns(packet_bytes);
+        packet.clock_ns = read_clock_ns(packet_bytes);
         const auto mode = layout_.mode_at > 0 ? std::uint8_t(packet_bytes[layout_.mode_at]) : std::uint8_t(0);
         std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;  // per firing
         if (mode == kTriple) n_returns = 3;
@@ -121,18 +119,18 @@ public:
         codecs::ByteReader reader(packet_bytes.substr(layout_.blocks_at));
         for (std::size_t b = 0; b < layout_.n_blocks / n_joined * n_joined; ++b) {
             const std::size_t bank = b % n_joined / n_returns;
-            const double azimuth_deg = read_block_azimuth_deg(reader, bank);
+            const double azimuth_deg = read_azimuth_deg(reader, bank);
             for (std::size_t f = 0; f < layout_.firings * layout_.block_returns; ++f) {
                 const std::size_t slot = b / n_joined * layout_.firings + f / layout_.block_returns;
                 LaserFiring& firing = packet.firings[slot];
                 firing.azimuth_deg = azimuth_deg;
-                firing.part = read_firing_sequence_index(packet_bytes, b / n_joined, n_returns);
+                firing.part = read_sequence(packet_bytes, b / n_joined, n_returns);
                 const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
-                read_block_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
-                                  &packet.echoes[slot * beams_.size()]);
+                read_echoes(reader, unit_m, b % n_returns + f % layout_.block_returns, rings,
+                            &packet.echoes[slot * beams_.size()]);
             }
         }
-        set_firing_times_and_azimuths(packet);
+        set_firings(packet);
         return packet;
     }
 
@@ -149,8 +147,8 @@ private:
 
     /// Selects the angle correction file with the right number of lasers. Uses no file if
     /// several match, because nothing shows which file belongs to the sensor.
-    void set_laser_angles_if_one_file_matches(const std::vector<AngleCorrection>& corrections) {
-        const std::size_t n = layout_.count_lasers_per_firing();
+    void set_laser_angles(const std::vector<AngleCorrection>& corrections) {
+        const std::size_t n = layout_.n_lasers();
         std::string files, reasons;  // reasons: why other files are not used
         for (const AngleCorrection& correction : corrections) {
             if (correction.lasers.size() != n && correction.is_named)
@@ -168,8 +166,7 @@ private:
                 angles_.clear();
                 angles_about_ = fmt::format(
                     "beam angles from the data sheet, because {} and {} both have angles of {} lasers; the "
-                    "file "
-                    "of this sensor needs the name of the recording",
+                    "file of this sensor needs the name of the recording",
                     files, correction.where, n);
                 return;
             }
@@ -182,37 +179,32 @@ private:
 
     /// Returns which of two sets of lasers fires, 0 or 1.
     /// @param firing_index  index of the firing in the packet
-    int read_firing_sequence_index(std::string_view packet_bytes, std::size_t firing_index,
-                                   std::size_t n_returns) const {
+    int read_sequence(std::string_view packet_bytes, std::size_t firing_index, std::size_t n_returns) const {
         if (layout_.part_rule == FiringSequenceRule::none) return 0;
         codecs::ByteReader reader(packet_bytes.substr(layout_.part_at));
         if (layout_.part_rule == FiringSequenceRule::azimuth_state)
-            return reader.read_little_endian_number<std::uint16_t>() >> (14 - 2 * firing_index * n_returns) &
-                   1;
-        return n_returns == 1 ? int(firing_index)
-                              : 1 - (reader.read_little_endian_number<std::uint8_t>() & 1);
+            return reader.read_number<std::uint16_t>() >> (14 - 2 * firing_index * n_returns) & 1;
+        return n_returns == 1 ? int(firing_index) : 1 - (reader.read_number<std::uint8_t>() & 1);
     }
 
-    std::uint16_t read_uint16_in_packet_byte_order(codecs::ByteReader& reader) const {
-        const auto value = reader.read_little_endian_number<std::uint16_t>();
+    std::uint16_t read_u16(codecs::ByteReader& reader) const {
+        const auto value = reader.read_number<std::uint16_t>();
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
-    std::int64_t read_sensor_clock_ns(std::string_view packet_bytes) const {
+    std::int64_t read_clock_ns(std::string_view packet_bytes) const {
         codecs::ByteReader reader(packet_bytes.substr(layout_.time_at));
-        if (!layout_.is_big_endian)
-            return std::int64_t(1000) * reader.read_little_endian_number<std::uint32_t>();
-        const std::int64_t passed_ms = read_uint16_in_packet_byte_order(reader),
-                           passed_us = read_uint16_in_packet_byte_order(reader);
+        if (!layout_.is_big_endian) return std::int64_t(1000) * reader.read_number<std::uint32_t>();
+        const std::int64_t passed_ms = read_u16(reader), passed_us = read_u16(reader);
         return 1'000'000 * passed_ms + 1000 * passed_us;
     }
 
-    double read_block_azimuth_deg(codecs::ByteReader& reader, std::size_t block_in_firing) const {
+    double read_azimuth_deg(codecs::ByteReader& reader, std::size_t block_in_firing) const {
         const unsigned flag = 0xEEFF - 0x1100 * unsigned(block_in_firing);
-        if (layout_.flagged && reader.read_little_endian_number<std::uint16_t>() != flag)
+        if (layout_.flagged && reader.read_number<std::uint16_t>() != flag)
             fail("a block of a packet does not begin with FF {:X}, expected a packet of a {}", flag >> 8,
                  layout_.name);
-        const double azimuth_deg = 0.01 * read_uint16_in_packet_byte_order(reader);
+        const double azimuth_deg = 0.01 * read_u16(reader);
         if (azimuth_deg > 360.0)
             fail("a packet has an azimuth of {} degrees, expected less than 360", azimuth_deg);
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
@@ -220,23 +212,21 @@ private:
 
     /// @param ring_of_laser  [lasers of the block]
     /// @param returns_of_each_ring  [rings] output
-    void read_block_echoes(codecs::ByteReader& reader, double range_unit_m, std::size_t return_index,
-                           const int* ring_of_laser,
-                           std::array<DecodedReturn, 2>* returns_of_each_ring) const {
+    void read_echoes(codecs::ByteReader& reader, double range_unit_m, std::size_t return_index,
+                     const int* ring_of_laser, std::array<DecodedReturn, 2>* returns_of_each_ring) const {
         for (std::size_t laser = 0; laser < layout_.block_lasers; ++laser) {
             codecs::ByteReader unit(reader.read_bytes(layout_.unit_bytes));
-            const auto range = read_uint16_in_packet_byte_order(unit);
-            const auto reflectivity = unit.read_little_endian_number<std::uint8_t>();
+            const auto range = read_u16(unit);
+            const auto reflectivity = unit.read_number<std::uint8_t>();
             if (ring_of_laser[laser] == kNoRing || range <= layout_.last_marker) continue;
-            keep_two_brightest_returns_of_ray(
-                returns_of_each_ring[ring_of_laser[laser]], return_index,
-                {float(range_unit_m * double(range)), float(reflectivity) / 255.0f});
+            keep_brightest(returns_of_each_ring[ring_of_laser[laser]], return_index,
+                           {float(range_unit_m * double(range)), float(reflectivity) / 255.0f});
         }
     }
 
     /// If a block contains several firings, it stores only one azimuth, so the other
     /// azimuths are interpolated.
-    void set_firing_times_and_azimuths(DecodedPacket& packet) const {
+    void set_firings(DecodedPacket& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
         for (int slot = 0; slot < n; ++slot) {
@@ -261,12 +251,12 @@ private:
 
 }  // namespace
 
-std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout) {
+std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     std::int32_t first_ns = std::numeric_limits<std::int32_t>::max();
     for (const LaserFiringTimes& times : layout.loops)
         for (const std::int32_t time_ns : times)
             if (time_ns >= 0) first_ns = std::min(first_ns, time_ns);
-    const std::vector<BeamFiring> table = get_beam_firings(layout.sensor);
+    const std::vector<BeamFiring> table = read_firings(layout.sensor);
     std::vector<PacketBeam> beams;
     for (std::size_t line = 0; line < table.size(); ++line) {
         PacketBeam beam{std::size_t(table[line].channel - layout.first_channel), 0, line, 0.0,
@@ -281,8 +271,8 @@ std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout) 
     return beams;
 }
 
-std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
-                                                         const DecoderCalibration& calibration) {
+std::unique_ptr<PacketDecoder> make_block_decoder(const char* product_name,
+                                                  const DecoderCalibration& calibration) {
     const PacketLayout* layout = nullptr;
     for (const PacketLayout& row : kLayouts)
         if (row.name == std::string(product_name) ||

@@ -123,8 +123,8 @@ struct PacketLayout {
     FiringSequenceRule part_rule = FiringSequenceRule::none;
     std::size_t part_at = 0;  ///< byte offset of the field that contains the firing sequence
 
-    std::size_t count_lasers_per_firing() const { return block_lasers * banks; }
-    std::size_t count_firing_sequences() const { return loops.empty() ? 1 : loops.size(); }
+    std::size_t n_lasers() const { return block_lasers * banks; }
+    std::size_t n_sequences() const { return loops.empty() ? 1 : loops.size(); }
 };
 
 /// One laser in one firing sequence. It measures one row of a scan.
@@ -140,7 +140,7 @@ struct PacketBeam {
 
 /// Returns the beams (rows of a scan) of a sensor, in the order of its built-in beam
 /// table. A laser that fires in two firing sequences has two beams.
-std::vector<PacketBeam> list_beams_of_packet_layout(const PacketLayout& layout);
+std::vector<PacketBeam> list_beams(const PacketLayout& layout);
 
 /// Velodyne: 12 blocks that begin with FF EE. A firing of the VLS-128 takes 55.3 us,
 /// although its manual states 53.3 us.

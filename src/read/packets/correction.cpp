@@ -21,25 +21,25 @@ constexpr std::uintmax_t kMostCorrectionBytes = 65536;
 constexpr std::size_t kMostCorrections = 64;
 constexpr double kMostCorrectedLasers = 1024.0;
 
-bool is_equal_ignoring_case(std::string_view text, std::string_view lowercase_text) {
+bool equals_no_case(std::string_view text, std::string_view lowercase_text) {
     return std::ranges::equal(text, lowercase_text, [](char first, char second) {
         return std::tolower(static_cast<unsigned char>(first)) == second;
     });
 }
 
-bool is_angle_correction_file(const fs::path& file) {
+bool is_angle_file(const fs::path& file) {
     std::error_code failed;
-    if (!is_equal_ignoring_case(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
+    if (!equals_no_case(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
         fs::file_size(file, failed) > kMostCorrectionBytes)
         return false;
     const std::vector<std::string> lines = split_lines(read_file(file));
     if (lines.empty()) return false;
     const std::vector<std::string_view> header = split_csv_cells(lines.front());
-    return header.size() >= 3 && is_equal_ignoring_case(header[1], "elevation") &&
-           is_equal_ignoring_case(header[2], "azimuth");
+    return header.size() >= 3 && equals_no_case(header[1], "elevation") &&
+           equals_no_case(header[2], "azimuth");
 }
 
-void add_angle_corrections_in_folder(const fs::path& folder, std::vector<AngleCorrection>& corrections) {
+void add_angle_files(const fs::path& folder, std::vector<AngleCorrection>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;
     for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
@@ -47,8 +47,8 @@ void add_angle_corrections_in_folder(const fs::path& folder, std::vector<AngleCo
     std::ranges::sort(files);
     for (const fs::path& file : files) {
         try {
-            if (corrections.size() < kMostCorrections && is_angle_correction_file(file))
-                corrections.push_back(parse_angle_correction(read_text_file(file), file.filename().string()));
+            if (corrections.size() < kMostCorrections && is_angle_file(file))
+                corrections.push_back(parse_angles(read_text_file(file), file.filename().string()));
         } catch (const DataError& error) {
             corrections.push_back({file.filename().string(), false, {}, error.what()});
         }
@@ -57,7 +57,7 @@ void add_angle_corrections_in_folder(const fs::path& folder, std::vector<AngleCo
 
 }  // namespace
 
-AngleCorrection parse_angle_correction(const std::string& csv_text, const std::string& error_location) {
+AngleCorrection parse_angles(const std::string& csv_text, const std::string& where) {
     std::map<std::size_t, LaserAngles> angles;
     for (const std::string& line : split_lines(csv_text)) {
         const std::vector<std::string_view> cells = split_csv_cells(line);
@@ -67,20 +67,20 @@ AngleCorrection parse_angle_correction(const std::string& csv_text, const std::s
         if (!(*laser >= 1.0 && *laser <= kMostCorrectedLasers) || !elevation || !azimuth ||
             !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
             fail("{}: found the line '{}', expected the number of a laser, its elevation and its azimuth",
-                 error_location, shorten_for_error_message(line));
+                 where, quote(line));
         angles[std::size_t(*laser)] = {*elevation, *azimuth};
     }
-    AngleCorrection correction{error_location, false, {}};
+    AngleCorrection correction{where, false, {}};
     for (const auto& [laser, laser_angles] : angles) {
         correction.lasers.push_back(laser_angles);
         if (laser != correction.lasers.size())
-            fail("{}: the angles of laser {} are missing, expected the angles of all lasers up to {}",
-                 error_location, correction.lasers.size(), angles.rbegin()->first);
+            fail("{}: the angles of laser {} are missing, expected the angles of all lasers up to {}", where,
+                 correction.lasers.size(), angles.rbegin()->first);
     }
     return correction;
 }
 
-std::vector<AngleCorrection> find_angle_corrections(const std::vector<fs::path>& recording_files) {
+std::vector<AngleCorrection> find_angle_files(const std::vector<fs::path>& recording_files) {
     std::set<fs::path> named, folders;
     for (const fs::path& file : recording_files) {
         const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
@@ -89,16 +89,16 @@ std::vector<AngleCorrection> find_angle_corrections(const std::vector<fs::path>&
         const bool is_ros2_folder = does_path_exist(folder / "metadata.yaml");
         folders.insert(folder);
         if (is_ros2_folder) folders.insert(fs::absolute(folder).parent_path());
-        if (is_angle_correction_file(of_file)) named.insert(of_file);
-        else if (is_ros2_folder && is_angle_correction_file(of_folder)) named.insert(of_folder);
+        if (is_angle_file(of_file)) named.insert(of_file);
+        else if (is_ros2_folder && is_angle_file(of_folder)) named.insert(of_folder);
     }
     std::vector<AngleCorrection> corrections;
     for (const fs::path& file : named) {
-        corrections.push_back(parse_angle_correction(read_text_file(file), file.filename().string()));
+        corrections.push_back(parse_angles(read_text_file(file), file.filename().string()));
         corrections.back().is_named = true;
     }
     if (!corrections.empty()) return corrections;
-    for (const fs::path& folder : folders) add_angle_corrections_in_folder(folder, corrections);
+    for (const fs::path& folder : folders) add_angle_files(folder, corrections);
     return corrections;
 }
 

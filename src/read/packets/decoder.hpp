@@ -74,12 +74,11 @@ public:
     virtual ~PacketDecoder() = default;
     /// @throws DataError if the packet is invalid
     virtual DecodedPacket decode_packet(std::string_view packet_bytes) const = 0;
-    virtual const FiringTiming& get_laser_timing() const = 0;
+    virtual const FiringTiming& timing() const = 0;
     /// Returns the sensor, highest beam first.
-    virtual SpinningSensor make_spinning_sensor_model(int columns_per_revolution,
-                                                      double rotation_rate_hz) const = 0;
+    virtual SpinningSensor make_sensor(int columns_per_revolution, double rotation_rate_hz) const = 0;
     /// Returns the name of the product and the source of its beam angles.
-    virtual std::string describe_lidar_product() const = 0;
+    virtual std::string describe_product() const = 0;
 };
 
 // Angle correction file of a Hesai sensor: the angles of each laser of one unit in
@@ -97,16 +96,15 @@ struct AngleCorrection {
     std::string problem = {};         ///< why the file cannot be read; empty if it was read
 };
 
-/// @param error_location  name of the file, for error messages
+/// @param place  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
-AngleCorrection parse_angle_correction(const std::string& csv_text, const std::string& error_location);
+AngleCorrection parse_angles(const std::string& csv_text, const std::string& place);
 
 /// Reads the .csv files that have the names of the recording's files. If there are none,
 /// reads all .csv files in the folder of the recording (for a ROS 2 bag, also in the
 /// folder above) that begin like an angle correction. A damaged file has no lasers.
 /// @throws DataError if the file with the name of the recording is damaged
-std::vector<AngleCorrection> find_angle_corrections(
-    const std::vector<std::filesystem::path>& recording_files);
+std::vector<AngleCorrection> find_angle_files(const std::vector<std::filesystem::path>& recording_files);
 
 struct OusterMetadata;
 
@@ -131,37 +129,36 @@ struct LidarProduct {
     const char* driver = "";
 };
 /// Returns null if no product has packets of this size and header.
-const LidarProduct* find_product_of_packet(std::string_view packet_bytes,
-                                           const DecoderCalibration& calibration);
+const LidarProduct* find_product(std::string_view packet_bytes, const DecoderCalibration& calibration);
 /// Returns the error message for packets that relidar cannot decode.
-std::string format_unsupported_packet_error(const LidarProduct* product, std::string_view packet_bytes);
+std::string unsupported_text(const LidarProduct* product, std::string_view packet_bytes);
 
 /// Returns true if the packets of an RS-LiDAR-16 contain two returns per firing. The
 /// packets do not state this. With two returns, the time between packets is half as long.
-bool has_two_returns_per_firing(const std::vector<ReceivedPacket>& packets);
+bool is_dual_rs16(const std::vector<ReceivedPacket>& packets);
 
 // Creators of decoders: for Velodyne, Hesai and RS-LiDAR-16, and for Ouster.
-std::unique_ptr<PacketDecoder> make_block_packet_decoder(const char* product_name,
-                                                         const DecoderCalibration& calibration);
-std::unique_ptr<PacketDecoder> make_ouster_packet_decoder(const char* product_name,
-                                                          const DecoderCalibration& calibration);
+std::unique_ptr<PacketDecoder> make_block_decoder(const char* product_name,
+                                                  const DecoderCalibration& calibration);
+std::unique_ptr<PacketDecoder> make_ouster_decoder(const char* product_name,
+                                                   const DecoderCalibration& calibration);
 
 // Livox sensors that use the protocol of Livox SDK2 (Mid-360, HAP). They do not rotate.
 // As in Livox's driver, the packets of 0.1 s form one cloud.
 
-/// Encoding and message type of the clouds that make_livox_cloud_message() returns.
+/// Encoding and message type of the clouds that join_livox_packets() returns.
 inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
 /// Duration of a cloud: slightly below 0.1 s, so that one starts about every 0.1 s.
 inline constexpr std::int64_t kLivoxCloud_ns = 99'000'000;
 inline constexpr std::size_t kMostLivoxPackets = 4096;  ///< maximum number of packets in one cloud
 
 /// Returns false for packets of the IMU.
-bool is_livox_point_packet(std::string_view packet_bytes);
+bool is_livox_packet(std::string_view packet_bytes);
 
 /// Joins packets to a cloud, a message of Livox's driver in the encoding of ROS 1. Omits
 /// rays without a return, whose directions the packets do not contain.
 /// @param packed_packets  for each packet: time stamp (64 bits), length (32 bits), bytes
 /// @throws DataError if the list of packets is damaged
-std::string make_livox_cloud_message(std::string_view packed_packets, std::string_view frame_id);
+std::string join_livox_packets(std::string_view packed_packets, std::string_view frame_id);
 
 }  // namespace relidar::packets

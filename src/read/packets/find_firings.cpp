@@ -1,22 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
 // Groups the rays of a scan by firing (all lasers at one azimuth), because a packet
 // stores complete firings. In a range image, firing f of a beam is stored in the column f
-// - compute_beam_azimuth_offset_columns(beam).
+// - offset_columns(beam).
 #include <algorithm>
 #include <cmath>
 
 #include <relidar/base/math.hpp>
 
 #include "base/fail.hpp"
-#include "read/packets/packet_format.hpp"
 #include "log/sensor/beam_geometry.hpp"
+#include "read/packets/packet_format.hpp"
 
 namespace relidar::packets {
 namespace {
 
 constexpr double kMinRevolutionFraction = 0.05;  // minimum part of a turn that a scan must cover
 constexpr double kSameFiring_us = 1.0;
-constexpr double kFar_m = 1e4;  // distance at which the direction of a ray without a return is computed
+constexpr double kProbeRange_m =
+    1e4;  // distance at which the direction of a ray without a return is computed
 
 /// Finds the ray of each ring in a firing of a scan.
 class FiringRayTable {
@@ -26,12 +27,11 @@ public:
             fail<UsageError>(
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} beams",
                 sensor.name, scan.rays.rows, sensor.beams.size());
-        for (const Beam& beam : sensor.beams)
-            shift_.push_back(compute_beam_azimuth_offset_columns(beam, columns_));
+        for (const Beam& beam : sensor.beams) shift_.push_back(offset_columns(beam, columns_));
     }
     std::size_t n_rings() const { return shift_.size(); }
     int n_firings() const { return columns_; }
-    std::size_t get_ray_index(std::size_t ring, int firing) const {
+    std::size_t ray_at(std::size_t ring, int firing) const {
         const int column = ((firing - shift_[ring]) % columns_ + columns_) % columns_;
         return ring * std::size_t(columns_) + std::size_t(column);
     }
@@ -43,13 +43,13 @@ private:
 
 /// Returns the difference between the latest and the earliest time in each firing after
 /// subtracting `beam_delays_us`, summed over all firings. 0: the delays fit perfectly.
-double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
-                                     const std::vector<double>& beam_delays_us) {
+double time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
+                      const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < firing_rays.n_firings(); ++firing) {
         double first = INFINITY, last = -INFINITY;
         for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
-            const std::size_t ray = firing_rays.get_ray_index(ring, firing);
+            const std::size_t ray = firing_rays.ray_at(ring, firing);
             if (scan.range_m[ray] <= 0.0f) continue;
             const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
             first = std::min(first, time_us);
@@ -62,14 +62,14 @@ double compute_firing_time_spread_us(const Scan& scan, const FiringRayTable& fir
 
 /// Computes time and azimuth of a firing as the mean over its rays. Uses only rays with a
 /// return, because their directions are measured. Uses all rays if none has a return.
-FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firing_rays, int firing_index,
-                                   const std::vector<BeamRayGenerator>& beams,
-                                   const std::vector<double>& beam_delays_us) {
+FiringColumn join_rays(const Scan& scan, const FiringRayTable& firing_rays, int firing_index,
+                       const std::vector<BeamRayGenerator>& beams,
+                       const std::vector<double>& beam_delays_us) {
     FiringColumn column{.is_measured = true, .returns = {}};
     column.returns.resize(firing_rays.n_rings());
     std::size_t n_returned = 0, n_used = 0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
-        const std::size_t ray = firing_rays.get_ray_index(ring, firing_index);
+        const std::size_t ray = firing_rays.ray_at(ring, firing_index);
         auto& [first, second] = column.returns[ring];
         first = {scan.range_m[ray], scan.intensity[ray]};
         if (!scan.second_returns.empty())
@@ -78,11 +78,11 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firin
     }
     double east = 0.0, north = 0.0;
     for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
-        const std::size_t ray = firing_rays.get_ray_index(ring, firing_index);
-        const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kFar_m;
+        const std::size_t ray = firing_rays.ray_at(ring, firing_index);
+        const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kProbeRange_m;
         if (range_m <= 0.0) continue;
-        const double head = beams[ring].compute_head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
-                                                             glm::dvec3(scan.rays.direction[ray]) * range_m);
+        const double head = beams[ring].azimuth_facing(glm::dvec3(scan.rays.origin[ray]) +
+                                                       glm::dvec3(scan.rays.direction[ray]) * range_m);
         east += std::cos(head);
         north += std::sin(head);
         column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * beam_delays_us[ring];
@@ -96,7 +96,7 @@ FiringColumn make_firing_from_rays(const Scan& scan, const FiringRayTable& firin
 
 /// A log has no measured times of firings without returns. Uses the nearest firing with a
 /// return, and the rotation of the head between the two.
-void correct_times_of_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
+void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_period_s) {
     std::vector<std::ptrdiff_t> lit;  // firings with returns
     for (std::size_t i = 0; i < firings.size(); ++i)
         if (firings[i].has_returns) lit.push_back(std::ptrdiff_t(i));
@@ -127,14 +127,14 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     // In a recorded scan, ray times include the firing delay of each laser. In a rendered
     // scan, all lasers fire simultaneously. Uses what fits this scan better.
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
-    const bool has_laser_times = compute_firing_time_spread_us(scan, image, beam_delays_us) <
-                                 compute_firing_time_spread_us(scan, image, no_offset);
-    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
+    const bool has_laser_times =
+        time_spread_us(scan, image, beam_delays_us) < time_spread_us(scan, image, no_offset);
+    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
     std::vector<FiringColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(
-            make_firing_from_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
-    if (has_laser_times) correct_times_of_empty_firings(columns, sensor.period_s);
+            join_rays(scan, image, firing, beams, has_laser_times ? beam_delays_us : no_offset));
+    if (has_laser_times) time_empty_firings(columns, sensor.period_s);
     // Sorts firings by the rotation angle of the head. Times in a log are not exact, so
     // they only decide in which turn a firing is.
     const FiringColumn middle = columns[columns.size() / 2];

@@ -8,9 +8,9 @@
 #include <vector>
 
 #include "base/fail.hpp"
-#include "read/scans/arrange_firings.hpp"
-#include "read/packets/packet_log.hpp"
 #include "log/sensor/beam_geometry.hpp"
+#include "read/packets/packet_log.hpp"
+#include "read/scans/arrange_firings.hpp"
 
 namespace relidar::packets {
 struct RevolutionPoints {
@@ -36,9 +36,8 @@ constexpr std::size_t kMostUnmeasured = 8;
 
 /// Sets `column_has_fired` of long runs of columns without measurements, so that their
 /// rays become rays without a return. Skips columns whose packets were lost.
-void mark_long_gaps_without_returns_as_fired(std::vector<bool>& column_has_fired,
-                                             const std::vector<bool>& column_is_enabled,
-                                             const std::vector<bool>& column_is_lost) {
+void fill_long_gaps(std::vector<bool>& column_has_fired, const std::vector<bool>& column_is_enabled,
+                    const std::vector<bool>& column_is_lost) {
     std::size_t run = 0;
     for (std::size_t c = 0; c <= column_is_enabled.size(); ++c) {
         if (c < column_is_enabled.size() && column_is_enabled[c] && !column_has_fired[c] &&
@@ -53,10 +52,9 @@ void mark_long_gaps_without_returns_as_fired(std::vector<bool>& column_has_fired
 
 /// Converts the returns of a firing to points. If a ray has two returns, the brighter one
 /// is the first return.
-void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInstant& firing,
-                          const std::array<DecodedReturn, 2>* returns_of_each_ring,
-                          const std::vector<BeamRayGenerator>& beams,
-                          const std::vector<double>& beam_offsets_us) {
+void add_points(RevolutionPoints& revolution_points, const FiringInstant& firing,
+                const std::array<DecodedReturn, 2>* returns_of_each_ring,
+                const std::vector<BeamRayGenerator>& beams, const std::vector<double>& beam_offsets_us) {
     LidarPoints& points = revolution_points.points;
     revolution_points.head_rad.try_emplace(firing.number,
                                            -std::remainder(firing.azimuth_deg, 360.0) * kPi / 180.0);
@@ -86,12 +84,11 @@ void add_points_of_firing(RevolutionPoints& revolution_points, const FiringInsta
 /// column
 /// @param column_is_lost  [columns per revolution] true if the packet with the column
 /// was lost. Its rays are unknown, so the scan does not contain them.
-Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
-                                       const std::vector<bool>& column_is_enabled,
-                                       const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
+Scan make_fixed_scan(RevolutionPoints& revolution_points, const std::vector<bool>& column_is_enabled,
+                     const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
     std::vector<bool> has_fired(column_is_enabled.size(), false);
     for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
-    mark_long_gaps_without_returns_as_fired(has_fired, column_is_enabled, column_is_lost);
+    fill_long_gaps(has_fired, column_is_enabled, column_is_lost);
     SweepFirings sweep{{int(has_fired.size()), kPi}, {}};
     std::vector<std::uint32_t> firing_index_of_column(has_fired.size());
     for (std::size_t c = 0; c < has_fired.size(); ++c) {
@@ -104,69 +101,65 @@ Scan make_scan_of_fixed_azimuth_sensor(RevolutionPoints& revolution_points,
     const bool has_gaps = std::ranges::count(column_is_lost, true) > 0;
     sensor.columns =
         std::max(has_gaps ? 0 : int(std::ranges::count(column_is_enabled, true)), int(sweep.firings.size()));
-    return assign_points_to_rays_of_spinning_scan(revolution_points.points, sensor, sweep);
+    return spinning_scan(revolution_points.points, sensor, sweep);
 }
 
 }  // namespace
 
 /// @param message_index  index in `packets_of_message`
-DecodedPacket PacketIndex::decode_packet_of_entry(
+DecodedPacket PacketIndex::decode_entry(
     std::size_t message_index, const Entry& packet_entry,
     const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const {
     if (message_index >= packets_of_message.size() ||
         packet_entry.in_message >= packets_of_message[message_index].size())
         fail("the file of the recording changed while it was read: a message has fewer packets than before");
     const ReceivedPacket& view = packets_of_message[message_index][packet_entry.in_message];
-    if (find_product_of_packet(view.bytes, calibration_) != product_)
+    if (find_product(view.bytes, calibration_) != product_)
         fail("the file of the recording changed while it was read: a packet differs from before");
     return decoder_->decode_packet(view.bytes);
 }
 
 /// Converts an azimuth to a column of a revolution. The result is an invalid column if
 /// the azimuth is outside the revolution.
-int PacketIndex::compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const {
-    const double n = double(decoder_->get_laser_timing().fires.size());
-    return int(std::clamp(std::round((azimuth_deg - revolution.begin_deg) / compute_column_step_deg()), -n,
-                          2.0 * n));
+int PacketIndex::column_of(const PacketRevolution& revolution, double azimuth_deg) const {
+    const double n = double(decoder_->timing().fires.size());
+    return int(std::clamp(std::round((azimuth_deg - revolution.begin_deg) / column_step_deg()), -n, 2.0 * n));
 }
 
 /// Returns for each column of a revolution whether its packet was lost. Returns an empty
 /// list if the sensor can fire at any azimuth.
-std::vector<bool> PacketIndex::find_lost_columns(const PacketRevolution& revolution) const {
-    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
+std::vector<bool> PacketIndex::find_lost(const PacketRevolution& revolution) const {
+    const std::vector<bool>& fires = decoder_->timing().fires;
     std::vector<bool> is_lost(fires.size(), false);
     const std::size_t end_packet = std::min(revolution.last + 2, packets_.size());
     for (std::size_t i = revolution.first + 1; i < end_packet && !fires.empty(); ++i) {
-        if (count_lost_packets_before_packet(i) == 0) continue;
+        if (count_lost_packets(i) == 0) continue;
         const Entry &entry = packets_[i], &before = packets_[i - 1];
-        const int begin =
-            compute_column_of_azimuth(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
-        const int end = std::min(compute_column_of_azimuth(revolution, entry.azimuth_deg) - entry.first_slot,
-                                 int(fires.size()));
+        const int begin = column_of(revolution, before.azimuth_deg) - before.first_slot + n_slots_;
+        const int end =
+            std::min(column_of(revolution, entry.azimuth_deg) - entry.first_slot, int(fires.size()));
         for (int c = std::max(begin, 0); c < end; ++c) is_lost[std::size_t(c)] = fires[std::size_t(c)];
     }
     return is_lost;
 }
 
-Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
-                                    const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
-                                    const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
+Scan PacketIndex::decode(const PacketRevolution& revolution,
+                         const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
+                         const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
     RevolutionPoints fired;
-    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
-    const FiringTiming& timing = decoder_->get_laser_timing();
-    const double mean_deg_us = 360e-6 / sensor.period_s, brightness = compute_full_scale_intensity();
+    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
+    const FiringTiming& timing = decoder_->timing();
+    const double mean_deg_us = 360e-6 / sensor.period_s, brightness = full_scale();
     const int n_columns = int(timing.fires.size());
-    const std::uint32_t first_message = find_first_message_index(revolution);
+    const std::uint32_t first_message = first_message_of(revolution);
     std::size_t before = 0;  // firings of the revolution before this packet, also lost ones
     int previous_number = -1;
     bool is_inside = false;
     for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > revolution.first && n_columns == 0)
-            before += std::size_t(packets_[p - 1].n_slots) +
-                      count_lost_packets_before_packet(p) * std::size_t(n_slots_);
-        DecodedPacket packet =
-            decode_packet_of_entry(entry.message - first_message, entry, packets_of_message);
+            before += std::size_t(packets_[p - 1].n_slots) + count_lost_packets(p) * std::size_t(n_slots_);
+        DecodedPacket packet = decode_entry(entry.message - first_message, entry, packets_of_message);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
         const std::int64_t begin_ns =
@@ -177,13 +170,12 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
         for (std::size_t f = begin; f < end; ++f) {
             const LaserFiring& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
-            if (f + 1 < end)
-                step = compute_rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            if (f + 1 < end) step = rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
             // time since the first firing of the column
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
-            const int number = n_columns > 0 ? compute_column_of_azimuth(revolution, azimuth)
+            const int number = n_columns > 0 ? column_of(revolution, azimuth)
                                              : (slot - firing.part + timing.parts) / timing.parts;
             // All firings of a column belong to the revolution of the first one.
             if (number != previous_number)
@@ -195,29 +187,26 @@ Scan PacketIndex::decode_revolution(const PacketRevolution& revolution,
             const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
             const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
             std::array<DecodedReturn, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_points_of_firing(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
-                                 timing.offset_us);
+            add_points(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
+                       timing.offset_us);
         }
     }
-    return make_scan_of_revolution(revolution, fired, sensor);
+    return make_scan(revolution, fired, sensor);
 }
 
-Scan PacketIndex::make_scan_of_revolution(const PacketRevolution& revolution,
-                                          RevolutionPoints& revolution_points,
-                                          const SpinningSensor& sensor) const {
-    if (revolution_points.points.size() == 0)
-        return make_scan_with_one_ray_per_point(revolution_points.points);
-    if (!decoder_->get_laser_timing().fires.empty())
-        return make_scan_of_fixed_azimuth_sensor(revolution_points, decoder_->get_laser_timing().fires,
-                                                 find_lost_columns(revolution), sensor);
-    const SweepFirings sweep = sort_firings_by_azimuth_and_assign_points(
-        revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
+Scan PacketIndex::make_scan(const PacketRevolution& revolution, RevolutionPoints& revolution_points,
+                            const SpinningSensor& sensor) const {
+    if (revolution_points.points.size() == 0) return scan_of_points(revolution_points.points);
+    if (!decoder_->timing().fires.empty())
+        return make_fixed_scan(revolution_points, decoder_->timing().fires, find_lost(revolution), sensor);
+    const SweepFirings sweep =
+        sort_firings(revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
     // A revolution has no columns in the sector `skipped_`. If packets were lost, the
     // scan has only the received columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
     if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
-    return assign_points_to_rays_of_spinning_scan(revolution_points.points, scan_sensor, sweep);
+    return spinning_scan(revolution_points.points, scan_sensor, sweep);
 }
 
 }  // namespace relidar::packets

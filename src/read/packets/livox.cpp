@@ -28,56 +28,54 @@ constexpr std::int64_t kLargestDrift_ns = 50'000'000;
 
 template <class T>
 T read_number_at(std::string_view bytes, std::size_t offset) {
-    return codecs::ByteReader(bytes.substr(offset)).read_little_endian_number<T>();
+    return codecs::ByteReader(bytes.substr(offset)).read_number<T>();
 }
 
-glm::vec3 read_livox_position_m(codecs::ByteReader& reader, int point_type) {
+glm::vec3 read_position_m(codecs::ByteReader& reader, int point_type) {
     if (point_type == 1) {
-        const auto x = reader.read_little_endian_number<std::int32_t>(),
-                   y = reader.read_little_endian_number<std::int32_t>();
-        return 1e-3f * glm::vec3(x, y, reader.read_little_endian_number<std::int32_t>());
+        const auto x = reader.read_number<std::int32_t>(), y = reader.read_number<std::int32_t>();
+        return 1e-3f * glm::vec3(x, y, reader.read_number<std::int32_t>());
     }
     if (point_type == 2) {
-        const auto x = reader.read_little_endian_number<std::int16_t>(),
-                   y = reader.read_little_endian_number<std::int16_t>();
-        return 1e-2f * glm::vec3(x, y, reader.read_little_endian_number<std::int16_t>());
+        const auto x = reader.read_number<std::int16_t>(), y = reader.read_number<std::int16_t>();
+        return 1e-2f * glm::vec3(x, y, reader.read_number<std::int16_t>());
     }
-    const double range_m = 1e-3 * reader.read_little_endian_number<std::uint32_t>();
-    const double from_z_rad = reader.read_little_endian_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
-    const double azimuth_rad = reader.read_little_endian_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
+    const double range_m = 1e-3 * reader.read_number<std::uint32_t>();
+    const double from_z_rad = reader.read_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
+    const double azimuth_rad = reader.read_number<std::uint16_t>() * 1e-2 * kPi / 180.0;
     return glm::vec3(range_m * glm::dvec3(std::sin(from_z_rad) * std::cos(azimuth_rad),
                                           std::sin(from_z_rad) * std::sin(azimuth_rad),
                                           std::cos(from_z_rad)));
 }
 
 /// Limited to one hour in both directions.
-std::int64_t compute_clamped_time_between_ns(std::int64_t first_ns, std::int64_t second_ns) {
-    constexpr std::int64_t kHour_ns = 3'600'000'000'000;
+std::int64_t clamped_step_ns(std::int64_t first_ns, std::int64_t second_ns) {
+    constexpr std::int64_t kMaxStep_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
-    return std::clamp(passed_ns, -kHour_ns, kHour_ns);
+    return std::clamp(passed_ns, -kMaxStep_ns, kMaxStep_ns);
 }
 
 /// @param packet_time_offset_ns  time of the first point minus the time of the cloud
 /// @return number of points
-std::uint32_t append_livox_points_and_count(std::string& point_bytes, std::string_view packet,
-                                            std::int64_t packet_time_offset_ns) {
+std::uint32_t append_points(std::string& point_bytes, std::string_view packet,
+                            std::int64_t packet_time_offset_ns) {
     const int kind = std::uint8_t(packet[kKindAt]);
     const auto n = read_number_at<std::uint16_t>(packet, kCountAt);
     const double step_ns = 100.0 * read_number_at<std::uint16_t>(packet, kDurationAt) / std::max(int(n), 1);
     codecs::ByteReader reader(packet.substr(kLivoxHeader));
     std::uint32_t n_points = 0;
     for (int i = 0; i < int(n); ++i) {
-        const glm::vec3 position_m = read_livox_position_m(reader, kind);
+        const glm::vec3 p = read_position_m(reader, kind);
         const std::string_view reflectivity_and_tag = reader.read_bytes(2);
-        if (position_m == glm::vec3(0.0f)) continue;
-        append_binary_value(point_bytes,
-                            std::uint32_t(std::max(packet_time_offset_ns + std::llround(step_ns * i), 0ll)));
-        append_binary_value(point_bytes, position_m.x);
-        append_binary_value(point_bytes, position_m.y);
-        append_binary_value(point_bytes, position_m.z);
+        if (p == glm::vec3(0.0f)) continue;
+        append_raw(point_bytes,
+                   std::uint32_t(std::max(packet_time_offset_ns + std::llround(step_ns * i), 0ll)));
+        append_raw(point_bytes, p.x);
+        append_raw(point_bytes, p.y);
+        append_raw(point_bytes, p.z);
         point_bytes.append(reflectivity_and_tag);
         // number of the laser line; always 0, because packets do not contain it
-        append_binary_value(point_bytes, std::uint8_t(0));
+        append_raw(point_bytes, std::uint8_t(0));
         ++n_points;
     }
     return n_points;
@@ -85,7 +83,7 @@ std::uint32_t append_livox_points_and_count(std::string& point_bytes, std::strin
 
 }  // namespace
 
-bool is_livox_point_packet(std::string_view packet_bytes) {
+bool is_livox_packet(std::string_view packet_bytes) {
     if (packet_bytes.size() <= kLivoxHeader || packet_bytes[0] != 0) return false;
     constexpr std::size_t kPointBytes[] = {0, 14, 8, 10};  // by type of point data, 1 to 3
     const int point_type = std::uint8_t(packet_bytes[kKindAt]);
@@ -94,15 +92,15 @@ bool is_livox_point_packet(std::string_view packet_bytes) {
            kLivoxHeader + kPointBytes[point_type] * read_number_at<std::uint16_t>(packet_bytes, kCountAt);
 }
 
-std::string make_livox_cloud_message(std::string_view packed_packets, std::string_view frame_id) {
+std::string join_livox_packets(std::string_view packed_packets, std::string_view frame_id) {
     std::string points;
     std::uint32_t n_points = 0;
     std::int64_t first_stamp_ns = 0, first_clock_ns = 0;
     bool is_first = true;
-    for (codecs::ByteReader reader(packed_packets); reader.count_remaining_bytes() > 0; is_first = false) {
-        const auto stamp_ns = reader.read_little_endian_number<std::int64_t>();
-        const std::string_view packet = reader.read_length_prefixed_string();
-        if (!is_livox_point_packet(packet)) continue;
+    for (codecs::ByteReader reader(packed_packets); reader.remaining() > 0; is_first = false) {
+        const auto stamp_ns = reader.read_number<std::int64_t>();
+        const std::string_view packet = reader.read_string();
+        if (!is_livox_packet(packet)) continue;
         const auto clock_ns = read_number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) {
             first_stamp_ns = stamp_ns;
@@ -110,20 +108,20 @@ std::string make_livox_cloud_message(std::string_view packed_packets, std::strin
         }
         // Time since the first packet: by the sensor's clock (passed_clock_ns), or by the
         // receive times (passed_ns) if the sensor's clock has jumped.
-        const std::int64_t passed_ns = compute_clamped_time_between_ns(first_stamp_ns, stamp_ns);
-        const std::int64_t passed_clock_ns = compute_clamped_time_between_ns(first_clock_ns, clock_ns);
+        const std::int64_t passed_ns = clamped_step_ns(first_stamp_ns, stamp_ns);
+        const std::int64_t passed_clock_ns = clamped_step_ns(first_clock_ns, clock_ns);
         const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
-        n_points += append_livox_points_and_count(points, packet, has_jumped ? passed_ns : passed_clock_ns);
+        n_points += append_points(points, packet, has_jumped ? passed_ns : passed_clock_ns);
     }
     std::string message;
     for (const std::int64_t value : {std::int64_t(0), first_stamp_ns / 1'000'000'000,
                                      first_stamp_ns % 1'000'000'000, std::int64_t(frame_id.size())})
-        append_binary_value(message, std::uint32_t(value));
+        append_raw(message, std::uint32_t(value));
     message.append(frame_id);
-    append_binary_value(message, std::uint64_t(first_stamp_ns));
-    append_binary_value(message, n_points);
-    append_binary_value(message, std::uint32_t(0));  // number of the LiDAR and reserved bytes, all 0
-    append_binary_value(message, n_points);
+    append_raw(message, std::uint64_t(first_stamp_ns));
+    append_raw(message, n_points);
+    append_raw(message, std::uint32_t(0));  // number of the LiDAR and reserved bytes, all 0
+    append_raw(message, n_points);
     return message.append(points);
 }
 

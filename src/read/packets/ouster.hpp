@@ -42,36 +42,33 @@ struct OusterMetadata {
     SpinningSensor sensor;             ///< highest ring first
     std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring to which each pixel belongs
 
-    std::string describe_packets() const;
+    std::string describe() const;
 };
 using OusterMetadataList = std::vector<std::shared_ptr<const OusterMetadata>>;
 
 /// Returns true if a text looks like metadata of an Ouster sensor, valid or not.
-bool is_ouster_metadata(std::string_view json_text);
-/// @param error_location  name of the file or topic, for error messages
+bool is_metadata(std::string_view json_text);
+/// @param place  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
-std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
-                                                            const std::string& error_location);
+std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_text, const std::string& place);
 /// Reads the Ouster metadata (JSON files) in the folder of a recording, for example
 /// "a.pcap". If "a.json" contains metadata, reads only JSON files whose names begin with
 /// "a". Never reads "b.json" if the folder contains another recording, "b.pcap".
 /// @param error_messages  output: error messages about files that cannot be read
-OusterMetadataList read_ouster_metadata_in_folder_of(const std::filesystem::path& recording_path,
-                                                     std::vector<std::string>& error_messages);
+OusterMetadataList read_metadata_files(const std::filesystem::path& recording_path,
+                                       std::vector<std::string>& error_messages);
 
 /// Returns the metadata of the sensor that sent a packet, or null if it is ambiguous. The
 /// packet size and the port must match. The port may differ if the serial number matches,
 /// or if a LEGACY layout is the only metadata. Prefers metadata of the same topic (port
 /// of a capture, namespace of a bag), then with the same serial number.
-std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const OusterMetadataList& metadata_list,
-                                                                     std::string_view topic_name,
-                                                                     std::string_view packet);
+std::shared_ptr<const OusterMetadata> find_metadata(const OusterMetadataList& metadata_list,
+                                                    std::string_view topic, std::string_view packet);
 /// Returns true if a supported layout of an Ouster can have packets of this size.
-bool is_ouster_packet_size(std::size_t n_bytes);
+bool is_ouster_size(std::size_t n_bytes);
 /// Returns the error message for packets that look like Ouster packets, but cannot be
 /// decoded.
-std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
-                                       const std::filesystem::path& recording_path,
-                                       std::string_view topic_name, std::size_t packet_size);
+std::string ouster_error(const OusterMetadataList& metadata_list, const std::filesystem::path& recording_path,
+                         std::string_view topic, std::size_t packet_size);
 
 }  // namespace relidar::packets

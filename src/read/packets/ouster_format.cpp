@@ -13,14 +13,14 @@
 
 #include "base/bytes.hpp"
 #include "base/fail.hpp"
-#include "read/packets/packet_format.hpp"
 #include "read/packets/ouster.hpp"
+#include "read/packets/packet_format.hpp"
 
 namespace relidar::packets {
 namespace {
 
 constexpr int kOusterPort = 7502, kColumnsPerPacket = 16;
-constexpr const char* kSerial = "100000000001";
+constexpr const char* kSerialText = "100000000001";
 constexpr std::uint64_t kSerialNumber = 100'000'000'001;
 constexpr std::size_t kEndBytes = 32;  // size of the header and of the footer of a packet
 // number of encoder ticks per turn in the legacy packet format
@@ -28,7 +28,7 @@ constexpr std::uint32_t kEncoderTicks = 90112;
 
 /// Returns the first and the last column of the smallest azimuth window with all columns
 /// in which the sensor fires. The window may cross the end of the range image.
-std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired) {
+std::array<int, 2> find_window(const std::vector<bool>& column_has_fired) {
     const int n = int(column_has_fired.size());
     // Finds the longest gap without firings. `begin` is the first column after it.
     int begin = 0, longest = 0;
@@ -45,8 +45,8 @@ std::array<int, 2> find_column_window(const std::vector<bool>& column_has_fired)
 
 /// Returns the metadata of an Ouster sensor as JSON text. The x axis of Ouster's LiDAR
 /// frame points backward; the metadata contain the transform.
-std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
-                                 const std::array<int, 2>& column_window) {
+std::string write_metadata(const SpinningSensor& sensor, const std::string& packet_profile,
+                           const std::array<int, 2>& column_window) {
     // In Ouster's metadata, the product line of "OS1-64" is called "OS-1-64".
     const bool has_short_name =
         sensor.name.starts_with("OS") && sensor.name.size() > 3 && sensor.name[3] == '-';
@@ -60,7 +60,7 @@ std::string make_ouster_metadata(const SpinningSensor& sensor, const std::string
     }
     const nlohmann::ordered_json json = {
         {"prod_line", product_line},
-        {"prod_sn", kSerial},
+        {"prod_sn", kSerialText},
         {"status", "RUNNING"},
         {"lidar_mode", fmt::format("{}x{}", sensor.columns, std::lround(1.0 / sensor.period_s))},
         {"udp_port_lidar", kOusterPort},
@@ -83,26 +83,22 @@ public:
     OusterWriter(const SpinningSensor& sensor, const PacketOptions& options)
         : start_ns_(options.start_ns),
           sensor_(sensor),
-          format_(parse_ouster_metadata(
-              make_ouster_metadata(sensor, choose_packet_profile(options), {0, sensor.columns - 1}),
-              sensor.name)) {
+          format_(parse_metadata(write_metadata(sensor, choose_profile(options), {0, sensor.columns - 1}),
+                                 sensor.name)) {
         if (format_->profile->returns < options.returns)
             fail<UsageError>("cannot write packets of {}: the format {} has one return per ray, expected two",
                              sensor.name, format_->profile->name);
     }
 
-    int get_udp_port() const override { return kOusterPort; }
+    int udp_port() const override { return kOusterPort; }
     int firings_per_packet() const override { return format_->columns_per_packet; }
-    double get_firing_period_us() const override {
-        return 1e6 * format_->sensor.period_s / get_fixed_columns_per_revolution();
-    }
-    int get_fixed_columns_per_revolution() const override { return format_->sensor.columns; }
-    std::vector<double> get_beam_delays_us() const override {
+    double firing_period_us() const override { return 1e6 * format_->sensor.period_s / fixed_columns(); }
+    int fixed_columns() const override { return format_->sensor.columns; }
+    std::vector<double> beam_delays() const override {
         return std::vector<double>(format_->sensor.beams.size(), 0.0);
     }
-    PacketCalibrationFile make_calibration_file(const std::vector<bool>& column_has_fired) const override {
-        return {".json",
-                make_ouster_metadata(sensor_, format_->profile->name, find_column_window(column_has_fired))};
+    PacketCalibrationFile make_calibration(const std::vector<bool>& column_has_fired) const override {
+        return {".json", write_metadata(sensor_, format_->profile->name, find_window(column_has_fired))};
     }
 
     SensorPacket encode_packet(std::span<const FiringColumn> columns,
@@ -113,28 +109,26 @@ public:
         const bool is_legacy = format_->profile->is_legacy;
         SensorPacket packet;
         if (!is_legacy) {
-            append_binary_value(packet.bytes, std::uint16_t(1));  // packet type
-            append_binary_value(packet.bytes, frame);
+            append_raw(packet.bytes, std::uint16_t(1));  // packet type
+            append_raw(packet.bytes, frame);
             packet.bytes.append(3, '\0');  // initialization number of the sensor
-            for (int k = 0; k < 5; ++k)
-                append_binary_value(packet.bytes, std::uint8_t(kSerialNumber >> (8 * k)));
+            for (int k = 0; k < 5; ++k) append_raw(packet.bytes, std::uint8_t(kSerialNumber >> (8 * k)));
             packet.bytes.resize(kEndBytes, '\0');
         }
         for (const FiringColumn& column : columns) {
-            const std::int64_t time_ns = convert_log_time_to_unix_ns(column.time_s, start_ns_);
+            const std::int64_t time_ns = to_unix_ns(column.time_s, start_ns_);
             const int n = format_->sensor.columns;
             const auto position = int((std::lround((column.azimuth_deg - 180.0) / 360.0 * n) + n) % n);
-            append_binary_value(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
-            append_binary_value(packet.bytes, std::uint16_t(position));
+            append_raw(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
+            append_raw(packet.bytes, std::uint16_t(position));
             if (is_legacy) {
-                append_binary_value(packet.bytes, frame);
-                append_binary_value(packet.bytes,
-                                    std::uint32_t(position) * (kEncoderTicks / std::uint32_t(n)));
+                append_raw(packet.bytes, frame);
+                append_raw(packet.bytes, std::uint32_t(position) * (kEncoderTicks / std::uint32_t(n)));
             } else {
-                append_binary_value(packet.bytes, std::uint16_t(column.is_measured));
+                append_raw(packet.bytes, std::uint16_t(column.is_measured));
             }
             append_pixels(packet.bytes, column);
-            if (is_legacy) append_binary_value(packet.bytes, column.is_measured ? 0xFFFFFFFFu : 0u);
+            if (is_legacy) append_raw(packet.bytes, column.is_measured ? 0xFFFFFFFFu : 0u);
             if (column.is_measured || packet.time_ns == 0) packet.time_ns = time_ns;
         }
         if (!is_legacy) packet.bytes.append(kEndBytes, '\0');
@@ -146,7 +140,7 @@ private:
     const SpinningSensor sensor_;
     const std::shared_ptr<const OusterMetadata> format_;
 
-    static std::string choose_packet_profile(const PacketOptions& options) {
+    static std::string choose_profile(const PacketOptions& options) {
         if (!options.ouster_profile.empty()) return options.ouster_profile;
         return options.returns == 2 ? "RNG19_RFL8_SIG16_NIR16_DUAL" : "RNG19_RFL8_SIG16_NIR16";
     }
@@ -157,15 +151,14 @@ private:
             const std::size_t at = bytes.size();
             bytes.append(profile.pixel_bytes, '\0');
             for (int k = 0; k < profile.returns && !column.returns.empty(); ++k)
-                write_return_to_pixel(&bytes[at + 4 * std::size_t(k)], column.returns[ring][std::size_t(k)],
-                                      format_->sensor.beams[ring].origin_offset_m);
+                write_pixel(&bytes[at + 4 * std::size_t(k)], column.returns[ring][std::size_t(k)],
+                            format_->sensor.beams[ring].origin_offset_m);
         }
     }
 
     /// Ouster measures ranges from the axis of rotation. Therefore the distance of the
     /// beam origin from the axis is added.
-    void write_return_to_pixel(char* pixel, const LaserReturn& laser_return,
-                               double beam_origin_offset_m) const {
+    void write_pixel(char* pixel, const LaserReturn& laser_return, double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;
         if (laser_return.range_m <= 0.0f) return;
         const double range =
@@ -173,13 +166,13 @@ private:
         if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
         const auto number = std::uint32_t(range);
         for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k) pixel[k] = char(number >> (8 * k));
-        pixel[profile.reflectivity_at] = char(convert_intensity_to_byte(laser_return));
+        pixel[profile.reflectivity_at] = char(to_reflectivity(laser_return));
     }
 };
 
 }  // namespace
 
-std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options) {
+std::unique_ptr<PacketFormat> make_ouster(const SpinningSensor& sensor, const PacketOptions& options) {
     if (!sensor.name.starts_with("OS") && sensor.name != "Ouster" && options.ouster_profile.empty())
         return nullptr;
     return std::make_unique<OusterWriter>(sensor, options);

@@ -17,9 +17,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
+#include "read/bag/part_file.hpp"
 #include "read/packets/decoder.hpp"
 #include "read/packets/ouster.hpp"
-#include "read/bag/part_file.hpp"
 
 namespace relidar::packets {
 namespace {
@@ -27,7 +27,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
-constexpr OusterProfile kProfiles[] = {
+constexpr OusterProfile kOusterProfiles[] = {
     {"LEGACY", true, 12, 0xFFFFF, 1e-3, 4, true, 1},
     {"RNG19_RFL8_SIG16_NIR16", false, 12, 0x7FFFF, 1e-3, 4, false, 1},
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
@@ -43,52 +43,49 @@ constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
 // Byte offsets of the serial number in the packet header, for old and new firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
-std::size_t compute_packet_bytes(const OusterProfile& profile, int pixels_per_column,
-                                 int columns_per_packet) {
+std::size_t count_bytes(const OusterProfile& profile, int pixels_per_column, int columns_per_packet) {
     const std::size_t column = std::size_t(pixels_per_column) * profile.pixel_bytes;
     return profile.is_legacy ? std::size_t(columns_per_packet) * (16 + column + 4)
                              : 32 + std::size_t(columns_per_packet) * (12 + column) + 32;
 }
 
 /// Returns the JSON object that contains a key: the root or one of its direct members.
-JsonField find_json_object_with_key(const Json& json, const std::string& error_location,
-                                    const std::string& key) {
-    const JsonField root(json, error_location, "");
+JsonField find_object(const Json& json, const std::string& place, const std::string& key) {
+    const JsonField root(json, place, "");
     for (const char* part : {"data_format", "lidar_data_format", "config_params", "sensor_info"})
         if (!root.has_member(key) && root.has_member(part) && root.at(part).has_member(key))
             return root.at(part);
     return root;
 }
-int read_optional_integer(const Json& json, const std::string& error_location, const std::string& key,
-                          int default_value, int max_value) {
-    const JsonField part = find_json_object_with_key(json, error_location, key);
-    return part.has_member(key) ? int(part.at(key).get_integer_in_range(0, max_value)) : default_value;
+int read_integer(const Json& json, const std::string& place, const std::string& key, int default_value,
+                 int max_value) {
+    const JsonField part = find_object(json, place, key);
+    return part.has_member(key) ? int(part.at(key).integer_in(0, max_value)) : default_value;
 }
-std::string read_optional_text(const Json& json, const std::string& error_location, const std::string& key,
-                               const std::string& default_value) {
-    const JsonField part = find_json_object_with_key(json, error_location, key);
-    return part.has_member(key) && part.at(key).is_string() ? part.at(key).get_short_single_line_string(80)
-                                                            : default_value;
+std::string read_text(const Json& json, const std::string& place, const std::string& key,
+                      const std::string& default_value) {
+    const JsonField part = find_object(json, place, key);
+    return part.has_member(key) && part.at(key).is_string() ? part.at(key).short_text(80) : default_value;
 }
 
-const OusterProfile& find_ouster_profile_of_metadata(const Json& json, const std::string& error_location) {
-    const std::string name = read_optional_text(json, error_location, "udp_profile_lidar", "LEGACY");
-    const auto* matching_profile = std::ranges::find(kProfiles, name, &OusterProfile::name);
-    if (matching_profile != std::end(kProfiles)) return *matching_profile;
+const OusterProfile& find_profile(const Json& json, const std::string& place) {
+    const std::string name = read_text(json, place, "udp_profile_lidar", "LEGACY");
+    const auto* matching_profile = std::ranges::find(kOusterProfiles, name, &OusterProfile::name);
+    if (matching_profile != std::end(kOusterProfiles)) return *matching_profile;
     std::string names;
-    for (const OusterProfile& row : kProfiles) names += (names.empty() ? "" : ", ") + std::string(row.name);
-    fail("{}: the packet profile is {}, expected one of {}", error_location, shorten_for_error_message(name),
-         names);
+    for (const OusterProfile& row : kOusterProfiles)
+        names += (names.empty() ? "" : ", ") + std::string(row.name);
+    fail("{}: the packet profile is {}, expected one of {}", place, quote(name), names);
 }
 
 /// Returns the ring of each pixel in a column: the rank of its beam by elevation, highest
 /// first.
-std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std::string& error_location) {
-    const JsonField root(json, error_location, "");
+std::vector<std::size_t> rank_pixels(const Json& json, const std::string& place) {
+    const JsonField root(json, place, "");
     const std::vector<double> altitude_deg =
         (root.has_member("beam_altitude_angles") ? root : root.at("beam_intrinsics"))
             .at("beam_altitude_angles")
-            .get_numbers();
+            .numbers();
     std::vector<std::size_t> order(altitude_deg.size()), ring_of(altitude_deg.size());
     std::iota(order.begin(), order.end(), std::size_t(0));
     std::ranges::stable_sort(order, std::greater(), [&](std::size_t row) { return altitude_deg[row]; });
@@ -98,16 +95,15 @@ std::vector<std::size_t> compute_ring_of_each_pixel(const Json& json, const std:
 
 /// Returns for each column whether the sensor fires at it. The window can continue at
 /// column 0.
-std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::string& error_location,
-                                                 int n_columns) {
-    const JsonField part = find_json_object_with_key(json, error_location, "column_window");
+std::vector<bool> mark_columns(const Json& json, const std::string& place, int n_columns) {
+    const JsonField part = find_object(json, place, "column_window");
     if (!part.has_member("column_window")) return std::vector<bool>(std::size_t(n_columns), true);
     const JsonField window = part.at("column_window");
     if (window.size() != 2)
-        window.throw_field_error(fmt::format("found {} values", window.size()),
-                                 "expected two values, the first and the last column of the window");
-    const auto first = window.at(std::size_t(0)).get_integer_in_range(0, n_columns - 1),
-               last = window.at(std::size_t(1)).get_integer_in_range(0, n_columns - 1);
+        window.reject(fmt::format("found {} values", window.size()),
+                      "expected two values, the first and the last column of the window");
+    const auto first = window.at(std::size_t(0)).integer_in(0, n_columns - 1),
+               last = window.at(std::size_t(1)).integer_in(0, n_columns - 1);
     std::vector<bool> fires(std::size_t(n_columns), false);
     for (std::int64_t c = first;; c = (c + 1) % n_columns) {
         fires[std::size_t(c)] = true;
@@ -117,38 +113,36 @@ std::vector<bool> mark_columns_in_azimuth_window(const Json& json, const std::st
 
 /// Checks that values which the metadata contain twice are equal. Computes and checks the
 /// packet size.
-void require_valid_layout_and_set_size(OusterMetadata& metadata, const Json& json) {
+void set_size(OusterMetadata& metadata, const Json& json) {
     const int columns = metadata.sensor.columns, beams = int(metadata.sensor.beams.size());
-    if (const int n = read_optional_integer(json, metadata.where, "columns_per_frame", columns, 65536);
-        n != columns)
+    if (const int n = read_integer(json, metadata.where, "columns_per_frame", columns, 65536); n != columns)
         fail("{}: columns_per_frame is {}, expected {} like in lidar_mode", metadata.where, n, columns);
-    if (const int n = read_optional_integer(json, metadata.where, "pixels_per_column", beams, 65536);
-        n != beams)
+    if (const int n = read_integer(json, metadata.where, "pixels_per_column", beams, 65536); n != beams)
         fail("{}: pixels_per_column is {}, expected {}, the number of beam_altitude_angles", metadata.where,
              n, beams);
     if (metadata.columns_per_packet < 1 || columns % metadata.columns_per_packet != 0)
         fail("{}: columns_per_packet is {}, expected a divisor of the {} columns of a revolution",
              metadata.where, metadata.columns_per_packet, columns);
-    metadata.packet_bytes = compute_packet_bytes(*metadata.profile, beams, metadata.columns_per_packet);
+    metadata.packet_bytes = count_bytes(*metadata.profile, beams, metadata.columns_per_packet);
     if (metadata.packet_bytes > kMostDatagram)
         fail("{}: found {}, expected packets of at most {} bytes, the maximum size of a UDP packet",
-             metadata.where, metadata.describe_packets(), kMostDatagram);
+             metadata.where, metadata.describe(), kMostDatagram);
 }
 
 /// Returns 7502 for "192.168.1.201:7502", the topic of a network capture. Returns 0 for a
 /// topic of a bag.
-int parse_port_of_topic(std::string_view topic_name) {
-    const std::size_t colon = topic_name.rfind(':');
-    const auto port = colon == std::string_view::npos || topic_name.starts_with('/')
+int parse_port(std::string_view topic) {
+    const std::size_t colon = topic.rfind(':');
+    const auto port = colon == std::string_view::npos || topic.starts_with('/')
                           ? std::nullopt
-                          : parse_number(topic_name.substr(colon + 1));
+                          : parse_number(topic.substr(colon + 1));
     return port && *port >= 0.0 && *port <= 65535.0 ? int(*port) : 0;
 }
-std::string_view get_topic_namespace(std::string_view topic_name) {
-    return topic_name.starts_with('/') ? topic_name.substr(0, topic_name.rfind('/')) : std::string_view();
+std::string_view find_namespace(std::string_view topic) {
+    return topic.starts_with('/') ? topic.substr(0, topic.rfind('/')) : std::string_view();
 }
 
-bool has_matching_serial_number(std::string_view packet, const OusterMetadata& metadata) {
+bool has_serial(std::string_view packet, const OusterMetadata& metadata) {
     if (metadata.serial == 0 || metadata.profile->is_legacy) return false;
     return std::ranges::any_of(kSerialAt, [&](std::size_t at) {
         std::uint64_t serial = 0;
@@ -158,11 +152,11 @@ bool has_matching_serial_number(std::string_view packet, const OusterMetadata& m
     });
 }
 
-bool is_ouster_metadata_file(const fs::path& file) {
+bool is_metadata_file(const fs::path& file) {
     std::error_code failed;
     const auto size = fs::file_size(file, failed);
     return !failed && size <= kMostMetadata && file.extension() == ".json" &&
-           is_ouster_metadata(read_text_file(file));
+           is_metadata(read_text_file(file));
 }
 
 using codecs::ByteReader;
@@ -194,15 +188,15 @@ public:
         timing_.is_wide = format_->profile->is_wide;
     }
 
-    const FiringTiming& get_laser_timing() const override { return timing_; }
+    const FiringTiming& timing() const override { return timing_; }
 
-    std::string describe_lidar_product() const override {
+    std::string describe_product() const override {
         return fmt::format("{}-beam Ouster, {}, profile {}, beam angles from {}",
                            format_->sensor.beams.size(), format_->product, format_->profile->name,
                            format_->where);
     }
 
-    SpinningSensor make_spinning_sensor_model(int, double rotation_rate_hz) const override {
+    SpinningSensor make_sensor(int, double rotation_rate_hz) const override {
         SpinningSensor sensor = format_->sensor;
         sensor.period_s = 1.0 / rotation_rate_hz;
         return sensor;
@@ -214,23 +208,22 @@ public:
         codecs::ByteReader reader(packet_bytes);
         if (!profile.is_legacy)
             if (const auto kind =
-                    codecs::ByteReader(reader.read_bytes(kHeadBytes)).read_little_endian_number<std::uint8_t>();
+                    codecs::ByteReader(reader.read_bytes(kHeadBytes)).read_number<std::uint8_t>();
                 kind != kLidarData)
                 fail("found a packet of type {}, expected {} (LiDAR data of an Ouster)", kind, kLidarData);
         DecodedPacket packet;
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
         for (int slot = 0; slot < packet.n_slots; ++slot) {
-            const OusterColumnHeader column = read_column_header(reader);
+            const OusterColumnHeader column = read_header(reader);
             codecs::ByteReader pixels(reader.read_bytes(rings * profile.pixel_bytes));
-            const bool was_measured = profile.is_legacy
-                                          ? reader.read_little_endian_number<std::uint32_t>() == 0xFFFFFFFF
-                                          : column.was_measured;
+            const bool was_measured =
+                profile.is_legacy ? reader.read_number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
             if (!was_measured) continue;
-            packet.firings.push_back({slot, 0.0, compute_column_azimuth_deg(column, packet.firings, slot)});
+            packet.firings.push_back({slot, 0.0, column_azimuth_deg(column, packet.firings, slot)});
             times_ns.push_back(column.time_ns);
             packet.echoes.resize(packet.echoes.size() + rings);
-            read_pixels_of_column(pixels, &packet.echoes[packet.echoes.size() - rings]);
+            read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
         // The packet is sent after its last column.
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
@@ -243,20 +236,19 @@ private:
     const std::shared_ptr<const OusterMetadata> format_;
     FiringTiming timing_;
 
-    OusterColumnHeader read_column_header(codecs::ByteReader& reader) const {
+    OusterColumnHeader read_header(codecs::ByteReader& reader) const {
         OusterColumnHeader column;
-        const auto time_ns = reader.read_little_endian_number<std::uint64_t>();
-        column.number = reader.read_little_endian_number<std::uint16_t>();
+        const auto time_ns = reader.read_number<std::uint64_t>();
+        column.number = reader.read_number<std::uint16_t>();
         if (format_->profile->is_legacy)
             reader.read_bytes(6);  // skips the frame number and the encoder angle
-        else column.was_measured = (reader.read_little_endian_number<std::uint16_t>() & 1) != 0;
+        else column.was_measured = (reader.read_number<std::uint16_t>() & 1) != 0;
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;
     }
 
-    double compute_column_azimuth_deg(const OusterColumnHeader& column,
-                                      const std::vector<LaserFiring>& previous_firings,
-                                      int slot_in_packet) const {
+    double column_azimuth_deg(const OusterColumnHeader& column,
+                              const std::vector<LaserFiring>& previous_firings, int slot_in_packet) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
             fail("a packet has column {}, expected a number below {} (lidar_mode in {})", column.number,
@@ -272,7 +264,7 @@ private:
         return azimuth_deg;
     }
 
-    void read_pixels_of_column(codecs::ByteReader& reader, std::array<DecodedReturn, 2>* returns_of_each_ring) const {
+    void read_pixels(codecs::ByteReader& reader, std::array<DecodedReturn, 2>* returns_of_each_ring) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
             const std::string_view pixel = reader.read_bytes(profile.pixel_bytes);
@@ -280,11 +272,10 @@ private:
             for (int k = 0; k < profile.returns; ++k) {
                 const std::string_view bytes = pixel.substr(4 * std::size_t(k));
                 const auto range =
-                    codecs::ByteReader(bytes).read_little_endian_number<std::uint32_t>() & profile.range_bits;
+                    codecs::ByteReader(bytes).read_number<std::uint32_t>() & profile.range_bits;
                 codecs::ByteReader bright(bytes.substr(profile.reflectivity_at));
-                const double reflectivity = profile.is_wide
-                                                ? bright.read_little_endian_number<std::uint16_t>()
-                                                : bright.read_little_endian_number<std::uint8_t>();
+                const double reflectivity = profile.is_wide ? bright.read_number<std::uint16_t>()
+                                                            : bright.read_number<std::uint8_t>();
                 const double range_m = profile.range_unit_m * range - start_m;
                 if (range > 0 && range_m > 0.0)
                     returns_of_each_ring[ring][std::size_t(k)] = {float(range_m),
@@ -296,47 +287,44 @@ private:
 
 }  // namespace
 
-std::string OusterMetadata::describe_packets() const {
+std::string OusterMetadata::describe() const {
     return fmt::format("packets of {} bytes ({}, {} beams, {} columns per packet{})", packet_bytes,
                        profile->name, sensor.beams.size(), columns_per_packet,
                        port > 0 ? fmt::format(", port {}", port) : "");
 }
 
-bool is_ouster_metadata(std::string_view json_text) {
+bool is_metadata(std::string_view json_text) {
     return std::ranges::any_of(
         std::initializer_list<const char*>{"\"beam_altitude_angles\"", "\"lidar_mode\"", "\"prod_line\""},
         [&](const char* key) { return json_text.find(key) != std::string_view::npos; });
 }
 
-std::shared_ptr<const OusterMetadata> parse_ouster_metadata(const std::string& json_text,
-                                                            const std::string& error_location) {
-    const Json json = parse_json(json_text, error_location);
+std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_text, const std::string& place) {
+    const Json json = parse_json(json_text, place);
     auto format = std::make_shared<OusterMetadata>();
     format->text = json_text;
-    format->where = error_location;
-    format->product = read_optional_text(json, error_location, "prod_line", "Ouster");
-    const SensorModel model = parse_sensor_json_text(json_text, format->product, error_location);
+    format->where = place;
+    format->product = read_text(json, place, "prod_line", "Ouster");
+    const SensorModel model = parse_sensor(json_text, format->product, place);
     const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
-    if (!spinning)
-        fail("{}: found a sensor that does not spin, expected the metadata of an Ouster", error_location);
+    if (!spinning) fail("{}: found a sensor that does not spin, expected the metadata of an Ouster", place);
     format->sensor = *spinning;
-    format->profile = &find_ouster_profile_of_metadata(json, error_location);
-    format->columns_per_packet =
-        read_optional_integer(json, error_location, "columns_per_packet", kUsualColumns, 65536);
-    require_valid_layout_and_set_size(*format, json);
-    format->port = read_optional_integer(json, error_location, "udp_port_lidar", 0, 65535);
-    const double serial = parse_number(read_optional_text(json, error_location, "prod_sn", "")).value_or(0.0);
+    format->profile = &find_profile(json, place);
+    format->columns_per_packet = read_integer(json, place, "columns_per_packet", kUsualColumns, 65536);
+    set_size(*format, json);
+    format->port = read_integer(json, place, "udp_port_lidar", 0, 65535);
+    const double serial = parse_number(read_text(json, place, "prod_sn", "")).value_or(0.0);
     format->serial = serial > 0.0 && serial < kMostSerial ? std::uint64_t(serial) : 0;
-    format->fires = mark_columns_in_azimuth_window(json, error_location, spinning->columns);
-    format->ring_of = compute_ring_of_each_pixel(json, error_location);
+    format->fires = mark_columns(json, place, spinning->columns);
+    format->ring_of = rank_pixels(json, place);
     return format;
 }
 
-OusterMetadataList read_ouster_metadata_in_folder_of(const fs::path& recording_path,
-                                                     std::vector<std::string>& error_messages) {
+OusterMetadataList read_metadata_files(const fs::path& recording_path,
+                                       std::vector<std::string>& error_messages) {
     const std::string recording_stem = recording_path.stem().string();
     const bool has_metadata_of_same_name =
-        is_ouster_metadata_file(fs::path(recording_path).replace_extension(".json"));
+        is_metadata_file(fs::path(recording_path).replace_extension(".json"));
     const fs::path folder = recording_path.has_parent_path() ? recording_path.parent_path() : ".";
     std::vector<fs::path> files;  // empty if the folder cannot be read
     std::error_code failed;
@@ -345,7 +333,7 @@ OusterMetadataList read_ouster_metadata_in_folder_of(const fs::path& recording_p
     std::ranges::sort(files);
     std::set<std::string> recorded;  // names of the recordings in the folder
     for (const fs::path& file : files) {
-        const fs::path unpacked = bag::remove_gz_extension(file);
+        const fs::path unpacked = bag::strip_gz(file);
         const std::string ending = unpacked.extension().string();
         if (ending == ".pcap" || ending == ".pcapng" || ending == ".bag" || ending == ".mcap" ||
             ending == ".db3")
@@ -357,10 +345,10 @@ OusterMetadataList read_ouster_metadata_in_folder_of(const fs::path& recording_p
         if (stem != recording_stem &&
             (recorded.contains(stem) || (has_metadata_of_same_name && !stem.starts_with(recording_stem))))
             continue;
-        if (formats.size() >= kMostFiles || !is_ouster_metadata_file(file)) continue;
+        if (formats.size() >= kMostFiles || !is_metadata_file(file)) continue;
         try {
             const fs::path shown = recording_path.has_parent_path() ? file : file.filename();
-            formats.push_back(parse_ouster_metadata(read_text_file(file), shown.string()));
+            formats.push_back(parse_metadata(read_text_file(file), shown.string()));
         } catch (const DataError& error) {
             error_messages.emplace_back(error.what());
         }
@@ -368,11 +356,10 @@ OusterMetadataList read_ouster_metadata_in_folder_of(const fs::path& recording_p
     return formats;
 }
 
-std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const OusterMetadataList& metadata_list,
-                                                                     std::string_view topic_name,
-                                                                     std::string_view packet) {
+std::shared_ptr<const OusterMetadata> find_metadata(const OusterMetadataList& metadata_list,
+                                                    std::string_view topic, std::string_view packet) {
     OusterMetadataList left;
-    const int port = parse_port_of_topic(topic_name);
+    const int port = parse_port(topic);
     // If only one sensor has metadata, accepts its LEGACY packets on any UDP port,
     // because they have no serial number and users may change the port.
     const bool is_alone = std::ranges::all_of(
@@ -382,8 +369,7 @@ std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const Ouste
             std::ranges::any_of(left, [&](const auto& other) { return other->text == format->text; });
         const bool is_of_other_port = port > 0 && format->port > 0 && port != format->port;
         if (format->packet_bytes != packet.size() || is_duplicate ||
-            (is_of_other_port && !has_matching_serial_number(packet, *format) &&
-             !(is_alone && format->profile->is_legacy)))
+            (is_of_other_port && !has_serial(packet, *format) && !(is_alone && format->profile->is_legacy)))
             continue;
         left.push_back(format);
     }
@@ -392,37 +378,34 @@ std::shared_ptr<const OusterMetadata> find_ouster_metadata_of_packet(const Ouste
             std::erase_if(left, [&](const auto& format) { return !is_its(format); });
     };
     narrow([&](const auto& format) {
-        return !get_topic_namespace(topic_name).empty() &&
-               get_topic_namespace(format->where) == get_topic_namespace(topic_name);
+        return !find_namespace(topic).empty() && find_namespace(format->where) == find_namespace(topic);
     });
     narrow([&](const auto& format) { return format->port > 0 && format->port == port; });
-    narrow([&](const auto& format) { return has_matching_serial_number(packet, *format); });
+    narrow([&](const auto& format) { return has_serial(packet, *format); });
     return left.size() == 1 ? left.front() : nullptr;
 }
 
-bool is_ouster_packet_size(std::size_t n_bytes) {
-    for (const OusterProfile& profile : kProfiles)
+bool is_ouster_size(std::size_t n_bytes) {
+    for (const OusterProfile& profile : kOusterProfiles)
         for (const int pixels : {16, 32, 64, 128, 256})
-            if (n_bytes == compute_packet_bytes(profile, pixels, kUsualColumns)) return true;
+            if (n_bytes == count_bytes(profile, pixels, kUsualColumns)) return true;
     return false;
 }
 
-std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
-                                       const fs::path& recording_path, std::string_view topic_name,
-                                       std::size_t packet_size) {
-    const int port = parse_port_of_topic(topic_name);
-    const std::string found = fmt::format(
-        "found packets of {} bytes {}", packet_size,
-        port > 0 ? fmt::format("on port {}", port) : "of " + shorten_for_error_message(topic_name));
+std::string ouster_error(const OusterMetadataList& metadata_list, const fs::path& recording_path,
+                         std::string_view topic, std::size_t packet_size) {
+    const int port = parse_port(topic);
+    const std::string found = fmt::format("found packets of {} bytes {}", packet_size,
+                                          port > 0 ? fmt::format("on port {}", port) : "of " + quote(topic));
     if (metadata_list.empty())
         return fmt::format(
-            "{}, probably from an Ouster; expected the metadata of the sensor (http://SENSOR/api/v1/sensor/"
-            "metadata) {}in the file {}",
+            "{}, probably from an Ouster; expected the metadata of the sensor "
+            "(http://SENSOR/api/v1/sensor/metadata) {}in the file {}",
             found, port > 0 ? "" : "on a topic .../metadata, or ",
             fs::path(recording_path).replace_extension(".json").filename().string());
     std::string formats;
     for (std::size_t k = 0; k < std::min(metadata_list.size(), kMaxListedFormats); ++k)
-        formats += fmt::format("{}{} of {}", k == 0 ? "" : ", or ", metadata_list[k]->describe_packets(),
+        formats += fmt::format("{}{} of {}", k == 0 ? "" : ", or ", metadata_list[k]->describe(),
                                metadata_list[k]->where);
     if (metadata_list.size() > kMaxListedFormats)
         formats += fmt::format(", or of {} other files", metadata_list.size() - kMaxListedFormats);
@@ -434,8 +417,7 @@ std::string format_ouster_packet_error(const OusterMetadataList& metadata_list,
                                   : "exactly one metadata topic in the namespace of the packet topic");
 }
 
-std::unique_ptr<PacketDecoder> make_ouster_packet_decoder(const char*,
-                                                          const DecoderCalibration& calibration) {
+std::unique_ptr<PacketDecoder> make_ouster_decoder(const char*, const DecoderCalibration& calibration) {
     return std::make_unique<OusterDecoder>(calibration.ouster);
 }
 

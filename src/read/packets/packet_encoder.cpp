@@ -23,14 +23,14 @@ constexpr double kMostStepError = 0.02;
 // Some sensors fire only at fixed azimuths. Limit for |azimuth of a firing - nearest
 // fixed azimuth| / step between two fixed azimuths.
 constexpr double kMostColumnError = 0.1;
-constexpr double kJump_us = 1.0;
+constexpr double kMinPacketJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
 
 }  // namespace
 
-std::string format_packet_sensor_names() {
+std::string packet_sensors() {
     std::string names;
-    for (const auto& of_maker : {packets::list_velodyne_sensor_names(), packets::list_hesai_sensor_names()})
+    for (const auto& of_maker : {packets::velodyne_names(), packets::hesai_names()})
         for (const std::string& name : of_maker) names += name + ", ";
     return names + "an Ouster (OS0-32, OS1-64 and so on, or its metadata)";
 }
@@ -55,14 +55,14 @@ struct PacketEncoder::Impl {
     std::uint32_t n_written = 0;
     std::vector<SensorPacket> complete;
 
-    double get_firing_period_s() const { return 1e-6 * format->get_firing_period_us(); }
-    double get_firing_step_deg() const { return 360.0 * get_firing_period_s() / sensor.period_s; }
-    std::int64_t get_firings_per_packet() const { return format->firings_per_packet(); }
-    int n_fixed() const { return format->get_fixed_columns_per_revolution(); }
-    bool has_fixed_column_azimuths() const { return n_fixed() > 0; }
+    double firing_period_s() const { return 1e-6 * format->firing_period_us(); }
+    double firing_step_deg() const { return 360.0 * firing_period_s() / sensor.period_s; }
+    std::int64_t per_packet() const { return format->firings_per_packet(); }
+    int n_fixed() const { return format->fixed_columns(); }
+    bool has_fixed_columns() const { return n_fixed() > 0; }
 
     /// Only for a sensor that fires at fixed azimuths.
-    std::int64_t compute_firing_column_index(const FiringColumn& firing) const {
+    std::int64_t find_column(const FiringColumn& firing) const {
         const double fractional_column = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * n_fixed();
         if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
             fail<UsageError>(
@@ -72,25 +72,24 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the rounded number of firing periods from `anchor` to `firing`.
-    double count_firing_steps_between(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
-        const double by_time = (firing.time_s - anchor.time_s) / get_firing_period_s();
-        if (has_fixed_column_azimuths()) {
+    double count_steps(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
+        const double by_time = (firing.time_s - anchor.time_s) / firing_period_s();
+        if (has_fixed_columns()) {
             const double n = n_fixed();
-            const double turned =
-                std::fmod(double(compute_firing_column_index(firing) - anchor.position) + n * 1e6, n);
+            const double turned = std::fmod(double(find_column(firing) - anchor.position) + n * 1e6, n);
             return turned + n * std::round((by_time - turned) / n);
         }
         if (!options.times_jitter) return std::round(by_time);
         const double turned_deg = std::remainder(firing.azimuth_deg - anchor.azimuth_deg, 360.0);
-        const double turns = std::round(by_time * get_firing_step_deg() / 360.0 - turned_deg / 360.0);
-        return std::round((turned_deg + 360.0 * turns) / get_firing_step_deg());
+        const double turns = std::round(by_time * firing_step_deg() / 360.0 - turned_deg / 360.0);
+        return std::round((turned_deg + 360.0 * turns) / firing_step_deg());
     }
 
     /// Returns the number of firing periods from the last firing to `firing`, or 0 if
     /// `firing` is not later and has no returns, so that the caller can skip it.
     /// @throws UsageError if a firing with returns is not later than the last firing
-    std::int64_t count_firing_steps_from_last(const FiringColumn& firing) const {
-        const double steps = count_firing_steps_between(*last, firing);
+    std::int64_t steps_from_last(const FiringColumn& firing) const {
+        const double steps = count_steps(*last, firing);
         if (steps < 1.0 && !firing.has_returns) return 0;
         if (steps < 1.0)
             fail<UsageError>(
@@ -102,31 +101,30 @@ struct PacketEncoder::Impl {
 
     /// Returns the position of the first firing within its packet. In a recorded log,
     /// firing times jump between two packets. New packets begin at the same firings.
-    std::int64_t find_packet_slot_of_first_firing(const std::vector<FiringColumn>& firings_of_scan) const {
-        if (has_fixed_column_azimuths()) return compute_firing_column_index(firings_of_scan.front());
+    std::int64_t find_first_slot(const std::vector<FiringColumn>& firings_of_scan) const {
+        if (has_fixed_columns()) return find_column(firings_of_scan.front());
         if (!options.times_jitter) return 1;
-        std::vector<int> n_jumps(std::size_t(get_firings_per_packet()), 0);
+        std::vector<int> n_jumps(std::size_t(per_packet()), 0);
         std::int64_t firing_index = 0;
         for (std::size_t i = 1; i < firings_of_scan.size(); ++i) {
             const FiringColumn &firing = firings_of_scan[i], &before = firings_of_scan[i - 1];
-            const double steps =
-                count_firing_steps_between({firing_index, before.time_s, before.azimuth_deg}, firing);
+            const double steps = count_steps({firing_index, before.time_s, before.azimuth_deg}, firing);
             firing_index += std::max<std::int64_t>(std::llround(steps), 1);
-            if (1e6 * std::abs(firing.time_s - before.time_s - steps * get_firing_period_s()) > kJump_us)
-                ++n_jumps[std::size_t(firing_index % get_firings_per_packet())];
+            if (1e6 * std::abs(firing.time_s - before.time_s - steps * firing_period_s()) > kMinPacketJump_us)
+                ++n_jumps[std::size_t(firing_index % per_packet())];
         }
         const auto start = std::ranges::max_element(n_jumps) - n_jumps.begin();
-        return get_firings_per_packet() - start;
+        return per_packet() - start;
     }
 
     /// The sensor's clock has even steps. The times in the log are uneven, because they
     /// depend on when packets were received.
-    void set_firing_clock_time(FiringColumn& firing, std::int64_t firing_index) {
+    void set_clock(FiringColumn& firing, std::int64_t firing_index) {
         firing.clock_s = firing.time_s;
-        if (!options.times_jitter || has_fixed_column_azimuths()) return;
+        if (!options.times_jitter || has_fixed_columns()) return;
         const double even_s =
             clock_start
-                ? clock_start->time_s + double(firing_index - clock_start->position) * get_firing_period_s()
+                ? clock_start->time_s + double(firing_index - clock_start->position) * firing_period_s()
                 : 0.0;
         if (!clock_start || std::abs(even_s - firing.time_s) > sensor.period_s)
             clock_start = {firing_index, firing.time_s, firing.azimuth_deg};
@@ -134,102 +132,99 @@ struct PacketEncoder::Impl {
     }
 
     /// Stores a firing in its packet. First writes all earlier packets.
-    void store_firing_in_packet(FiringColumn firing, std::int64_t firing_index) {
+    void store_firing(FiringColumn firing, std::int64_t firing_index) {
         // Drivers need a firing before the first revolution. If a packet holds only one
         // firing, first writes a packet without returns.
-        const bool needs_packet = get_firings_per_packet() == 1 && !has_fixed_column_azimuths();
-        if (pending.empty())
-            start_packet(needs_packet ? firing_index - 1 : firing_index / get_firings_per_packet());
-        while (packet < firing_index / get_firings_per_packet()) {
-            write_pending_packet();
+        const bool needs_packet = per_packet() == 1 && !has_fixed_columns();
+        if (pending.empty()) start_packet(needs_packet ? firing_index - 1 : firing_index / per_packet());
+        while (packet < firing_index / per_packet()) {
+            write_packet();
             // A sensor with fixed azimuths sends no packets outside its azimuth window.
             // So packet numbers are skipped. Any other sensor sends all packets.
-            start_packet(has_fixed_column_azimuths() ? firing_index / get_firings_per_packet() : packet + 1);
+            start_packet(has_fixed_columns() ? firing_index / per_packet() : packet + 1);
         }
-        pending[std::size_t(firing_index % get_firings_per_packet())] = std::move(firing);
+        pending[std::size_t(firing_index % per_packet())] = std::move(firing);
     }
 
     /// Adds firings without returns between the last firing and `next_firing`, with an
     /// even rotation. Only for sensors that fire at any azimuth.
-    void fill_gap_before_firing(const FiringColumn& next_firing, std::int64_t next_firing_index) {
+    void fill_gap(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(next_firing_index - last->position);
-        const double by_rate_deg = n * get_firing_step_deg();
+        const double by_rate_deg = n * firing_step_deg();
         const double all_deg = turned_deg + 360.0 * std::round((by_rate_deg - turned_deg) / 360.0);
         for (std::int64_t p = last->position + 1; p < next_firing_index; ++p) {
             const double share = double(p - last->position) / n;
             FiringColumn firing{.time_s = last->time_s + share * (next_firing.time_s - last->time_s)};
             firing.azimuth_deg = std::fmod(last->azimuth_deg + share * all_deg + 360.0, 360.0);
             firing.is_filled = true;
-            set_firing_clock_time(firing, p);
-            store_firing_in_packet(std::move(firing), p);
+            set_clock(firing, p);
+            store_firing(std::move(firing), p);
         }
     }
 
-    void add_firing_and_fill_gap(FiringColumn firing, std::int64_t first_firing_index) {
-        std::int64_t position =
-            last ? last->position + count_firing_steps_from_last(firing) : first_firing_index;
+    void add_firing(FiringColumn firing, std::int64_t first_firing_index) {
+        std::int64_t position = last ? last->position + steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
-        if (has_fixed_column_azimuths()) {
+        if (has_fixed_columns()) {
             fired[std::size_t(position % n_fixed())] = true;
         } else if (last) {
             // Fills gaps at the end of a revolution, where a log can omit firings without
             // returns. A longer gap is a pause between scans and is not filled.
             const std::int64_t max_missing_firings =
-                std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / get_firing_period_s());
+                std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / firing_period_s());
             if (position - last->position > max_missing_firings) {
-                encode_final_packets();
-                position = (packet + 1) * get_firings_per_packet() + 1;
-            } else fill_gap_before_firing(firing, position);
+                finish_packets();
+                position = (packet + 1) * per_packet() + 1;
+            } else fill_gap(firing, position);
         }
-        set_firing_clock_time(firing, position);
+        set_clock(firing, position);
         last = {position, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
-        store_firing_in_packet(std::move(firing), position);
+        store_firing(std::move(firing), position);
     }
 
     void start_packet(std::int64_t packet_number) {
         packet = packet_number;
-        pending.assign(std::size_t(get_firings_per_packet()), FiringColumn{});
+        pending.assign(std::size_t(per_packet()), FiringColumn{});
     }
 
     /// Computes times and azimuths of firings that no scan contains, from another firing
     /// and the nominal rotation rate.
-    void fill_missing_firings() {
-        const auto first =
-            std::ranges::find_if(pending, &FiringColumn::has_time_and_azimuth) - pending.begin();
-        const std::int64_t begin = packet * get_firings_per_packet();
+    void fill_packet() {
+        const auto first = std::ranges::find_if(pending, &FiringColumn::is_known) - pending.begin();
+        const std::int64_t begin = packet * per_packet();
         const auto anchor_at = [&](std::int64_t slot) {
             const FiringColumn& firing = pending[std::size_t(slot)];
             return FiringClockAnchor{begin + slot, firing.time_s, firing.azimuth_deg,
                                      firing.clock_s - firing.time_s};
         };
-        FiringClockAnchor anchor = first < get_firings_per_packet() ? anchor_at(first) : *last;
-        for (std::int64_t slot = 0; slot < get_firings_per_packet(); ++slot) {
+        FiringClockAnchor anchor = first < per_packet() ? anchor_at(first) : *last;
+        for (std::int64_t slot = 0; slot < per_packet(); ++slot) {
             FiringColumn& firing = pending[std::size_t(slot)];
-            if (firing.has_time_and_azimuth()) anchor = anchor_at(slot);
+            if (firing.is_known()) anchor = anchor_at(slot);
             const auto steps = double(begin + slot - anchor.position);
-            firing.time_s = anchor.time_s + steps * get_firing_period_s();
+            firing.time_s = anchor.time_s + steps * firing_period_s();
             firing.clock_s = firing.time_s + anchor.clock_less_time_s;
-            firing.azimuth_deg = std::fmod(anchor.azimuth_deg + steps * get_firing_step_deg() + 720.0, 360.0);
+            firing.azimuth_deg = std::fmod(anchor.azimuth_deg + steps * firing_step_deg() + 720.0, 360.0);
         }
     }
 
-    void write_pending_packet() {
-        fill_missing_firings();
-        for (int k = 0; k < format->get_packets_per_firing(); ++k, ++n_written)
-            complete.push_back(format->encode_packet(
-                pending, has_fixed_column_azimuths() ? std::uint32_t(packet) : n_written));
+    void write_packet() {
+        fill_packet();
+        for (int k = 0; k < format->packets_per_firing(); ++k, ++n_written)
+            complete.push_back(
+                format->encode_packet(pending, has_fixed_columns() ? std::uint32_t(packet) : n_written));
     }
 
     /// Writes the pending packet, then an extra packet without returns, from which
     /// drivers detect the end of the scan. Not needed for sensors that fire at fixed
     /// azimuths.
-    void encode_final_packets() {
+    void finish_packets() {
         if (pending.empty()) return;
-        write_pending_packet();
-        if (has_fixed_column_azimuths()) return;
+        write_packet();
+        if (has_fixed_columns()) return;
         start_packet(packet + 1);
-        write_pending_packet();
+        write_packet();
     }
 };
 
@@ -237,18 +232,16 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
     : impl_(std::make_unique<Impl>()) {
     impl_->sensor = sensor;
     impl_->options = options;
-    for (auto* make :
-         {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
+    for (auto* make : {packets::make_velodyne, packets::make_hesai, packets::make_ouster})
         if (!impl_->format) impl_->format = make(sensor, options);
     if (!impl_->format)
         fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", sensor.name,
-                         format_packet_sensor_names());
-    impl_->offsets_us = impl_->format->get_beam_delays_us();
+                         packet_sensors());
+    impl_->offsets_us = impl_->format->beam_delays();
     impl_->fired.resize(std::size_t(impl_->n_fixed()));
     const double step_us = 1e6 * sensor.period_s / sensor.columns;
-    const double expected_us =
-        impl_->format->get_firing_period_us() / impl_->format->get_scan_columns_per_firing();
-    if (!impl_->has_fixed_column_azimuths() && !(std::abs(step_us / expected_us - 1.0) < kMostStepError))
+    const double expected_us = impl_->format->firing_period_us() / impl_->format->columns_per_firing();
+    if (!impl_->has_fixed_columns() && !(std::abs(step_us / expected_us - 1.0) < kMostStepError))
         fail<UsageError>(
             "cannot write packets of {}: found {} columns in {} s, expected {:.0f}, one every {} us",
             sensor.name, sensor.columns, sensor.period_s, 1e6 * sensor.period_s / expected_us, expected_us);
@@ -256,23 +249,23 @@ PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& 
 
 PacketEncoder::~PacketEncoder() = default;
 
-std::vector<SensorPacket> PacketEncoder::encode_scan_as_packets(const Scan& scan, double time_s) {
-    std::vector<FiringColumn> firings = impl_->format->merge_scan_columns_into_firings(
+std::vector<SensorPacket> PacketEncoder::add_scan(const Scan& scan, double time_s) {
+    std::vector<FiringColumn> firings = impl_->format->merge_columns(
         packets::extract_firings(scan, time_s, impl_->sensor, impl_->offsets_us));
-    const std::int64_t start = impl_->last ? 0 : impl_->find_packet_slot_of_first_firing(firings);
-    for (FiringColumn& firing : firings) impl_->add_firing_and_fill_gap(std::move(firing), start);
+    const std::int64_t start = impl_->last ? 0 : impl_->find_first_slot(firings);
+    for (FiringColumn& firing : firings) impl_->add_firing(std::move(firing), start);
     return std::exchange(impl_->complete, {});
 }
 
-std::vector<SensorPacket> PacketEncoder::flush_remaining_packets() {
-    impl_->encode_final_packets();
+std::vector<SensorPacket> PacketEncoder::flush() {
+    impl_->finish_packets();
     impl_->pending.clear();
     return std::exchange(impl_->complete, {});
 }
 
-PacketCalibrationFile PacketEncoder::get_packet_calibration() const {
-    return impl_->format->make_calibration_file(impl_->fired);
+PacketCalibrationFile PacketEncoder::calibration_file() const {
+    return impl_->format->make_calibration(impl_->fired);
 }
-int PacketEncoder::get_udp_port() const { return impl_->format->get_udp_port(); }
+int PacketEncoder::udp_port() const { return impl_->format->udp_port(); }
 
 }  // namespace relidar

@@ -34,7 +34,7 @@ struct FiringColumn {
     /// empty if no scan contains the firing
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
-    bool has_time_and_azimuth() const { return is_measured || is_filled; }
+    bool is_known() const { return is_measured || is_filled; }
 };
 
 /// Returns the firings of a scan, sorted by time. A firing contains the rays of all
@@ -47,29 +47,28 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
 class PacketFormat {
 public:
     virtual ~PacketFormat() = default;
-    virtual int get_udp_port() const = 0;
+    virtual int udp_port() const = 0;
     virtual int firings_per_packet() const = 0;
-    virtual double get_firing_period_us() const = 0;
+    virtual double firing_period_us() const = 0;
     /// Packets of a firing: above 1 if each of several firing sequences has a packet.
-    virtual int get_packets_per_firing() const { return 1; }
+    virtual int packets_per_firing() const { return 1; }
     /// Scan columns of a firing (all lasers at one azimuth): 2 if the lasers fire in two
     /// sequences and the scan stores each as a column, otherwise 1.
-    virtual int get_scan_columns_per_firing() const { return 1; }
+    virtual int columns_per_firing() const { return 1; }
     /// Joins the two columns of a firing. Removes simulated rays of lasers that do not
     /// fire in the sequence of their column.
-    virtual std::vector<FiringColumn> merge_scan_columns_into_firings(
-        std::vector<FiringColumn> scan_columns) const {
+    virtual std::vector<FiringColumn> merge_columns(std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
     }
     /// Number of azimuths per turn at which the sensor fires, column 0 at its back; 0 if
     /// it can fire at any azimuth.
-    virtual int get_fixed_columns_per_revolution() const { return 0; }
+    virtual int fixed_columns() const { return 0; }
     /// [rings] delay of each beam after the first laser of a column
-    virtual std::vector<double> get_beam_delays_us() const = 0;
+    virtual std::vector<double> beam_delays() const = 0;
     /// Returns the calibration file that other programs need to decode the packets.
     /// @param column_has_fired  [columns] true if the sensor fires at this column; empty
     /// if the sensor fires at any azimuth
-    virtual PacketCalibrationFile make_calibration_file(
+    virtual PacketCalibrationFile make_calibration(
         [[maybe_unused]] const std::vector<bool>& column_has_fired) const {
         return {};
     }
@@ -80,14 +79,13 @@ public:
 };
 
 // Return null if the sensor is from another manufacturer.
-std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
-                                                   const PacketOptions& options);
-std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
-std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, const PacketOptions& options);
+std::unique_ptr<PacketFormat> make_velodyne(const SpinningSensor& sensor, const PacketOptions& options);
+std::unique_ptr<PacketFormat> make_hesai(const SpinningSensor& sensor, const PacketOptions& options);
+std::unique_ptr<PacketFormat> make_ouster(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// See PacketFormat::get_scan_columns_per_firing(). Scans that were decoded from packets
+/// See PacketFormat::columns_per_firing(). Scans that were decoded from packets
 /// store both sequences in one column.
-int count_scan_columns_per_firing(const PacketLayout& layout, const SpinningSensor& sensor);
+int count_columns(const PacketLayout& layout, const SpinningSensor& sensor);
 
 /// Packets of Velodyne and Hesai, which consist of the same kind of blocks.
 class BlockWriter : public PacketFormat {
@@ -95,30 +93,27 @@ public:
     /// @throws UsageError if `sensor` does not have the beams that `layout` describes
     BlockWriter(const PacketLayout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
-    int get_udp_port() const override { return 2368; }
+    int udp_port() const override { return 2368; }
     int firings_per_packet() const override;
-    double get_firing_period_us() const override {
-        return layout_.cycle_us * double(layout_.count_firing_sequences());
-    }
-    int get_packets_per_firing() const override;
-    int get_scan_columns_per_firing() const override { return columns_per_firing_; }
-    std::vector<FiringColumn> merge_scan_columns_into_firings(
-        std::vector<FiringColumn> scan_columns) const override;
-    std::vector<double> get_beam_delays_us() const override { return offsets_us_; }
+    double firing_period_us() const override { return layout_.cycle_us * double(layout_.n_sequences()); }
+    int packets_per_firing() const override;
+    int columns_per_firing() const override { return columns_per_firing_; }
+    std::vector<FiringColumn> merge_columns(std::vector<FiringColumn> scan_columns) const override;
+    std::vector<double> beam_delays() const override { return offsets_us_; }
 
 protected:
     const PacketLayout& layout() const { return layout_; }
-    bool has_dual_returns() const { return returns_ == 2; }
+    bool is_dual() const { return returns_ == 2; }
     /// Returns the manufacturer's number, from 0, of the laser of a ring.
-    std::size_t get_laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
+    std::size_t laser_of_ring(std::size_t ring) const { return laser_of_[ring]; }
     /// Returns the firing sequence of a block. Sequences can be in different packets.
-    std::size_t compute_firing_sequence_index(std::size_t block_index, std::uint32_t packet_number) const;
+    std::size_t sequence_of_block(std::size_t block_index, std::uint32_t packet_number) const;
     void append_blocks(std::string& bytes, std::span<const FiringColumn> firings, std::uint32_t packet_number,
                        double range_unit_m) const;
     /// Returns the time of a packet in nanoseconds since 1970.
     /// @param firing_time_member  FiringColumn::time_s or FiringColumn::clock_s
-    std::int64_t compute_packet_time_ns(std::span<const FiringColumn> firings, std::uint32_t packet_number,
-                                        double FiringColumn::*firing_time_member) const;
+    std::int64_t packet_time_ns(std::span<const FiringColumn> firings, std::uint32_t packet_number,
+                                double FiringColumn::*firing_time_member) const;
 
 private:
     /// Indices of the firing sequence, of the group of lasers, and of the return.
@@ -137,21 +132,19 @@ private:
     /// [firing sequences, lasers] index in FiringColumn::returns
     std::vector<std::vector<std::size_t>> ring_of_;
 
-    double compute_mean_laser_delay_us(std::size_t laser) const;
-    std::size_t count_blocks_per_firing() const {
-        return layout_.banks * std::size_t(returns_) * layout_.count_firing_sequences();
-    }
-    void append_block_returns(std::string& bytes, const FiringColumn& firing,
-                              const PacketBlockIndex& block_position, double range_unit_m) const;
+    double mean_delay_us(std::size_t laser) const;
+    std::size_t count_blocks() const { return layout_.banks * std::size_t(returns_) * layout_.n_sequences(); }
+    void append_returns(std::string& bytes, const FiringColumn& firing,
+                        const PacketBlockIndex& block_position, double range_unit_m) const;
 };
 
-const PacketLayout& find_packet_layout(const std::string& product_name);
-std::vector<std::string> list_velodyne_sensor_names();
-std::vector<std::string> list_hesai_sensor_names();
+const PacketLayout& find_layout(const std::string& product_name);
+std::vector<std::string> velodyne_names();
+std::vector<std::string> hesai_names();
 
 /// @return nanoseconds since 1970
-std::int64_t convert_log_time_to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
+std::int64_t to_unix_ns(double log_time_s, std::int64_t log_start_unix_ns);
 /// Converts the intensity of a return (0 to 1) to a one-byte reflectivity.
-std::uint8_t convert_intensity_to_byte(const LaserReturn& laser_return);
+std::uint8_t to_reflectivity(const LaserReturn& laser_return);
 
 }  // namespace relidar::packets

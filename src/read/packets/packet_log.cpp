@@ -18,56 +18,52 @@ namespace {
 constexpr int kMostFirings = 40000;  // more than in a revolution of two seconds
 constexpr std::int64_t kMaxRevolution_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
-constexpr double kBehind_deg = 180.0;
+constexpr double kRear_deg = 180.0;
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
-constexpr double kJump_deg = 5.0;
+constexpr double kMinAzimuthJump_deg = 5.0;
 // The user gets a note about an incomplete revolution at the start or end of the
 // recording only if more than this fraction of it was recorded.
 constexpr double kCutOff = 0.02;
 
 // A column beyond one end of the range image continues at the other end.
-bool is_column_enabled_with_wraparound(const std::vector<bool>& column_is_enabled, std::int64_t column) {
+bool is_enabled(const std::vector<bool>& column_is_enabled, std::int64_t column) {
     const auto n = std::int64_t(column_is_enabled.size());
     return column_is_enabled[std::size_t((column % n + n) % n)];
 }
 
 }  // namespace
 
-void PacketIndex::add_packets_of_message(const std::vector<ReceivedPacket>& packets,
-                                         std::int64_t recording_time_ns,
-                                         const bag::MessagePosition& message_position,
-                                         const DecoderCalibration& calibration) {
+void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
+                              const bag::MessagePosition& message_position,
+                              const DecoderCalibration& calibration) {
     messages_.push_back({message_position, recording_time_ns});
     DecoderCalibration of_first = calibration;
-    of_first.has_two_returns = !product_ && has_two_returns_per_firing(packets);
+    of_first.has_two_returns = !product_ && is_dual_rs16(packets);
     if (packets.size() > kMostInMessage)
         fail("a message has {} packets, expected at most {}", packets.size(), kMostInMessage);
     for (std::size_t i = 0; i < packets.size(); ++i) {
-        set_or_check_lidar_model(packets[i], of_first);
-        decode_and_index_packet(packets[i], std::uint16_t(i));
+        set_product(packets[i], of_first);
+        index_packet(packets[i], std::uint16_t(i));
     }
 }
 
-void PacketIndex::set_or_check_lidar_model(const ReceivedPacket& packet,
-                                           const DecoderCalibration& calibration) {
-    if (product_ && product_ == find_product_of_packet(packet.bytes, calibration_)) return;
-    const LidarProduct* product = find_product_of_packet(packet.bytes, calibration);
+void PacketIndex::set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration) {
+    if (product_ && product_ == find_product(packet.bytes, calibration_)) return;
+    const LidarProduct* product = find_product(packet.bytes, calibration);
     if (product_)
         fail("found a packet of {} bytes from {}, expected packets of a {} like before", packet.bytes.size(),
              product ? product->name : "an unknown product", product_->name);
-    if (!product || !product->make) throw DataError(format_unsupported_packet_error(product, packet.bytes));
+    if (!product || !product->make) throw DataError(unsupported_text(product, packet.bytes));
     decoder_ = product->make(product->name, calibration);
     product_ = product;
     calibration_ = calibration;
 }
 
 /// Only for a sensor that fires at fixed azimuths.
-double PacketIndex::compute_column_step_deg() const {
-    return 360.0 / double(decoder_->get_laser_timing().fires.size());
-}
+double PacketIndex::column_step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
 
-void PacketIndex::decode_and_index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message) {
+void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message) {
     const DecodedPacket packet = decoder_->decode_packet(packet_view.bytes);
     if (packet.firings.empty()) {
         ++n_empty_;
@@ -80,14 +76,14 @@ void PacketIndex::decode_and_index_packet(const ReceivedPacket& packet_view, std
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
     // azimuth step from firing f to the next firing
     const auto step_deg = [&](std::size_t f) {
-        return compute_rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
+        return rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
-    const bool may_skip = decoder_->get_laser_timing().fires.empty();
+    const bool may_skip = decoder_->timing().fires.empty();
     double skipped_deg = 0.0;
     for (std::size_t f = 0; is_at_end && may_skip && f + 1 < n; ++f)
-        skipped_deg -= step_deg(f) > kJump_deg ? step_deg(f) : 0.0;
+        skipped_deg -= step_deg(f) > kMinAzimuthJump_deg ? step_deg(f) : 0.0;
     for (std::size_t first = 0, f = 0; f < n; ++f) {
-        const bool is_last = f + 1 == n, jumps = !is_last && may_skip && step_deg(f) > kJump_deg;
+        const bool is_last = f + 1 == n, jumps = !is_last && may_skip && step_deg(f) > kMinAzimuthJump_deg;
         if (!is_last && !jumps) continue;
         const LaserFiring& begin = packet.firings[first];
         const std::int64_t after_ns = std::llround(1e3 * begin.after_us);
@@ -107,17 +103,17 @@ void PacketIndex::decode_and_index_packet(const ReceivedPacket& packet_view, std
                     hash,
                     std::exchange(n_empty_, std::uint16_t(0))};
         for (std::size_t k = first; k < f; ++k) entry.turned_deg += float(step_deg(k));
-        unwrap_sensor_clock(entry);
+        unwrap_clock(entry);
         packets_.push_back(entry);
         if (jumps) skipped_deg += step_deg(f);
         first = f + 1;
     }
-    if (decoder_->get_laser_timing().is_wide) add_to_intensity_histogram(packet);
+    if (decoder_->timing().is_wide) count_intensities(packet);
 }
 
 /// The time stamps of the packets show how often the sensor's clock has restarted.
-void PacketIndex::unwrap_sensor_clock(Entry& entry) const {
-    const double wrap_us = decoder_->get_laser_timing().wrap_us;
+void PacketIndex::unwrap_clock(Entry& entry) const {
+    const double wrap_us = decoder_->timing().wrap_us;
     if (packets_.empty() || !(wrap_us > 0.0)) return;
     const Entry& before = packets_.back();
     const double passed_stamp_us = 1e-3 * double(entry.stamp_ns - before.stamp_ns),
@@ -125,7 +121,7 @@ void PacketIndex::unwrap_sensor_clock(Entry& entry) const {
     entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
 }
 
-void PacketIndex::add_to_intensity_histogram(const DecodedPacket& packet) {
+void PacketIndex::count_intensities(const DecodedPacket& packet) {
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
         for (const DecodedReturn& echo : returns)
@@ -134,23 +130,23 @@ void PacketIndex::add_to_intensity_histogram(const DecodedPacket& packet) {
                     std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
 }
 
-void PacketIndex::sort_packets_and_find_revolutions() {
+void PacketIndex::finish() {
     if (packets_.empty()) return;
-    faults_ = sort_and_deduplicate_packets(packets_);
+    faults_ = sort_packets(packets_);
     n_packets_ = std::size_t(std::ranges::count(packets_, 0, &Entry::first_firing));
-    const FiringTiming& timing = decoder_->get_laser_timing();
-    deg_us_ = unwrap_azimuths_and_estimate_rate(packets_, timing);
+    const FiringTiming& timing = decoder_->timing();
+    deg_us_ = unwrap_azimuths(packets_, timing);
     if (timing.fires.empty() && deg_us_ > 0.0)
-        skipped_ = find_sector_without_firings(packets_, deg_us_ * timing.cycle_us);
-    find_complete_revolutions();
+        skipped_ = find_skipped_sector(packets_, deg_us_ * timing.cycle_us);
+    find_revolutions();
 }
 
 /// Only for a sensor that fires at fixed azimuths. Returns the number of packets sent
 /// since the previous packet; 1 if no packet was lost.
-std::size_t PacketIndex::count_packets_sent_since_previous(std::size_t packet_index) const {
+std::size_t PacketIndex::count_sent(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
-    const double n = ((entry.azimuth_deg - before.azimuth_deg) / compute_column_step_deg() -
-                      entry.first_slot + before.first_slot) /
+    const double n = ((entry.azimuth_deg - before.azimuth_deg) / column_step_deg() - entry.first_slot +
+                      before.first_slot) /
                      double(n_slots_);
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
@@ -158,33 +154,32 @@ std::size_t PacketIndex::count_packets_sent_since_previous(std::size_t packet_in
 /// Computes from the elapsed time how many firings were lost before this packet. Excludes
 /// the time in which the head passes the skipped sector. Not for sensors that fire at
 /// fixed azimuths.
-double PacketIndex::count_lost_firings_before_packet(std::size_t packet_index) const {
+double PacketIndex::count_lost_firings(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
-    const double cycle_us = decoder_->get_laser_timing().cycle_us,
+    const double cycle_us = decoder_->timing().cycle_us,
                  slots = 1e-3 * double(entry.clock_ns - before.clock_ns) / cycle_us,
-                 skipped_deg = skipped_.compute_sector_overlap_deg(before.azimuth_deg, entry.azimuth_deg);
+                 skipped_deg = skipped_.overlap_deg(before.azimuth_deg, entry.azimuth_deg);
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
 /// Does not count packets without a firing, because the sensor may not send them.
-std::size_t PacketIndex::count_lost_packets_before_packet(std::size_t packet_index) const {
-    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
+std::size_t PacketIndex::count_lost_packets(std::size_t packet_index) const {
+    const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty())
-        return std::size_t(std::clamp(
-            std::round(count_lost_firings_before_packet(packet_index) / double(n_slots_)), 0.0, 1e9));
-    const std::size_t n = count_packets_sent_since_previous(packet_index) - 1;
+        return std::size_t(
+            std::clamp(std::round(count_lost_firings(packet_index) / double(n_slots_)), 0.0, 1e9));
+    const std::size_t n = count_sent(packet_index) - 1;
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     // A received packet without a firing is not lost.
     const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet_index].n_empty_before);
     const Entry& before = packets_[packet_index - 1];
     std::int64_t column =
-        std::llround((before.azimuth_deg - kBehind_deg) / compute_column_step_deg()) - before.first_slot;
+        std::llround((before.azimuth_deg - kRear_deg) / column_step_deg()) - before.first_slot;
     std::size_t missing = 0;  // number of lost packets with at least one firing
     for (std::size_t k = 0; k < n; ++k) {
         column += n_slots_;
         bool any = false;
-        for (int slot = 0; slot < n_slots_; ++slot)
-            any = any || is_column_enabled_with_wraparound(fires, column + slot);
+        for (int slot = 0; slot < n_slots_; ++slot) any = any || is_enabled(fires, column + slot);
         missing += any;
     }
     return std::min(missing, n_lost);
@@ -192,9 +187,9 @@ std::size_t PacketIndex::count_lost_packets_before_packet(std::size_t packet_ind
 
 /// Counts the lost packets of a revolution. If packets were lost at its start or end,
 /// counts only the part that belongs to this revolution.
-void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) const {
+void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
     double n_missing = 0.0;
-    const double compute_slot_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
+    const double compute_slot_deg = deg_us_ * decoder_->timing().cycle_us;
     const std::size_t end = std::min(revolution.last + 2, packets_.size());
     for (std::size_t i = revolution.first + 1; i < end; ++i) {
         const Entry& before = packets_[i - 1];
@@ -202,8 +197,7 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
                      to_deg = packets_[i].azimuth_deg, width_deg = std::max(to_deg - from_deg, 1e-6);
         const double within_deg =
             std::min(to_deg, revolution.begin_deg + 360.0) - std::max(from_deg, revolution.begin_deg);
-        n_missing +=
-            double(count_lost_packets_before_packet(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
+        n_missing += double(count_lost_packets(i)) * std::clamp(within_deg / width_deg, 0.0, 1.0);
     }
     revolution.n_missing = std::size_t(std::llround(n_missing));
     revolution.has_gaps = n_missing > 0.0;
@@ -211,35 +205,31 @@ void PacketIndex::count_and_store_lost_packets(PacketRevolution& revolution) con
 
 /// Returns the recorded range of head azimuths. Includes azimuths just before the start
 /// and just after the end at which the sensor never fires.
-std::pair<double, double> PacketIndex::find_recorded_azimuth_range_deg() const {
+std::pair<double, double> PacketIndex::azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
-    const std::vector<bool>& fires = decoder_->get_laser_timing().fires;
+    const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty()) {
         if (!(skipped_.width_deg > 0.0)) return {first.azimuth_deg, last.azimuth_deg};
         // The range includes the sector `skipped_` if the recording starts or ends within
         // `slack_deg`, the rotation during one firing cycle, of it.
-        const double slack_deg = deg_us_ * decoder_->get_laser_timing().cycle_us;
+        const double slack_deg = deg_us_ * decoder_->timing().cycle_us;
         const double last_deg = last.azimuth_deg + double(last.turned_deg);
-        const double before_deg = skipped_.compute_sector_overlap_deg(first.azimuth_deg - slack_deg,
-                                                                      first.azimuth_deg),
-                     behind_deg = skipped_.compute_sector_overlap_deg(last_deg, last_deg + slack_deg);
+        const double before_deg = skipped_.overlap_deg(first.azimuth_deg - slack_deg, first.azimuth_deg),
+                     behind_deg = skipped_.overlap_deg(last_deg, last_deg + slack_deg);
         return {first.azimuth_deg - (before_deg > 0.0 ? skipped_.width_deg : 0.0),
                 behind_deg > 0.0 ? last_deg + skipped_.width_deg : last.azimuth_deg};
     }
-    std::int64_t begin = std::llround((first.azimuth_deg - kBehind_deg) / compute_column_step_deg());
+    std::int64_t begin = std::llround((first.azimuth_deg - kRear_deg) / column_step_deg());
     std::int64_t end =
-        std::llround((last.azimuth_deg + double(last.turned_deg) - kBehind_deg) / compute_column_step_deg()) +
-        1;
-    for (std::size_t k = 0; k < fires.size() && !is_column_enabled_with_wraparound(fires, begin - 1); ++k)
-        --begin;
-    for (std::size_t k = 0; k < fires.size() && !is_column_enabled_with_wraparound(fires, end); ++k) ++end;
-    return {kBehind_deg + compute_column_step_deg() * double(begin),
-            kBehind_deg + compute_column_step_deg() * double(end)};
+        std::llround((last.azimuth_deg + double(last.turned_deg) - kRear_deg) / column_step_deg()) + 1;
+    for (std::size_t k = 0; k < fires.size() && !is_enabled(fires, begin - 1); ++k) --begin;
+    for (std::size_t k = 0; k < fires.size() && !is_enabled(fires, end); ++k) ++end;
+    return {kRear_deg + column_step_deg() * double(begin), kRear_deg + column_step_deg() * double(end)};
 }
 
-void PacketIndex::find_complete_revolutions() {
-    const auto [first_deg, end] = find_recorded_azimuth_range_deg();
-    double begin = kBehind_deg + 360.0 * std::ceil((first_deg - kBehind_deg) / 360.0);
+void PacketIndex::find_revolutions() {
+    const auto [first_deg, end] = azimuth_range_deg();
+    double begin = kRear_deg + 360.0 * std::ceil((first_deg - kRear_deg) / 360.0);
     if (begin - first_deg > 360.0 * kCutOff) ++left_out_.n_cut_off;
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
         PacketRevolution revolution{0, 0, 0, 0, begin, 0};
@@ -252,25 +242,25 @@ void PacketIndex::find_complete_revolutions() {
         revolution.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = revolution.last;
         // The second firing sequence of the last column can be in the next packet.
-        if (decoder_->get_laser_timing().parts > 1)
+        if (decoder_->timing().parts > 1)
             revolution.last = std::min(revolution.last + 1, packets_.size() - 1);
         // All packets of this revolution were lost. Continues at the next packet.
         if (revolution.first == revolution.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg, lost = begin;
-            begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
+            begin = std::max(begin, kRear_deg + 360.0 * (std::floor((next - kRear_deg) / 360.0) - 1.0));
             left_out_.n_lost += std::size_t(std::llround((begin - lost) / 360.0)) + 1;
             continue;
         }
-        count_and_store_lost_packets(revolution);
-        set_revolution_times(revolution);
+        store_lost_packets(revolution);
+        set_times(revolution);
         if (2 * revolution.n_missing >= revolution.last - revolution.first) ++left_out_.n_lost;
-        else if (!has_steady_sensor_clock(revolution)) ++left_out_.n_jumps;
+        else if (!has_steady_clock(revolution)) ++left_out_.n_jumps;
         else revolutions_.push_back(revolution);
     }
     if (end - begin > 360.0 * kCutOff) ++left_out_.n_cut_off;
 }
 
-std::string PacketIndex::describe_problems() const {
+std::string PacketIndex::describe_faults() const {
     std::vector<std::string> texts;
     const auto add = [&](std::size_t count, const char* text) {
         if (count > 0) texts.push_back(fmt::format("{} {}", count, text));
@@ -298,7 +288,7 @@ std::string PacketIndex::describe_problems() const {
 /// Sets `forward_ns`, `log_ns` and `stamp_less_clock_ns`. If the sensor fires at fixed
 /// azimuths, `forward_ns` is the time on the sensor's clock plus this offset. For a clock
 /// that wraps, the offset is at most half of the interval.
-void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
+void PacketIndex::set_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
         std::ranges::upper_bound(packets_, forward, {}, &Entry::azimuth_deg) - packets_.begin();
@@ -307,7 +297,7 @@ void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
     const double s = (forward - before.azimuth_deg) / std::max(after.azimuth_deg - before.azimuth_deg, 1e-6);
     revolution.forward_ns = before.stamp_ns + std::int64_t(s * double(after.clock_ns - before.clock_ns));
     revolution.log_ns = messages_[before.message].log_ns;
-    const FiringTiming& timing = decoder_->get_laser_timing();
+    const FiringTiming& timing = decoder_->timing();
     if (timing.fires.empty() && timing.wrap_us > 0.0)
         revolution.stamp_less_clock_ns =
             std::llround(std::remainder(double(before.stamp_ns - before.clock_ns), 1e3 * timing.wrap_us));
@@ -320,8 +310,8 @@ void PacketIndex::set_revolution_times(PacketRevolution& revolution) const {
 }
 
 /// Also returns false if the revolution is too long.
-bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) const {
-    const double slot_ns = 1e3 * decoder_->get_laser_timing().cycle_us;
+bool PacketIndex::has_steady_clock(const PacketRevolution& revolution) const {
+    const double slot_ns = 1e3 * decoder_->timing().cycle_us;
     for (std::size_t i = revolution.first + 1; i <= revolution.last; ++i) {
         const Entry &entry = packets_[i], &before = packets_[i - 1];
         if (double(entry.clock_ns - before.clock_ns) < 0.5 * slot_ns * before.n_slots) return false;
@@ -331,48 +321,45 @@ bool PacketIndex::has_steady_sensor_clock(const PacketRevolution& revolution) co
 
 /// Searches all packets of the revolution, because their messages can be in another
 /// order.
-std::uint32_t PacketIndex::find_first_message_index(const PacketRevolution& revolution) const {
+std::uint32_t PacketIndex::first_message_of(const PacketRevolution& revolution) const {
     std::uint32_t first = packets_[revolution.first].message;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
         first = std::min(first, packets_[i].message);
     return first;
 }
 
-std::vector<PacketIndex::PacketMessageSource> PacketIndex::find_messages_of_revolution(
+std::vector<PacketIndex::PacketMessageSource> PacketIndex::messages_of(
     const PacketRevolution& revolution) const {
     std::uint32_t last = 0;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
         last = std::max(last, packets_[i].message);
-    return {messages_.begin() + find_first_message_index(revolution), messages_.begin() + last + 1};
+    return {messages_.begin() + first_message_of(revolution), messages_.begin() + last + 1};
 }
 
-double PacketIndex::compute_mean_firing_step_deg(const PacketRevolution& revolution) const {
+double PacketIndex::mean_step_deg(const PacketRevolution& revolution) const {
     std::size_t n = 0;
     for (std::size_t i = revolution.first; i < revolution.last; ++i)
-        n += std::size_t(packets_[i].n_slots) +
-             count_lost_packets_before_packet(i + 1) * std::size_t(n_slots_);
+        n += std::size_t(packets_[i].n_slots) + count_lost_packets(i + 1) * std::size_t(n_slots_);
     const double first_deg = packets_[revolution.first].azimuth_deg,
                  last_deg = packets_[revolution.last].azimuth_deg;
-    return std::max(last_deg - first_deg - skipped_.compute_sector_overlap_deg(first_deg, last_deg), 1.0) /
+    return std::max(last_deg - first_deg - skipped_.overlap_deg(first_deg, last_deg), 1.0) /
            double(std::max<std::size_t>(n, 1));
 }
 
-SpinningSensor PacketIndex::make_spinning_sensor_model() const {
+SpinningSensor PacketIndex::make_sensor() const {
     const double period_s = std::clamp(360e-6 / std::max(deg_us_, 1e-9), 0.02, 1.0);
-    const FiringTiming& timing = decoder_->get_laser_timing();
-    if (!timing.fires.empty())
-        return decoder_->make_spinning_sensor_model(int(timing.fires.size()), 1.0 / period_s);
+    const FiringTiming& timing = decoder_->timing();
+    if (!timing.fires.empty()) return decoder_->make_sensor(int(timing.fires.size()), 1.0 / period_s);
     // All firings of the revolution with the most firings must fit into the scan.
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketRevolution& revolution : revolutions_)
-        most = std::max(most, 360.0 / compute_mean_firing_step_deg(revolution));
+        most = std::max(most, 360.0 / mean_step_deg(revolution));
     most /= double(timing.parts);
-    return decoder_->make_spinning_sensor_model(std::min(int(std::ceil(most)) + 1, kMostFirings),
-                                                1.0 / period_s);
+    return decoder_->make_sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
 /// 255 means intensity 1.
-double PacketIndex::find_max_raw_intensity() const {
+double PacketIndex::max_raw_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
@@ -380,8 +367,8 @@ double PacketIndex::find_max_raw_intensity() const {
 
 /// Returns the value by which intensities are divided: 1 if no intensity exceeds 1,
 /// otherwise their 99.5th percentile.
-double PacketIndex::compute_full_scale_intensity() const {
-    if (find_max_raw_intensity() <= 255.0) return 1.0;
+double PacketIndex::full_scale() const {
+    if (max_raw_intensity() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
     for (const std::uint32_t count : n_bright_) n += count;
     left = std::uint64_t(0.995 * double(n - 1));
@@ -390,11 +377,10 @@ double PacketIndex::compute_full_scale_intensity() const {
     return std::max(double(at), 1.0) / 255.0;
 }
 
-std::string PacketIndex::describe_lidar_product() const {
-    if (find_max_raw_intensity() <= 255.0) return decoder_->describe_lidar_product();
+std::string PacketIndex::describe_product() const {
+    if (max_raw_intensity() <= 255.0) return decoder_->describe_product();
     return fmt::format("{}, reflectivities up to {:.4g} are divided by {:.4g}, their 99.5th percentile",
-                       decoder_->describe_lidar_product(), find_max_raw_intensity(),
-                       255.0 * compute_full_scale_intensity());
+                       decoder_->describe_product(), max_raw_intensity(), 255.0 * full_scale());
 }
 
 }  // namespace relidar::packets

@@ -45,32 +45,31 @@ struct PacketIndexEntry {
 
 /// Returns the angle by which the head turns from one azimuth to the next, below 360
 /// degrees. Negative if encoder noise makes the next azimuth slightly smaller.
-double compute_rotation_deg(double from_azimuth_deg, double to_azimuth_deg);
+double rotation_deg(double from_azimuth_deg, double to_azimuth_deg);
 
 struct PacketFaultCounts {
     std::size_t n_repeated = 0, n_late = 0;
 };
 /// Sorts packets by the sensor's clock and removes repeated packets. Does not move a
 /// packet whose time is much earlier, because its clock was set back.
-PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets);
+PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets);
 
 /// Makes the azimuths continuous, without jumps at 360 degrees. Also adds the pause to
 /// the times of packets during which the head passes a sector without firings.
 /// @return mean rotation rate in degrees per microsecond
-double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
+double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing);
 
 struct SkippedSector {
     double begin_deg = 0.0, width_deg = 0.0;  ///< width 0: no such sector
 
     /// Returns how many degrees between two azimuths, which count over all revolutions,
     /// are in this sector.
-    double compute_sector_overlap_deg(double from_deg, double to_deg) const;
+    double overlap_deg(double from_deg, double to_deg) const;
 };
 /// Finds the azimuth sector in which the sensor never fires. The sector must occur in at
 /// least two revolutions, because a gap in one revolution can be packet loss.
 /// @param firing_step_deg  azimuth step between two firings
-SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& packets,
-                                          double firing_step_deg);
+SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, double firing_step_deg);
 
 struct RevolutionPoints;
 
@@ -97,34 +96,33 @@ public:
     /// Adds the packets of one message.
     /// @throws DataError if packets of the product cannot be decoded, or if earlier
     /// packets came from another product
-    void add_packets_of_message(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
-                                const bag::MessagePosition& message_position,
-                                const DecoderCalibration& calibration);
-    /// Call it once, after the last add_packets_of_message().
-    void sort_packets_and_find_revolutions();
+    void add_packets(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
+                     const bag::MessagePosition& message_position, const DecoderCalibration& calibration);
+    /// Call it once, after the last add_packets().
+    void finish();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
-    const std::vector<PacketRevolution>& get_revolutions() const { return revolutions_; }
+    const std::vector<PacketRevolution>& revolutions() const { return revolutions_; }
     /// Returns true if the sensor's clock restarts after a fixed time, such as an hour.
-    bool has_wrapping_clock() const { return decoder_ && decoder_->get_laser_timing().wrap_us > 0.0; }
+    bool has_clock_wraps() const { return decoder_ && decoder_->timing().wrap_us > 0.0; }
     /// Describes late and repeated packets, and why revolutions were skipped. May be
     /// empty.
-    std::string describe_problems() const;
+    std::string describe_faults() const;
     /// Position of a message in the recording, and time of recording.
     struct PacketMessageSource {
         bag::MessagePosition message_position;
         std::int64_t log_ns;
     };
-    std::vector<PacketMessageSource> find_messages_of_revolution(const PacketRevolution& revolution) const;
+    std::vector<PacketMessageSource> messages_of(const PacketRevolution& revolution) const;
     /// Returns the sensor model with the measured rotation rate.
-    SpinningSensor make_spinning_sensor_model() const;
-    std::string describe_lidar_product() const;
+    SpinningSensor make_sensor() const;
+    std::string describe_product() const;
     /// Decodes a revolution to a scan with ray times relative to `time_origin_ns`.
     /// @param packets_of_message  packets of each message that
-    /// find_messages_of_revolution() returns
-    Scan decode_revolution(const PacketRevolution& revolution,
-                           const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
-                           const SpinningSensor& sensor, std::int64_t time_origin_ns) const;
+    /// messages_of() returns
+    Scan decode(const PacketRevolution& revolution,
+                const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
+                const SpinningSensor& sensor, std::int64_t time_origin_ns) const;
 
 private:
     using Entry = PacketIndexEntry;
@@ -152,30 +150,29 @@ private:
     /// intensities can exceed 1.
     std::vector<std::uint32_t> n_bright_;
 
-    void set_or_check_lidar_model(const ReceivedPacket& packet, const DecoderCalibration& calibration);
-    void decode_and_index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
-    void unwrap_sensor_clock(Entry& entry) const;
-    void add_to_intensity_histogram(const DecodedPacket& packet);
-    double compute_column_step_deg() const;
-    std::pair<double, double> find_recorded_azimuth_range_deg() const;
-    std::vector<bool> find_lost_columns(const PacketRevolution& revolution) const;
-    Scan make_scan_of_revolution(const PacketRevolution& revolution, RevolutionPoints& revolution_points,
-                                 const SpinningSensor& sensor) const;
-    int compute_column_of_azimuth(const PacketRevolution& revolution, double azimuth_deg) const;
-    void find_complete_revolutions();
-    std::size_t count_packets_sent_since_previous(std::size_t packet_index) const;
-    double count_lost_firings_before_packet(std::size_t packet_index) const;
-    std::size_t count_lost_packets_before_packet(std::size_t packet_index) const;
-    void count_and_store_lost_packets(PacketRevolution& revolution) const;
-    bool has_steady_sensor_clock(const PacketRevolution& revolution) const;
-    void set_revolution_times(PacketRevolution& revolution) const;
-    double compute_mean_firing_step_deg(const PacketRevolution& revolution) const;
-    std::uint32_t find_first_message_index(const PacketRevolution& revolution) const;
-    double find_max_raw_intensity() const;
-    double compute_full_scale_intensity() const;
-    DecodedPacket decode_packet_of_entry(
-        std::size_t message_index, const Entry& packet_entry,
-        const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const;
+    void set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration);
+    void index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message);
+    void unwrap_clock(Entry& entry) const;
+    void count_intensities(const DecodedPacket& packet);
+    double column_step_deg() const;
+    std::pair<double, double> azimuth_range_deg() const;
+    std::vector<bool> find_lost(const PacketRevolution& revolution) const;
+    Scan make_scan(const PacketRevolution& revolution, RevolutionPoints& revolution_points,
+                   const SpinningSensor& sensor) const;
+    int column_of(const PacketRevolution& revolution, double azimuth_deg) const;
+    void find_revolutions();
+    std::size_t count_sent(std::size_t packet_index) const;
+    double count_lost_firings(std::size_t packet_index) const;
+    std::size_t count_lost_packets(std::size_t packet_index) const;
+    void store_lost_packets(PacketRevolution& revolution) const;
+    bool has_steady_clock(const PacketRevolution& revolution) const;
+    void set_times(PacketRevolution& revolution) const;
+    double mean_step_deg(const PacketRevolution& revolution) const;
+    std::uint32_t first_message_of(const PacketRevolution& revolution) const;
+    double max_raw_intensity() const;
+    double full_scale() const;
+    DecodedPacket decode_entry(std::size_t message_index, const Entry& packet_entry,
+                               const std::vector<std::vector<ReceivedPacket>>& packets_of_message) const;
 };
 
 }  // namespace relidar::packets

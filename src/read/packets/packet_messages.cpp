@@ -25,7 +25,7 @@ struct PacketMessageType {
     PacketMessageLayout form;
     std::size_t n = 0;
 };
-constexpr PacketMessageType kTypes[] = {
+constexpr PacketMessageType kPacketTypes[] = {
     {"velodyne_msgs/VelodyneScan", PacketMessageLayout::fixed, 1206},
     {"pandar_msgs/PandarScan", PacketMessageLayout::padded, 1500},
     {"hesai_lidar/PandarScan", PacketMessageLayout::padded, 1500},
@@ -33,19 +33,19 @@ constexpr PacketMessageType kTypes[] = {
     {"ouster_sensor_msgs/PacketMsg", PacketMessageLayout::alone},
     {"ouster_msgs/PacketMsg", PacketMessageLayout::alone},
     {"ouster_ros/PacketMsg", PacketMessageLayout::alone},
-    {kDatagrams, PacketMessageLayout::bare},
+    {kLidarDatagrams, PacketMessageLayout::bare},
 };
 // topics of Ouster's drivers
 constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadata";
 constexpr std::size_t kImuBytes = 48;
 
-const PacketMessageType* find_packet_message_type(std::string_view type_name) {
-    const auto* matching_type = std::ranges::find(kTypes, type_name, &PacketMessageType::type);
-    return matching_type == std::end(kTypes) ? nullptr : matching_type;
+const PacketMessageType* find_type(std::string_view type_name) {
+    const auto* matching_type = std::ranges::find(kPacketTypes, type_name, &PacketMessageType::type);
+    return matching_type == std::end(kPacketTypes) ? nullptr : matching_type;
 }
 
-std::string_view read_packet_bytes(MessageReader& reader, const PacketMessageType& message_type) {
-    if (message_type.form == PacketMessageLayout::list) return reader.read_bytes(reader.read_list_length(1));
+std::string_view read_packet(MessageReader& reader, const PacketMessageType& message_type) {
+    if (message_type.form == PacketMessageLayout::list) return reader.read_bytes(reader.read_length(1));
     const std::string_view bytes = reader.read_bytes(message_type.n);
     const std::size_t size = message_type.form == PacketMessageLayout::padded
                                  ? reader.read_number<std::uint32_t>()
@@ -56,51 +56,48 @@ std::string_view read_packet_bytes(MessageReader& reader, const PacketMessageTyp
 
 }  // namespace
 
-bool has_lidar_packets(const bag::BagTopic& topic) {
-    return find_packet_message_type(topic.type) != nullptr &&
-           !(is_ouster_driver_packet_topic(topic) && topic.name.ends_with(kImuTopic));
+bool has_packets(const bag::BagTopic& topic) {
+    return find_type(topic.type) != nullptr && !(is_ouster_topic(topic) && topic.name.ends_with(kImuTopic));
 }
 
-bool is_ouster_driver_packet_topic(const bag::BagTopic& topic) {
-    const PacketMessageType* type = find_packet_message_type(topic.type);
+bool is_ouster_topic(const bag::BagTopic& topic) {
+    const PacketMessageType* type = find_type(topic.type);
     return type && type->form == PacketMessageLayout::alone;
 }
 
-bool can_contain_ouster_metadata(const bag::BagTopic& topic) {
+bool can_have_metadata(const bag::BagTopic& topic) {
     return topic.type == "std_msgs/String" && topic.name.ends_with(kMetadataTopic);
 }
 
-std::string read_text_message(const bag::BagTopic& topic, std::string_view message_bytes) {
+std::string read_std_string(const bag::BagTopic& topic, std::string_view message_bytes) {
     return std::string(MessageReader(message_bytes, topic.encoding == "ros1").read_string());
 }
 
-std::vector<ReceivedPacket> read_packets_of_message(const bag::BagTopic& topic,
-                                                    std::string_view message_bytes,
-                                                    std::int64_t recording_time_ns,
-                                                    bag::MessageHeader& header) {
-    const PacketMessageType& type = *find_packet_message_type(topic.type);
+std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
+                                         std::int64_t recording_time_ns, bag::MessageHeader& header) {
+    const PacketMessageType& type = *find_type(topic.type);
     std::vector<ReceivedPacket> packets;
     if (type.form == PacketMessageLayout::alone) {
         header = {recording_time_ns, topic.name};
         MessageReader reader(message_bytes, topic.encoding == "ros1");
-        const std::string_view packet = reader.read_bytes(reader.read_list_length(1));
+        const std::string_view packet = reader.read_bytes(reader.read_length(1));
         if (packet.size() != kImuBytes) packets.push_back({recording_time_ns, packet});
         return packets;
     }
     if (type.form == PacketMessageLayout::bare) {
         header = {0, topic.name};
-        for (codecs::ByteReader reader(message_bytes); reader.count_remaining_bytes() > 0;) {
-            const auto stamp_ns = reader.read_little_endian_number<std::int64_t>();
-            packets.push_back({stamp_ns, reader.read_length_prefixed_string()});
+        for (codecs::ByteReader reader(message_bytes); reader.remaining() > 0;) {
+            const auto stamp_ns = reader.read_number<std::int64_t>();
+            packets.push_back({stamp_ns, reader.read_string()});
         }
         return packets;
     }
     MessageReader reader(message_bytes, topic.encoding == "ros1");
     header = read_header(reader);
-    const std::size_t n = reader.read_list_length(8 + type.n);
+    const std::size_t n = reader.read_length(8 + type.n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::int64_t stamp_ns = read_ros_time_ns(reader);
-        packets.push_back({stamp_ns, read_packet_bytes(reader, type)});
+        const std::int64_t stamp_ns = read_time_ns(reader);
+        packets.push_back({stamp_ns, read_packet(reader, type)});
     }
     return packets;
 }

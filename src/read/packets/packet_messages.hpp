@@ -12,27 +12,25 @@
 
 namespace relidar::packets {
 
-/// Types of the topics that are made from a network capture. A message of type kDatagrams
+/// Types of the topics that are made from a network capture. A message of type kLidarDatagrams
 /// contains several LiDAR packets, each with a time stamp (64 bits), a length (32 bits)
 /// and its bytes. Messages of type kOtherDatagrams contain other UDP data.
-inline constexpr const char *kDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
+inline constexpr const char *kLidarDatagrams = "LiDAR packets", *kOtherDatagrams = "other UDP";
 
 /// Returns true if the message type of a topic contains LiDAR packets of any product.
-bool has_lidar_packets(const bag::BagTopic& topic);
+bool has_packets(const bag::BagTopic& topic);
 /// Returns true for a topic of Ouster's ROS drivers, whose messages are single packets.
-bool is_ouster_driver_packet_topic(const bag::BagTopic& topic);
+bool is_ouster_topic(const bag::BagTopic& topic);
 /// Returns true if a topic contains text and is in the namespace of a topic with packets.
 /// The text can be Ouster metadata.
-bool can_contain_ouster_metadata(const bag::BagTopic& topic);
+bool can_have_metadata(const bag::BagTopic& topic);
 /// Returns the text of a std_msgs/String message.
-std::string read_text_message(const bag::BagTopic& topic, std::string_view message_bytes);
+std::string read_std_string(const bag::BagTopic& topic, std::string_view message_bytes);
 /// @param recording_time_ns  used for packets without a time stamp
 /// @param header  output: header of the message. A message without a header gets the
 /// topic's name as its frame.
 /// @throws DataError if the message is too short
-std::vector<ReceivedPacket> read_packets_of_message(const bag::BagTopic& topic,
-                                                    std::string_view message_bytes,
-                                                    std::int64_t recording_time_ns,
-                                                    bag::MessageHeader& header);
+std::vector<ReceivedPacket> read_packets(const bag::BagTopic& topic, std::string_view message_bytes,
+                                         std::int64_t recording_time_ns, bag::MessageHeader& header);
 
 }  // namespace relidar::packets

@@ -8,22 +8,22 @@
 namespace relidar::packets {
 namespace {
 
-constexpr double kBackward_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
+constexpr double kMaxEncoderNoise_deg = 1.0;  // A smaller decrease of the encoder angle is accepted as noise.
 // Maximum network delay of a packet. If the sensor's clock decreases by more, it was set
 // back.
-constexpr std::int64_t kLatest_ns = 100000000;
+constexpr std::int64_t kMaxDelay_ns = 100000000;
 // If two packets are farther apart in time than this, the recording was paused.
-constexpr std::int64_t kPause_ns = 200000000;
-constexpr std::size_t kBins = 720;
+constexpr std::int64_t kMinPause_ns = 200000000;
+constexpr std::size_t kSectorBins = 720;
 constexpr double kLeastSector_deg = 10.0;
 
-double compute_mean_rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
+double rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     double turned_deg = 0.0, passed_us = 0.0;
     for (std::size_t p = 1; p < packets.size(); ++p) {
         const PacketIndexEntry &before = packets[p - 1], &entry = packets[p];
         const std::int64_t passed_ns = entry.clock_ns - before.clock_ns;
         if (entry.skipped_deg != 0.0f || before.skipped_deg != 0.0f || passed_ns <= 0 ||
-            passed_ns > kPause_ns)
+            passed_ns > kMinPause_ns)
             continue;
         turned_deg += entry.azimuth_deg - before.azimuth_deg;
         passed_us += 1e-3 * double(passed_ns);
@@ -33,19 +33,19 @@ double compute_mean_rotation_deg_per_us(const std::vector<PacketIndexEntry>& pac
 
 }  // namespace
 
-double compute_rotation_deg(double from_azimuth_deg, double to_azimuth_deg) {
+double rotation_deg(double from_azimuth_deg, double to_azimuth_deg) {
     const double step = std::remainder(to_azimuth_deg - from_azimuth_deg, 360.0);
-    return step < -kBackward_deg ? step + 360.0 : step;
+    return step < -kMaxEncoderNoise_deg ? step + 360.0 : step;
 }
 
-PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& packets) {
+PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
     PacketFaultCounts faults;
     std::size_t n = 0;  // packets[0, n) are already sorted
     for (std::size_t p = 0; p < packets.size(); ++p) {
         PacketIndexEntry entry = packets[p];
         const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
         std::size_t at = n;  // where the packet belongs
-        while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kLatest_ns) --at;
+        while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kMaxDelay_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
         bool is_repeated = false;
         // Many packets have the same time if the sensor's clock stands still.
@@ -78,7 +78,7 @@ PacketFaultCounts sort_and_deduplicate_packets(std::vector<PacketIndexEntry>& pa
     return faults;
 }
 
-double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
+double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
     double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
     const auto skipped_us = [&](const PacketIndexEntry& entry) {
         return deg_us > 0.0 ? double(entry.skipped_deg) / deg_us : 0.0;
@@ -94,13 +94,12 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
         // Makes the azimuth continue the azimuth of the previous packet. The number of
         // full revolutions between them is computed from elapsed time and rotation rate.
         const double azimuth_deg =
-            previous.azimuth_deg +
-            compute_rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
+            previous.azimuth_deg + rotation_deg(std::fmod(previous.azimuth_deg, 360.0), entry.azimuth_deg);
         const double expected_deg = previous.azimuth_deg + deg_us * passed_us;
         entry.azimuth_deg =
             azimuth_deg + 360.0 * std::max(0.0, std::round((expected_deg - azimuth_deg) / 360.0));
     }
-    if (const double mean = compute_mean_rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
+    if (const double mean = rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
         if (entry.skipped_deg == 0.0f) continue;
@@ -118,7 +117,7 @@ double unwrap_azimuths_and_estimate_rate(std::vector<PacketIndexEntry>& packets,
     return deg_us;
 }
 
-double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg) const {
+double SkippedSector::overlap_deg(double from_deg, double to_deg) const {
     // degrees of the sector on the way from its start to an azimuth
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
@@ -127,24 +126,24 @@ double SkippedSector::compute_sector_overlap_deg(double from_deg, double to_deg)
     return width_deg > 0.0 ? until(to_deg) - until(from_deg) : 0.0;
 }
 
-SkippedSector find_sector_without_firings(const std::vector<PacketIndexEntry>& packets,
-                                          double firing_step_deg) {
-    std::array<bool, kBins> fires{};
+SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, double firing_step_deg) {
+    std::array<bool, kSectorBins> fires{};
     for (const PacketIndexEntry& entry : packets)
         for (double on = 0.0; on <= std::min(double(entry.turned_deg), 360.0) + firing_step_deg; on += 0.4)
-            fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kBins) % kBins] = true;
+            fires[std::size_t(std::max(entry.azimuth_deg + on, 0.0) / 360.0 * kSectorBins) % kSectorBins] =
+                true;
     std::size_t widest = 0, end = 0, run = 0;
     // Loops over the circle twice, because the widest gap between firings may contain
     // azimuth 0.
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {
-        run = fires[b % kBins] ? 0 : run + 1;
+    for (std::size_t b = 0; b < 2 * kSectorBins; ++b) {
+        run = fires[b % kSectorBins] ? 0 : run + 1;
         if (run > widest) {
             widest = run;
             end = b + 1;
         }
     }
-    const double bin_deg = 360.0 / kBins;
-    if (double(widest) * bin_deg < kLeastSector_deg || widest >= kBins) return {};
+    const double bin_deg = 360.0 / kSectorBins;
+    if (double(widest) * bin_deg < kLeastSector_deg || widest >= kSectorBins) return {};
     const double inside_deg = (double(end) - 0.5 * double(widest)) * bin_deg;
     // Angles relative to the middle of the sector without firings. before_deg: from the
     // last firing before the sector. behind_deg: to the first firing after the sector.

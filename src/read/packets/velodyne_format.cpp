@@ -8,29 +8,29 @@
 namespace relidar::packets {
 namespace {
 
-constexpr std::uint8_t kStrongest = 0x37, kDual = 0x39;
-constexpr std::int64_t kHour_ns = 3'600'000'000'000;
+constexpr std::uint8_t kModeStrongest = 0x37, kModeDual = 0x39;
+constexpr std::int64_t kNsPerHour = 3'600'000'000'000;
 
 struct VelodyneProduct {
     const char* sensor;
     std::uint8_t code;
 };
-constexpr VelodyneProduct kVelodynes[] = {
+constexpr VelodyneProduct kVelodyneProducts[] = {
     {"VLP-16", 0x22}, {"VLP-32C", 0x28}, {"HDL-32E", 0x21}, {"VLS-128", 0xA1}};
 
 class VelodyneFormat : public BlockWriter {
 public:
     VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
-        : BlockWriter(find_packet_layout(product.sensor), sensor, options), code_(product.code) {}
+        : BlockWriter(find_layout(product.sensor), sensor, options), code_(product.code) {}
 
     SensorPacket encode_packet(std::span<const FiringColumn> columns,
                                std::uint32_t packet_number) const override {
-        SensorPacket packet{compute_packet_time_ns(columns, packet_number, &FiringColumn::time_s), {}};
-        const std::int64_t clock_ns = compute_packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
+        SensorPacket packet{packet_time_ns(columns, packet_number, &FiringColumn::time_s), {}};
+        const std::int64_t clock_ns = packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
         append_blocks(packet.bytes, columns, packet_number, layout().range_unit_m);
-        append_binary_value(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
-        append_binary_value(packet.bytes, has_dual_returns() ? kDual : kStrongest);
-        append_binary_value(packet.bytes, code_);
+        append_raw(packet.bytes, std::uint32_t((clock_ns + 500) % kNsPerHour / 1000));
+        append_raw(packet.bytes, is_dual() ? kModeDual : kModeStrongest);
+        append_raw(packet.bytes, code_);
         return packet;
     }
 
@@ -40,15 +40,14 @@ private:
 
 }  // namespace
 
-std::vector<std::string> list_velodyne_sensor_names() {
+std::vector<std::string> velodyne_names() {
     std::vector<std::string> names;
-    for (const VelodyneProduct& product : kVelodynes) names.emplace_back(product.sensor);
+    for (const VelodyneProduct& product : kVelodyneProducts) names.emplace_back(product.sensor);
     return names;
 }
 
-std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
-                                                   const PacketOptions& options) {
-    for (const VelodyneProduct& product : kVelodynes)
+std::unique_ptr<PacketFormat> make_velodyne(const SpinningSensor& sensor, const PacketOptions& options) {
+    for (const VelodyneProduct& product : kVelodyneProducts)
         if (sensor.name == product.sensor) return std::make_unique<VelodyneFormat>(product, sensor, options);
     return nullptr;
 }

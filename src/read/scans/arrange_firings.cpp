@@ -11,21 +11,20 @@ namespace relidar {
 namespace {
 
 // Azimuth steps per revolution to which the head azimuth is rounded (0.0055 degrees).
-constexpr int kTicks = 1 << 16;
+constexpr int kTicksPerTurn = 1 << 16;
 // If more firings are missing in a revolution, firings without returns are appended.
 constexpr int kMostMissing = 8;
 
 /// Interpolates firings without points between their neighbours.
-std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
-                                                      const std::vector<int>& firing_numbers,
-                                                      const SpinningSensor& sensor, double azimuth_step_rad) {
-    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
+std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vector<int>& firing_numbers,
+                                      const SpinningSensor& sensor, double azimuth_step_rad) {
+    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
     // For each firing: sum of exp(i d) over its points. d is the head azimuth minus the
     // azimuth at a constant rotation rate.
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[firing_numbers[i]] +=
-            std::polar(1.0, beams[points.ring[i]].compute_head_azimuth(glm::dvec3(points.position_m[i])) -
+            std::polar(1.0, beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i])) -
                                 firing_numbers[i] * azimuth_step_rad);
     std::map<int, double> heads;
     for (auto at = sums.begin(); at != sums.end(); ++at) {
@@ -41,8 +40,8 @@ std::map<int, double> compute_head_azimuth_per_firing(const LidarPoints& points,
 
 /// Adds firings until the circle or the range image is full, at a constant rotation rate.
 /// @param n_image_columns  number of columns of the range image; 0 if unknown
-void append_firings_without_returns_at_end(std::map<int, double>& azimuth_by_firing, int n_image_columns,
-                                           double azimuth_step_rad) {
+void append_empty_firings(std::map<int, double>& azimuth_by_firing, int n_image_columns,
+                          double azimuth_step_rad) {
     const int full = int(2.0 * kPi / std::abs(azimuth_step_rad));
     const int n_missing =
         (n_image_columns > 0 ? std::min(n_image_columns, full) : full) - int(azimuth_by_firing.size());
@@ -53,25 +52,23 @@ void append_firings_without_returns_at_end(std::map<int, double>& azimuth_by_fir
 
 }  // namespace
 
-SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                               const SpinningSensor& sensor, double azimuth_step_rad) {
-    std::map<int, double> heads =
-        compute_head_azimuth_per_firing(points, firing_numbers, sensor, azimuth_step_rad);
-    append_firings_without_returns_at_end(heads, sensor.columns, azimuth_step_rad);
-    return sort_firings_by_azimuth_and_assign_points(points, firing_numbers, heads);
+SweepFirings arrange_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                             const SpinningSensor& sensor, double azimuth_step_rad) {
+    std::map<int, double> heads = firing_azimuths(points, firing_numbers, sensor, azimuth_step_rad);
+    append_empty_firings(heads, sensor.columns, azimuth_step_rad);
+    return sort_firings(points, firing_numbers, heads);
 }
 
-SweepFirings sort_firings_by_azimuth_and_assign_points(LidarPoints& points,
-                                                       const std::vector<int>& firing_numbers,
-                                                       const std::map<int, double>& head_azimuth_by_firing) {
+SweepFirings sort_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                          const std::map<int, double>& head_azimuth_by_firing) {
     std::vector<std::pair<double, int>> by_azimuth;
     for (const auto& [number, head] : head_azimuth_by_firing) by_azimuth.emplace_back(-head, number);
     std::sort(by_azimuth.begin(), by_azimuth.end());
-    SweepFirings sweep{{kTicks, 0.0}, {}};
+    SweepFirings sweep{{kTicksPerTurn, 0.0}, {}};
     std::map<int, std::uint32_t> firing_index_of_number;
     for (const auto& [azimuth, number] : by_azimuth) {
         firing_index_of_number[number] = std::uint32_t(sweep.firings.size());
-        sweep.firings.push_back(sweep.lattice.find_nearest_encoder_tick(-azimuth));
+        sweep.firings.push_back(sweep.lattice.nearest_tick(-azimuth));
     }
     points.firing.clear();
     for (const int number : firing_numbers) points.firing.push_back(firing_index_of_number[number]);

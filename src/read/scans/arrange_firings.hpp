@@ -19,13 +19,12 @@ namespace relidar {
 /// time
 /// @param azimuth_step_rad  azimuth step between firings at a constant rotation rate;
 /// negative for a head that rotates clockwise
-SweepFirings estimate_sweep_and_assign_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
-                                               const SpinningSensor& sensor, double azimuth_step_rad);
+SweepFirings arrange_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                             const SpinningSensor& sensor, double azimuth_step_rad);
 
 /// Assigns each point to its firing. Sorts the firings by decreasing azimuth of the head.
 /// @param head_azimuth_by_firing  radians for each firing number, also without points
-SweepFirings sort_firings_by_azimuth_and_assign_points(LidarPoints& points,
-                                                       const std::vector<int>& firing_numbers,
-                                                       const std::map<int, double>& head_azimuth_by_firing);
+SweepFirings sort_firings(LidarPoints& points, const std::vector<int>& firing_numbers,
+                          const std::map<int, double>& head_azimuth_by_firing);
 
 }  // namespace relidar

@@ -14,13 +14,12 @@ bool ScanErrorCollector::is_scan_broken(std::size_t scan_index) const {
     return reasons_.contains(scan_index);
 }
 
-void ScanErrorCollector::record_broken_scan(std::size_t scan_index, const std::string& reason) {
+void ScanErrorCollector::record_broken(std::size_t scan_index, const std::string& reason) {
     const std::lock_guard guard(lock_);
     reasons_.try_emplace(scan_index, reason);
 }
 
-void ScanErrorCollector::note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence,
-                                                                  std::size_t n_scans) const {
+void ScanErrorCollector::report_broken(Log& sequence, std::size_t n_scans) const {
     if (!reasons_.empty() && reasons_.size() == n_scans)
         fail("{}: none of the {} scans can be read; the first error is: {}", sequence.source, n_scans,
              reasons_.begin()->second);
@@ -28,10 +27,10 @@ void ScanErrorCollector::note_broken_scans_or_throw_if_all_broken(LidarSequence&
         sequence.notes.push_back(fmt::format("a scan that cannot be read is skipped: {}", reason));
 }
 
-void ScanErrorCollector::remove_broken_frames(LidarSequence& sequence) const {
-    note_broken_scans_or_throw_if_all_broken(sequence, sequence.frames.size());
+void ScanErrorCollector::remove_broken(Log& sequence) const {
+    report_broken(sequence, sequence.frames.size());
     if (reasons_.empty()) return;
-    std::vector<LidarFrame> remaining_frames;
+    std::vector<Frame> remaining_frames;
     std::set<double> times_s;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         if (reasons_.contains(i)) continue;

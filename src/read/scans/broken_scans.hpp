@@ -23,7 +23,7 @@ public:
     /// error. Several threads can call this function at the same time.
     /// @throws DataError from `read_scan_part`, unless the user allows broken scans
     template <class Step>
-    void call_and_record_scan_errors(std::size_t scan_index, const Step& read_scan_part) {
+    void guard(std::size_t scan_index, const Step& read_scan_part) {
         if (is_scan_broken(scan_index)) return;
         try {
             read_scan_part();
@@ -31,23 +31,23 @@ public:
             const std::string text = error.what();
             // A scan with other columns is not broken: all scans of the log are alike.
             if (!skip_) throw DataError(text + (text.find(kOtherHint) == text.npos ? kSkipBrokenHint : ""));
-            record_broken_scan(scan_index, error.what());
+            record_broken(scan_index, error.what());
         }
     }
 
     bool is_scan_broken(std::size_t scan_index) const;
     /// Marks a scan as broken, even without dataset.skip_broken. Used for truncated
     /// scans, because their missing points would look like rays without a return.
-    void record_broken_scan(std::size_t scan_index, const std::string& reason);
+    void record_broken(std::size_t scan_index, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
     /// Adds a note about each broken scan.
     /// @throws DataError if all scans are broken
-    void note_broken_scans_or_throw_if_all_broken(LidarSequence& sequence, std::size_t n_scans) const;
+    void report_broken(Log& sequence, std::size_t n_scans) const;
     /// Removes the frames of broken scans, and the poses that only they use. Adds notes.
     /// The indices of scans must be indices in `sequence.frames`.
     /// @throws DataError if all scans are broken
-    void remove_broken_frames(LidarSequence& sequence) const;
+    void remove_broken(Log& sequence) const;
 
 private:
     static constexpr const char* kSkipBrokenHint =

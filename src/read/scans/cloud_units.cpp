@@ -15,7 +15,7 @@ namespace {
 
 // A unit is accepted only if (cloud duration / time between clouds) is within these
 // limits.
-constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
+constexpr double kMinTurns = 0.05, kMaxTurns = 3.0;
 // Maximum difference between the time of a point and the stamp of its cloud.
 constexpr double kBesideStamp_s = 2.0;
 constexpr double kLeastSweep_s = 0.1;
@@ -37,21 +37,20 @@ constexpr std::array<TimeUnit, 4> kTimeUnits = {{{"s", 1.0}, {"ms", 1e-3}, {"us"
 
 struct TimeRange {
     double first, last, stamp_s;
-    double resolution = 0.0;  ///< see find_time_resolution()
+    double resolution = 0.0;  ///< see time_resolution()
 };
 
-std::vector<TimeRange> list_point_time_ranges(const std::vector<read::PointTable>& clouds,
-                                              const std::vector<double>& cloud_stamps_s) {
+std::vector<TimeRange> list_time_ranges(const std::vector<read::PointTable>& clouds,
+                                        const std::vector<double>& cloud_stamps_s) {
     std::vector<TimeRange> ranges;
     for (std::size_t c = 0; c < clouds.size(); ++c)
         if (const auto range = read::find_time_range(clouds[c]))
-            ranges.push_back(
-                {(*range)[0], (*range)[1], cloud_stamps_s[c], read::find_time_resolution(clouds[c])});
+            ranges.push_back({(*range)[0], (*range)[1], cloud_stamps_s[c], read::time_resolution(clouds[c])});
     return ranges;
 }
 
 /// Returns true if point times advance from cloud to cloud like the stamps.
-bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
+bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
     std::size_t n_like_stamps = 0;
     for (std::size_t k = 1; k < ranges.size(); ++k) {
         const double step_s = ranges[k].stamp_s - ranges[k - 1].stamp_s,
@@ -62,7 +61,7 @@ bool do_times_follow_stamps(const std::vector<TimeRange>& ranges, double time_un
 }
 
 /// Then times are no offsets from stamps, but for example times within a second.
-bool do_first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
+bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
     std::vector<double> first_s;
     for (const TimeRange& range : ranges) first_s.push_back(range.first * time_unit_s);
     const double middle_s = compute_median(first_s);
@@ -71,30 +70,28 @@ bool do_first_times_differ(const std::vector<TimeRange>& ranges, double time_uni
     return double(n_near) < kMostClouds * double(ranges.size());
 }
 
-PointTimeReference find_reference_of_point_times(const std::vector<TimeRange>& time_ranges,
-                                                 double time_unit_s, double sweep_s) {
+PointTimeReference find_time_reference(const std::vector<TimeRange>& time_ranges, double time_unit_s,
+                                       double sweep_s) {
     const auto most = [&](auto test) {
         return double(std::ranges::count_if(time_ranges, test)) >= kMostClouds * double(time_ranges.size());
     };
-    const auto are_times_close = [&](double first, double second) {
+    const auto are_close = [&](double first, double second) {
         return std::abs(first - second) <= kBesideStamp_s;
     };
     if (most([&](const TimeRange& r) {
-            return are_times_close(r.first * time_unit_s, 0.0) && are_times_close(r.last * time_unit_s, 0.0);
+            return are_close(r.first * time_unit_s, 0.0) && are_close(r.last * time_unit_s, 0.0);
         }) &&
-        !do_times_follow_stamps(time_ranges, time_unit_s) &&
-        !do_first_times_differ(time_ranges, time_unit_s, sweep_s))
+        !follow_stamps(time_ranges, time_unit_s) && !first_times_differ(time_ranges, time_unit_s, sweep_s))
         return PointTimeReference::stamp;
     if (most([&](const TimeRange& r) {
-            return are_times_close(r.first * time_unit_s, r.stamp_s) &&
-                   are_times_close(r.last * time_unit_s, r.stamp_s);
+            return are_close(r.first * time_unit_s, r.stamp_s) && are_close(r.last * time_unit_s, r.stamp_s);
         }))
         return PointTimeReference::epoch;
     return PointTimeReference::sensor_clock;
 }
 
 /// Equal times of all points are precise if they are close to the stamps, or small.
-bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
+bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
     if (span > 0.0) return read::is_coarse_time(cloud.resolution, span);
     const bool has_coarse_stamps = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
@@ -103,7 +100,7 @@ bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span
                std::abs(cloud.first * unit.seconds - cloud.stamp_s) < kBesideStamp_s + resolution_s;
     });
     const bool is_clock = std::ranges::any_of(kTimeUnits, [&](const TimeUnit& unit) {
-        return ranges.size() > 1 && do_times_follow_stamps(ranges, unit.seconds);
+        return ranges.size() > 1 && follow_stamps(ranges, unit.seconds);
     });
     const bool is_constant = std::ranges::all_of(
         ranges, [&](const TimeRange& range) { return range.first == ranges.front().first; });
@@ -112,26 +109,26 @@ bool have_times_lost_precision(const std::vector<TimeRange>& ranges, double span
                           (!is_constant && read::is_coarse_time(cloud.resolution, cloud_interval_s))));
 }
 
-void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
-                                     const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
+void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
+                   const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
     if (time_ranges.empty()) return;
     std::vector<double> spans;
     for (const TimeRange& r : time_ranges) spans.push_back(r.last - r.first);
     std::ranges::sort(spans);
     const double span = spans[spans.size() / 2];
-    if (have_times_lost_precision(time_ranges, span, cloud_interval_s)) {
+    if (are_times_coarse(time_ranges, span, cloud_interval_s)) {
         const TimeRange& cloud = time_ranges[time_ranges.size() / 2];
-        units.about = read::describe_coarse_times(cloud.last, cloud.resolution);
+        units.about = read::describe_coarse(cloud.last, cloud.resolution);
         return;
     }
     units.is_deskewed = spans.back() == 0.0;
     for (const TimeUnit& unit : kTimeUnits) {
         const double turns = span * unit.seconds / cloud_interval_s;
-        if (!(turns >= kLeastSpan && turns <= kMostSpan)) continue;
+        if (!(turns >= kMinTurns && turns <= kMaxTurns)) continue;
         const double sweep_s = std::max({span * unit.seconds, cloud_interval_s, kLeastSweep_s});
-        units.zero = find_reference_of_point_times(time_ranges, unit.seconds, sweep_s);
+        units.zero = find_time_reference(time_ranges, unit.seconds, sweep_s);
         if (units.zero == PointTimeReference::sensor_clock &&
-            find_reference_of_point_times(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
+            find_time_reference(signed_ranges, unit.seconds, sweep_s) == PointTimeReference::stamp)
             units.zero = PointTimeReference::stamp;
         units.time_unit_s = unit.seconds;
         units.about = fmt::format("the times of points are read in {}; {}; a cloud lasts {:.1f} ms",
@@ -149,17 +146,16 @@ void set_point_time_unit_from_ranges(PointCloudUnits& units, const std::vector<T
 
 }  // namespace
 
-PointCloudUnits estimate_time_and_intensity_units(const std::vector<read::PointTable>& clouds,
-                                                  const std::vector<double>& cloud_stamps_s,
-                                                  double cloud_interval_s) {
+PointCloudUnits estimate_cloud_units(const std::vector<read::PointTable>& clouds,
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s) {
     PointCloudUnits units;
     std::vector<read::PointTable> continuous_clouds = clouds;
-    for (read::PointTable& cloud : continuous_clouds) read::unwrap_point_times(cloud, false);
+    for (read::PointTable& cloud : continuous_clouds) read::unwrap_times(cloud, false);
     std::vector<read::PointTable> signed_clouds = continuous_clouds;
-    std::ranges::for_each(signed_clouds, read::restore_negative_offsets);
-    set_point_time_unit_from_ranges(units, list_point_time_ranges(continuous_clouds, cloud_stamps_s),
-                                    list_point_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
-    units.meaning = read::interpret_point_fields(continuous_clouds);
+    std::ranges::for_each(signed_clouds, read::restore_signs);
+    set_time_unit(units, list_time_ranges(continuous_clouds, cloud_stamps_s),
+                  list_time_ranges(signed_clouds, cloud_stamps_s), cloud_interval_s);
+    units.meaning = read::interpret_fields(continuous_clouds);
     if (!units.meaning.scale.about.empty()) units.meaning.notes.push_back(units.meaning.scale.about);
     return units;
 }

@@ -29,8 +29,7 @@ struct PointCloudUnits {
 };
 
 /// @param cloud_stamps_s  [clouds] time stamp of each cloud in seconds
-PointCloudUnits estimate_time_and_intensity_units(const std::vector<read::PointTable>& clouds,
-                                                  const std::vector<double>& cloud_stamps_s,
-                                                  double cloud_interval_s);
+PointCloudUnits estimate_cloud_units(const std::vector<read::PointTable>& clouds,
+                                     const std::vector<double>& cloud_stamps_s, double cloud_interval_s);
 
 }  // namespace relidar::read

@@ -14,11 +14,11 @@ inline constexpr float kNearestReturn_m = 1e-3f;
 
 /// Files store rays without a return with the range 0, NaN, infinity, or a negative
 /// value.
-inline bool is_valid_return_range(double range_m) { return std::isfinite(range_m) && range_m > 0.0; }
+inline bool is_return_range(double range_m) { return std::isfinite(range_m) && range_m > 0.0; }
 
 /// Files store rays without a return at the sensor, or with NaN or infinite coordinates.
 template <class Vector>
-bool is_valid_return_point(const Vector& point_m) {
+bool is_return_point(const Vector& point_m) {
     return std::isfinite(point_m.x) && std::isfinite(point_m.y) && std::isfinite(point_m.z) &&
            glm::length(glm::dvec3(point_m)) >= double(kNearestReturn_m);
 }

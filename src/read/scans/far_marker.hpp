@@ -11,6 +11,6 @@ namespace relidar {
 /// ranges have noise. The largest range of the log stands for dropped rays if many
 /// returns have exactly this range, it is a multiple of half a metre, and other returns
 /// are nearer.
-void remove_returns_that_mark_dropped_rays(LidarSequence& sequence);
+void remove_drop_markers(Log& sequence);
 
 }  // namespace relidar

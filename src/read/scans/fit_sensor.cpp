@@ -22,14 +22,14 @@ constexpr double kLargestStep_rad = 0.2;
 // The first estimate of the number of columns may be wrong by this share.
 constexpr double kColumnSearchMargin = 0.03;
 // Minimum coherence: 1 if the points of each ring are on a regular azimuth grid.
-constexpr double kCoherent = 0.5;
+constexpr double kMinCoherence = 0.5;
 // A ring can have more points than the estimated number of columns. The estimate is then
 // raised to the number of points, but at most by this factor.
 constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 
-double compute_quantile_and_reorder(std::vector<double>& values, double fraction) {
+double find_quantile(std::vector<double>& values, double fraction) {
     const auto at = values.begin() + std::ptrdiff_t(fraction * double(values.size() - 1));
     std::nth_element(values.begin(), at, values.end());
     return *at;
@@ -41,7 +41,7 @@ struct RingPoints {
 };
 using RingPointLists = std::vector<RingPoints>;
 
-RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings) {
+RingPointLists group_rings(const LidarPoints& scan, std::size_t n_rings) {
     RingPointLists rings(n_rings);
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (!scan.return_number.empty() && scan.return_number[i] != 1) continue;
@@ -54,8 +54,8 @@ RingPointLists group_points_by_ring(const LidarPoints& scan, std::size_t n_rings
 
 /// Uses only the farther half of the points, because beams start beside the sensor
 /// origin.
-std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<LidarPoints>& scans,
-                                                            std::size_t n_rings) {
+std::vector<std::optional<double>> fit_elevations(const std::vector<LidarPoints>& scans,
+                                                  std::size_t n_rings) {
     struct RangeElevation {
         double range_m, elevation_rad;
     };
@@ -75,14 +75,14 @@ std::vector<std::optional<double>> estimate_ring_elevations(const std::vector<Li
                          });
         std::vector<double> far;
         for (auto s = half; s != samples_by_ring[r].end(); ++s) far.push_back(s->elevation_rad);
-        elevations[r] = compute_quantile_and_reorder(far, 0.5);
+        elevations[r] = find_quantile(far, 0.5);
     }
     return elevations;
 }
 
 /// Estimates the number of columns per revolution from the lower quartile of the azimuth
 /// steps, because steps across dropped rays are longer.
-int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) {
+int estimate_columns(const LidarPoints& scan, const RingPointLists& rings) {
     std::vector<double> steps;
     for (const RingPoints& ring : rings) {
         std::vector<double> azimuths = ring.azimuth_rad;
@@ -98,12 +98,12 @@ int estimate_column_count(const LidarPoints& scan, const RingPointLists& rings) 
             "{:.2f} to {:.1f} degrees apart, expected at least {}",
             scan.size(), rings.size(), steps.size(), kLeastStep_rad * 180.0 / kPi,
             kLargestStep_rad * 180.0 / kPi, kFewestSteps);
-    return int(std::lround(2.0 * kPi / compute_quantile_and_reorder(steps, 0.25)));
+    return int(std::lround(2.0 * kPi / find_quantile(steps, 0.25)));
 }
 
 /// Returns S_r(N), the sum of exp(i N azimuth) over the points of ring r, for each ring.
 /// |S_r| is large if the azimuths are on a grid of N columns.
-std::vector<std::complex<double>> sum_azimuth_phases_per_ring(const RingPointLists& rings, int n_columns) {
+std::vector<std::complex<double>> sum_phases(const RingPointLists& rings, int n_columns) {
     std::vector<std::complex<double>> sums;
     for (const RingPoints& ring : rings) {
         std::complex<double> sum = 0.0;
@@ -115,8 +115,8 @@ std::vector<std::complex<double>> sum_azimuth_phases_per_ring(const RingPointLis
 
 /// Returns for consecutive numbers of columns how well the azimuths in each ring fit a
 /// grid of so many columns. For a perfect fit, the value is the number of points.
-std::vector<double> compute_fit_score_per_column_count(const RingPointLists& rings, int first_column_count,
-                                                       std::size_t n_counts_to_try) {
+std::vector<double> score_columns(const RingPointLists& rings, int first_column_count,
+                                  std::size_t n_counts_to_try) {
     std::vector<double> lengths(n_counts_to_try, 0.0);
     for (const RingPoints& ring : rings) {
         std::vector<std::complex<double>> turned, step;
@@ -141,14 +141,14 @@ struct FiringColumnGrid {
     std::vector<double> offset_rad;
 };
 
-FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, const RingPointLists& rings) {
-    FiringColumnGrid lattice{estimate_column_count(scan, rings), std::vector<double>(rings.size(), 0.0)};
+FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& rings) {
+    FiringColumnGrid lattice{estimate_columns(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
     const std::vector<double> lengths =
-        compute_fit_score_per_column_count(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+        score_columns(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
-    if (*best <= kCoherent * double(scan.size())) {
+    if (*best <= kMinCoherence * double(scan.size())) {
         // There are at least as many columns as points in the fullest ring.
         std::size_t most = 0;
         for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
@@ -157,7 +157,7 @@ FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, cons
         return lattice;
     }
     lattice.columns = first + int(best - lengths.begin());
-    const std::vector<std::complex<double>> sums = sum_azimuth_phases_per_ring(rings, lattice.columns);
+    const std::vector<std::complex<double>> sums = sum_phases(rings, lattice.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
     for (std::size_t r = 0; r < rings.size(); ++r)
         lattice.offset_rad[r] =
@@ -166,7 +166,7 @@ FiringColumnGrid estimate_columns_and_ring_offsets(const LidarPoints& scan, cons
 }
 
 /// Returns radians per second, positive if counterclockwise.
-std::optional<double> estimate_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
+std::optional<double> fit_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
     for (const RingPoints& ring : rings) {
@@ -189,7 +189,7 @@ std::optional<double> estimate_rotation_rate(const LidarPoints& scan, const Ring
 
 }  // namespace
 
-FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s) {
+FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s) {
     std::size_t n_rings = 0;
     const LidarPoints* fullest = nullptr;
     for (const LidarPoints& scan : scans) {
@@ -203,9 +203,9 @@ FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, dou
     if (n_rings > kMostRings)
         fail("cannot estimate the beams: found the ring number {}, expected one below {}", n_rings - 1,
              kMostRings);
-    const RingPointLists rings = group_points_by_ring(*fullest, n_rings);
-    const FiringColumnGrid lattice = estimate_columns_and_ring_offsets(*fullest, rings);
-    const std::vector<std::optional<double>> elevations = estimate_ring_elevations(scans, n_rings);
+    const RingPointLists rings = group_rings(*fullest, n_rings);
+    const FiringColumnGrid lattice = fit_firing_grid(*fullest, rings);
+    const std::vector<std::optional<double>> elevations = fit_elevations(scans, n_rings);
 
     std::vector<std::size_t> order;  // ring numbers, sorted from the highest to the lowest ring
     for (std::size_t r = 0; r < n_rings; ++r)
@@ -220,7 +220,7 @@ FittedSensor estimate_spinning_sensor(const std::vector<LidarPoints>& scans, dou
         sensor.beams.push_back(
             {.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
     }
-    const std::optional<double> rate = estimate_rotation_rate(*fullest, rings);
+    const std::optional<double> rate = fit_rotation_rate(*fullest, rings);
     sensor.columns = lattice.columns;
     sensor.first_azimuth_rad = kPi - kPi / lattice.columns;
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;

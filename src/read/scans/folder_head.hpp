@@ -20,8 +20,8 @@ namespace relidar::read {
 inline constexpr const char* kHeadFile = "sequence.json";
 inline constexpr const char* kPosesFile = "poses.txt";
 inline constexpr const char* kBoxesFile = "boxes.json";
-inline constexpr const char* kFormat = "relidar log";
-inline constexpr int kVersion = 1;
+inline constexpr const char* kLogFormat = "relidar log";
+inline constexpr int kLogVersion = 1;
 // limits of texts, in bytes
 inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
 
@@ -51,7 +51,7 @@ struct SequenceHeaderLidar : LidarScanLayout {
     std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
 };
 
-struct SequenceHeaderFrame {
+struct HeaderFrame {
     int number = 0;
     double time_s = 0.0;
     int lidar = 0;
@@ -63,7 +63,7 @@ struct SequenceHeader {
     std::int64_t start_unix_ns = 0;
     Notes notes;
     std::vector<SequenceHeaderLidar> lidars;
-    std::vector<SequenceHeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
+    std::vector<HeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
     bool motion_compensated = false;
     PointFileUnits units;
     std::optional<glm::dvec3> world_offset_m;
@@ -72,7 +72,7 @@ struct SequenceHeader {
 /// Reads sequence.json. If it does not list the scans, lists the files in the scan
 /// folders.
 /// @param default_max_range_m  maximum range of sensors for which the file contains none
-SequenceHeader read_log_description(const std::filesystem::path& log_folder, double default_max_range_m);
+SequenceHeader read_header(const std::filesystem::path& folder, double default_max_range_m);
 
 /// Reads the vehicle pose of each frame, if the file exists. Its lines have
 /// - 12 numbers: a 3x4 matrix, row-major; line i belongs to frame number i,
@@ -82,21 +82,21 @@ SequenceHeader read_log_description(const std::filesystem::path& log_folder, dou
 /// meanings of the numbers are tested, such as another order of the quaternion.
 /// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
 /// may be null
-std::optional<std::vector<Pose>> read_frame_poses(const std::filesystem::path& pose_file,
-                                                  const std::vector<SequenceHeaderFrame>& frames,
-                                                  const OverlapScanPairReader& read_scan_pairs_for_pose_check,
-                                                  Notes& notes);
+std::optional<std::vector<Pose>> load_poses(const std::filesystem::path& file,
+                                            const std::vector<HeaderFrame>& frames,
+                                            const OverlapScanPairReader& read_scan_pairs_for_pose_check,
+                                            Notes& notes);
 
 /// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.
 /// @param all_frames  all frames of the log, because labels can refer to frames by number
 std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
-                                      const std::vector<SequenceHeaderFrame>& loaded_frames,
-                                      const std::vector<SequenceHeaderFrame>& all_frames);
+                                      const std::vector<HeaderFrame>& loaded_frames,
+                                      const std::vector<HeaderFrame>& all_frames);
 
 /// Reads the scans of all frames from files, as the other read_scans() does. Estimates
 /// missing units.
 /// @param scan_files  [frames] scan file of each frame
-void read_scans(LidarSequence& sequence, const ScanLayout& layout, PointFileUnits units,
+void read_scans(Log& sequence, const ScanLayout& layout, PointFileUnits units,
                 const std::vector<std::filesystem::path>& scan_files, const DatasetOptions& options);
 
 }  // namespace relidar::read

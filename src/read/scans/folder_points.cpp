@@ -10,9 +10,9 @@
 
 #include "base/fail.hpp"
 #include "base/median.hpp"
+#include "read/files/scan_npz.hpp"
 #include "read/scans/dropped_ray.hpp"
 #include "read/scans/point_times.hpp"
-#include "read/files/scan_npz.hpp"
 
 namespace relidar::read {
 namespace {
@@ -24,10 +24,10 @@ constexpr float kOneRay = 1e-6f;
 
 /// A field with the name of a range can also contain the distance from a plane.
 /// @param is_no_return  points without a return, which are ignored
-bool do_ranges_match_point_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
-                                     const std::vector<char>& is_no_return) {
+bool are_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
+                   const std::vector<char>& is_no_return) {
     constexpr std::size_t kMostCompared = 2000;
-    constexpr double kTolerance = 0.05, kFewest = 0.9;
+    constexpr double kRangeTolerance = 0.05, kMinMatchShare = 0.9;
     std::vector<double> ratios;
     const std::size_t step = std::max<std::size_t>(1, points.size() / kMostCompared);
     for (std::size_t i = 0; i < points.size(); i += step)
@@ -37,35 +37,34 @@ bool do_ranges_match_point_distances(const PointFieldView& ranges, const std::ve
     if (ratios.empty()) return false;
     const double unit = compute_median(ratios);
     const auto n = std::ranges::count_if(
-        ratios, [unit](double ratio) { return std::abs(ratio - unit) <= kTolerance * unit; });
-    return double(n) >= kFewest * double(ratios.size());
+        ratios, [unit](double ratio) { return std::abs(ratio - unit) <= kRangeTolerance * unit; });
+    return double(n) >= kMinMatchShare * double(ratios.size());
 }
 
 /// Returns an empty array if no field contains ranges.
-std::vector<char> flag_no_return_points(const PointTable& table, const std::vector<glm::vec3>& points) {
+std::vector<char> flag_no_returns(const PointTable& table, const std::vector<glm::vec3>& points) {
     const PointFieldView* ranges = table.find_field(PointAttribute::range);
     std::vector<char> marked;
     if (!ranges) return marked;
     marked.resize(table.n);
-    ranges->for_each(table.n,
-                     [&](std::size_t i, double range) { marked[i] = !is_valid_return_range(range); });
-    if (!do_ranges_match_point_distances(*ranges, points, marked)) marked.clear();
+    ranges->for_each(table.n, [&](std::size_t i, double range) { marked[i] = !is_return_range(range); });
+    if (!are_distances(*ranges, points, marked)) marked.clear();
     return marked;
 }
 
 /// Leaves out points that only mark rays without a return.
-std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_return_points(
+std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_returns(
     const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
     const PointFileUnits& units) {
     std::vector<glm::vec3> all(table.n);
     for (int axis = 0; axis < 3; ++axis)
         xyz_fields[std::size_t(axis)]->for_each(
             table.n, [&](std::size_t i, double value) { all[i][axis] = float(value); });
-    const std::vector<char> marked = flag_no_return_points(table, all);
+    const std::vector<char> marked = flag_no_returns(table, all);
     std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
     returns.first.reserve(table.n);
     for (std::size_t i = 0; i < table.n; ++i)
-        if (is_valid_return_point(all[i]) && all[i] != units.no_return && (marked.empty() || !marked[i]))
+        if (is_return_point(all[i]) && all[i] != units.no_return && (marked.empty() || !marked[i]))
             returns.first.push_back(std::uint32_t(i));
     for (const std::uint32_t i : returns.first) returns.second.push_back(all[i]);
     return returns;
@@ -78,9 +77,9 @@ struct PointFieldConverter {
     /// Calls store_value(k, convert_value(value)) for the k-th selected point.
     /// @throws DataError from `convert_value`, with the number of the point
     template <class OfValue, class Set>
-    void convert_each_value(const PointFieldView& field, const OfValue& convert_value,
-                            const Set& store_value) const {
-        field.call_with_value_reader([&](const auto& value_at) {
+    void convert_each(const PointFieldView& field, const OfValue& convert_value,
+                      const Set& store_value) const {
+        field.with_reader([&](const auto& value_at) {
             std::size_t k = 0;
             try {
                 for (; k < selected_indices.size(); ++k)
@@ -92,12 +91,12 @@ struct PointFieldConverter {
     }
     /// Does nothing if the field does not exist.
     template <class T, class OfValue>
-    void convert_field_into(std::vector<T>& values, const PointFieldView* field_or_null,
-                            const OfValue& convert_value) const {
+    void convert_field(std::vector<T>& values, const PointFieldView* field_or_null,
+                       const OfValue& convert_value) const {
         if (!field_or_null) return;
         values.resize(selected_indices.size());
-        convert_each_value(*field_or_null, convert_value,
-                           [&](std::size_t index, T value) { values[index] = value; });
+        convert_each(*field_or_null, convert_value,
+                     [&](std::size_t index, T value) { values[index] = value; });
     }
 };
 
@@ -106,21 +105,20 @@ struct PointFieldConverter {
 /// @throws DataError otherwise, and MostTimesWrong if most times are wrong
 void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
-    unwrap_point_times(table, !units.absolute_times);
-    if (!units.absolute_times) restore_negative_offsets(table);
+    unwrap_times(table, !units.absolute_times);
+    if (!units.absolute_times) restore_signs(table);
     std::size_t n_wrong = 0;
     std::string first_error;
     const std::string of_point;
-    convert.convert_field_into(
-        points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
-            try {
-                return convert_point_time_to_frame_offset_s(value, units, frame_time_s, of_point);
-            } catch (const DataError& error) {
-                if (!units.skip_wrong_times) throw;
-                if (n_wrong++ == 0) first_error = error.what();
-                return kMaxTimeOffset_s;
-            }
-        });
+    convert.convert_field(points.time_offset_s, table.find_field(PointAttribute::time), [&](double value) {
+        try {
+            return frame_offset_s(value, units, frame_time_s, of_point);
+        } catch (const DataError& error) {
+            if (!units.skip_wrong_times) throw;
+            if (n_wrong++ == 0) first_error = error.what();
+            return kMaxTimeOffset_s;
+        }
+    });
     if (2 * n_wrong > convert.selected_indices.size())
         throw MostTimesWrong(fmt::format("{}: {} of {} points have wrong times{}", convert.where, n_wrong,
                                          convert.selected_indices.size(), first_error));
@@ -128,7 +126,7 @@ void convert_times(LidarPoints& points, const PointFieldConverter& convert, Poin
 
 /// Returns 1 if the file counts from 1, otherwise 0. Every file has first returns, so
 /// this is the smallest number.
-double find_number_used_for_first_returns(const PointFieldView& return_numbers, std::size_t n_points) {
+double first_return_number(const PointFieldView& return_numbers, std::size_t n_points) {
     double least = return_numbers[0];
     return_numbers.for_each(n_points, [&](std::size_t, double value) {
         if (value < least) least = value;
@@ -147,7 +145,7 @@ void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& orde
 
 /// Points with the same ring, time and direction are returns of one ray. The strongest of
 /// them becomes the first return.
-void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
+void set_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
@@ -181,15 +179,15 @@ void sort_points_and_set_return_numbers(LidarPoints& points, const std::vector<d
 
 }  // namespace
 
-LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
-                                    const std::string& where) {
+LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, double frame_time_s,
+                          const std::string& where) {
     const auto *x = table.find_field(PointAttribute::x), *y = table.find_field(PointAttribute::y),
                *z = table.find_field(PointAttribute::z);
     for (const auto& [field, name] : {std::pair(x, "x"), std::pair(y, "y"), std::pair(z, "z")})
         if (!field) fail("{}: the field {} is missing, expected x, y and z", where, name);
     LidarPoints points;
     PointFieldConverter convert{{}, where};
-    std::tie(convert.selected_indices, points.position_m) = select_return_points(table, {x, y, z}, units);
+    std::tie(convert.selected_indices, points.position_m) = select_returns(table, {x, y, z}, units);
     if (units.returns.exist)
         points.return_number = number_returns(table, units.returns, units.intensity_field,
                                               convert.selected_indices, points.position_m);
@@ -204,17 +202,16 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
     const auto* intensity = table.find_field(units.intensity_field);
     if (!intensity) intensity = table.find_field(PointAttribute::intensity);
     if (!intensity) points.intensity.assign(convert.selected_indices.size(), 0.0f);
-    convert.convert_field_into(points.intensity, intensity, [&](double value) {
-        return normalise_file_intensity(value, units, of_point);
-    });
-    convert.convert_field_into(points.ring, table.find_field(PointAttribute::ring),
-                               [&](double value) { return convert_ring_number(value, of_point); });
+    convert.convert_field(points.intensity, intensity,
+                          [&](double value) { return scale_intensity(value, units, of_point); });
+    convert.convert_field(points.ring, table.find_field(PointAttribute::ring),
+                          [&](double value) { return convert_ring(value, of_point); });
     if (!units.ignore_times) convert_times(points, convert, table, units, frame_time_s);
     const auto *number = table.find_field(PointAttribute::return_number),
                *type = table.find_field(PointAttribute::return_type);
     if (number) {
-        const double first = find_number_used_for_first_returns(*number, table.n);
-        convert.convert_field_into(points.return_number, number, [&](double value) {
+        const double first = first_return_number(*number, table.n);
+        convert.convert_field(points.return_number, number, [&](double value) {
             const double return_number = value - first;
             if (!(return_number >= 0.0 && return_number < 8.0))
                 fail("{}: the return number is {}, expected 0 (the strongest return) to 7", of_point,
@@ -223,8 +220,8 @@ LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnit
         });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> types;
-        convert.convert_field_into(types, type, [](double value) { return value; });
-        sort_points_and_set_return_numbers(points, types);
+        convert.convert_field(types, type, [](double value) { return value; });
+        set_return_numbers(points, types);
     }
     return points;
 }

@@ -8,8 +8,8 @@
 #include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 
-#include "read/scans/folder_head.hpp"
 #include "read/files/point_table.hpp"
+#include "read/scans/folder_head.hpp"
 
 namespace relidar::read {
 
@@ -23,29 +23,28 @@ struct MostTimesWrong : DataError {
 /// units.no_return.
 /// @param frame_time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
-LidarPoints convert_table_to_points(const PointTable& table, const PointFileUnits& units, double frame_time_s,
-                                    const std::string& where);
+LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, double frame_time_s,
+                          const std::string& where);
 
 /// Estimates the units that are not known, from the points of some scans. If several
 /// intensity scales are possible, sets none. Intensities above 1 are then an error.
-void estimate_missing_point_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files,
-                                  Notes& notes);
+void fill_units(PointFileUnits& units, const std::vector<std::filesystem::path>& scan_files, Notes& notes);
 
 /// Scan of each frame, from files or messages. Several threads can call the functions at
 /// the same time.
 class ScanProvider {
 public:
     virtual ~ScanProvider() = default;
-    virtual std::string get_frame_name(std::size_t frame_index) const = 0;  ///< name for error messages
-    virtual bool is_stored_as_points(std::size_t frame_index) const = 0;
-    virtual LidarPoints read_points_of_frame(std::size_t frame_index) const = 0;
-    virtual Scan read_rays_of_frame(std::size_t frame_index) const = 0;
+    virtual std::string frame_name(std::size_t frame) const = 0;  ///< name for error messages
+    virtual bool stores_points(std::size_t frame) const = 0;
+    virtual LidarPoints read_points(std::size_t frame) const = 0;
+    virtual Scan read_rays(std::size_t frame) const = 0;
 };
 
 /// Reads the scans of all frames. The poses of the frames must be set before. Estimates
 /// unknown beams from the points. Undoes motion compensation, unless the user sets
 /// dataset.poses=none, because the true poses are then unknown.
-void read_scans(LidarSequence& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
+void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options);
 
 }  // namespace relidar::read

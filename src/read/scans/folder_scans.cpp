@@ -7,11 +7,11 @@
 
 #include "base/fail.hpp"
 #include "base/progress_blocks.hpp"
+#include "read/files/scan_npz.hpp"
 #include "read/scans/broken_scans.hpp"
 #include "read/scans/dropped_ray.hpp"
 #include "read/scans/folder_points.hpp"
 #include "read/scans/point_times.hpp"
-#include "read/files/scan_npz.hpp"
 
 namespace relidar::read {
 namespace {
@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 /// Counts the points that are the first return of their ray. Ignores points at the
 /// sensor.
-std::size_t count_first_returns(const LidarPoints& points) {
+std::size_t count_firsts(const LidarPoints& points) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const float range_m = glm::length(points.position_m[i]);
@@ -33,7 +33,7 @@ std::size_t count_first_returns(const LidarPoints& points) {
 /// Reads the scans of a folder from their files.
 class FolderScanProvider : public ScanProvider {
 public:
-    FolderScanProvider(const LidarSequence& sequence, const ScanLayout& layout, const PointFileUnits& units,
+    FolderScanProvider(const Log& sequence, const ScanLayout& layout, const PointFileUnits& units,
                        const std::vector<fs::path>& files)
         : sequence_(sequence),
           layout_(layout),
@@ -41,29 +41,25 @@ public:
           files_(files),
           has_npz_points_(has_npz_points(files)) {}
 
-    std::string get_frame_name(std::size_t frame_index) const override {
-        return files_[frame_index].string();
-    }
-    bool is_stored_as_points(std::size_t frame_index) const override {
+    std::string frame_name(std::size_t frame_index) const override { return files_[frame_index].string(); }
+    bool stores_points(std::size_t frame_index) const override {
         return !is_image_file(files_[frame_index]) ||
                (has_npz_points_ && files_[frame_index].extension() == ".npz");
     }
-    LidarPoints read_points_of_frame(std::size_t frame_index) const override {
+    LidarPoints read_points(std::size_t frame_index) const override {
         const PointTable table = read_point_file(files_[frame_index], units_.columns);
-        require_declared_deskewing(table.is_deskewed, layout_.motion_compensated,
-                                   get_frame_name(frame_index));
-        return convert_table_to_points(table, units_, sequence_.frames[frame_index].time_s,
-                                       get_frame_name(frame_index));
+        check_deskewing(table.is_deskewed, layout_.motion_compensated, frame_name(frame_index));
+        return convert_table(table, units_, sequence_.frames[frame_index].time_s, frame_name(frame_index));
     }
-    Scan read_rays_of_frame(std::size_t frame_index) const override {
-        const LidarFrame& frame = sequence_.frames[frame_index];
+    Scan read_rays(std::size_t frame_index) const override {
+        const Frame& frame = sequence_.frames[frame_index];
         return read_scan_image(files_[frame_index], {units_, layout_.motion_compensated,
                                                      layout_.lidars[std::size_t(frame.lidar)].lowest_first,
-                                                     sequence_.get_lidar(frame), frame.time_s});
+                                                     sequence_.lidar_of(frame), frame.time_s});
     }
 
 private:
-    const LidarSequence& sequence_;
+    const Log& sequence_;
     const ScanLayout& layout_;
     const PointFileUnits& units_;
     const std::vector<fs::path>& files_;
@@ -72,7 +68,7 @@ private:
 
 class ScanReader {
 public:
-    ScanReader(LidarSequence& sequence, const ScanLayout& layout, const ScanProvider& source, bool has_poses,
+    ScanReader(Log& sequence, const ScanLayout& layout, const ScanProvider& source, bool has_poses,
                ScanErrorCollector& broken)
         : sequence_(sequence),
           layout_(layout),
@@ -88,24 +84,23 @@ public:
         for (int l = 0; l < std::ssize(sequence_.lidars); ++l) {
             std::vector<std::size_t> with_points;  // frames with points
             for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
-                if (sequence_.frames[i].lidar == l && source_.is_stored_as_points(i))
-                    with_points.push_back(i);
+                if (sequence_.frames[i].lidar == l && source_.stores_points(i)) with_points.push_back(i);
             SpinningSensor& sensor = sequence_.lidars[std::size_t(l)].sensor;
             if (sensor.name.empty()) sensor.name = sequence_.name;
             // Files store either points or rays. A LiDAR with rays needs only a sweep
             // period. If its beams are unknown, it is treated as not rotating (period 0).
             if (!with_points.empty()) plan_lidar(l, with_points);
             else if (!layout_.lidars[std::size_t(l)].has_beams) sensor.period_s = 0.0;
-            else if (sensor.period_s == 0.0) sensor.period_s = find_sweep_duration_s(sequence_, layout_, l);
+            else if (sensor.period_s == 0.0) sensor.period_s = find_sweep_s(sequence_, layout_, l);
         }
         sequence_.rolling_shutter =
             !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undo);
     }
 
     void read_frame_scan(std::size_t frame_index) {
-        LidarFrame& frame = sequence_.frames[frame_index];
-        if (!source_.is_stored_as_points(frame_index)) {
-            frame.scan = source_.read_rays_of_frame(frame_index);
+        Frame& frame = sequence_.frames[frame_index];
+        if (!source_.stores_points(frame_index)) {
+            frame.scan = source_.read_rays(frame_index);
             return;
         }
         const ScanPlan& plan = plans_[std::size_t(frame.lidar)];
@@ -115,34 +110,33 @@ public:
             points =
                 sample == samples_.end() ? read_points(frame_index, plan.undo) : std::move(sample->second);
         } catch (const MostTimesWrong& error) {
-            broken_.record_broken_scan(frame_index, error.what());
+            broken_.record_broken(frame_index, error.what());
         }
-        if (!remove_late_points(frame_index, points)) return;
+        if (!remove_late(frame_index, points)) return;
         if (points.size() > 0 &&
             (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty()))
             fail(
                 "{}: its points have {} and {}, unlike the points of other scans of this LiDAR; expected the "
                 "same fields in all scans",
-                source_.get_frame_name(frame_index), points.ring.empty() ? "no rings" : "rings",
+                source_.frame_name(frame_index), points.ring.empty() ? "no rings" : "rings",
                 points.time_offset_s.empty() ? "no times" : "times");
         if (!plan.is_ordered) {
-            frame.scan = make_scan_with_one_ray_per_point(points);
+            frame.scan = scan_of_points(points);
             return;
         }
-        if (plan.order) plan.order->assign_ring_numbers(points);
-        if (plan.has_rings || plan.order) points = convert_rings_to_beams(points, plan, frame_index);
-        else assign_points_to_rings(points, plan.sensor.beams);
-        frame.scan = assign_points_to_rays_of_spinning_scan(
-            points, plan.sensor, fit_equal_azimuth_steps_to_points(points, plan.sensor));
+        if (plan.order) plan.order->number_rings(points);
+        if (plan.has_rings || plan.order) points = map_rings(points, plan, frame_index);
+        else assign_rings(points, plan.sensor.beams);
+        frame.scan = spinning_scan(points, plan.sensor, fit_even_sweep(points, plan.sensor));
         PointCounts& counts = counts_[frame_index];
-        counts.first = count_first_returns(points);
+        counts.first = count_firsts(points);
         counts.behind = counts.first - std::min(counts.first, frame.scan.count_returns());
     }
 
     const std::vector<PointCounts>& counts() const { return counts_; }
 
 private:
-    LidarSequence& sequence_;
+    Log& sequence_;
     const ScanLayout& layout_;
     const ScanProvider& source_;
     const bool has_poses_;
@@ -154,30 +148,29 @@ private:
     std::map<std::size_t, LidarPoints> samples_;
 
     LidarPoints read_points(std::size_t frame_index, bool undo_motion) const {
-        const LidarFrame& frame = sequence_.frames[frame_index];
-        LidarPoints points = source_.read_points_of_frame(frame_index);
+        const Frame& frame = sequence_.frames[frame_index];
+        LidarPoints points = source_.read_points(frame_index);
         if (undo_motion && !points.time_offset_s.empty())
-            undo_motion_compensation(points, sequence_.get_world_from_sensor(frame.lidar), frame.time_s);
+            undo_deskew(points, sequence_.lidar_track(frame.lidar), frame.time_s);
         return points;
     }
 
     /// Removes points whose times are outside the sweep. Returns false if the scan is
     /// skipped, because most of its points have such times.
-    bool remove_late_points(std::size_t frame_index, LidarPoints& points) {
+    bool remove_late(std::size_t frame_index, LidarPoints& points) {
         const TimeLimits& limits = time_limits_[std::size_t(sequence_.frames[frame_index].lidar)];
         const std::size_t n = points.size();
         const double middle_s = limits.middle_s.value_or(0.0);
         double worst_s = middle_s;
         for (const float t_s : points.time_offset_s)
             if (std::abs(double(t_s) - middle_s) > std::abs(worst_s - middle_s)) worst_s = double(t_s);
-        const std::size_t n_late =
-            remove_points_of_wrong_time(points, limits.longest_offset_s, limits.middle_s);
+        const std::size_t n_late = remove_mistimed(points, limits.longest_offset_s, limits.middle_s);
         if (2 * n_late > n)
-            broken_.record_broken_scan(
+            broken_.record_broken(
                 frame_index,
                 fmt::format("{}: {} of {} points have times outside the sweep, such as {:.6g} s after the "
                             "time of the frame; expected at most {:.3g} s from {:.3g} s, as in other scans",
-                            source_.get_frame_name(frame_index), n_late, n, worst_s, limits.longest_offset_s,
+                            source_.frame_name(frame_index), n_late, n, worst_s, limits.longest_offset_s,
                             middle_s));
         else counts_[frame_index].late += n_late;
         return !broken_.is_scan_broken(frame_index);
@@ -189,7 +182,7 @@ private:
         std::map<std::size_t, LidarPoints> samples;
         std::map<std::size_t, std::string> wrong;
         const auto add_sample = [&](std::size_t index) {
-            broken_.call_and_record_scan_errors(index, [&] {
+            broken_.guard(index, [&] {
                 try {
                     LidarPoints points = read_points(index, layout_.motion_compensated && has_poses_);
                     if (points.size() > 0) samples.emplace(index, std::move(points));
@@ -203,10 +196,10 @@ private:
         for (std::size_t k = 0; samples.empty() && k < frame_indices.size(); ++k)
             add_sample(frame_indices[k]);
         for (const auto& [index, text] : wrong) {
-            if (double(samples.size()) >= kMostScans * double(n)) broken_.record_broken_scan(index, text);
-            else broken_.call_and_record_scan_errors(index, [&] { throw DataError(text); });
+            if (double(samples.size()) >= kMostScans * double(n)) broken_.record_broken(index, text);
+            else broken_.guard(index, [&] { throw DataError(text); });
         }
-        if (samples.empty()) broken_.note_broken_scans_or_throw_if_all_broken(sequence_, broken_.size());
+        if (samples.empty()) broken_.report_broken(sequence_, broken_.size());
         return samples;
     }
 
@@ -218,11 +211,10 @@ private:
             for (const auto& [frame, points] : by_frame) samples.push_back(points);
             return samples;
         };
-        const double sweep_s = find_sweep_duration_s(sequence_, layout_, lidar_index);
+        const double sweep_s = find_sweep_s(sequence_, layout_, lidar_index);
         time_limits_[l] = find_time_limits(list_samples(), sweep_s);
         for (auto sample = by_frame.begin(); sample != by_frame.end();)
-            sample = remove_late_points(sample->first, sample->second) ? std::next(sample)
-                                                                       : by_frame.erase(sample);
+            sample = remove_late(sample->first, sample->second) ? std::next(sample) : by_frame.erase(sample);
         const std::vector<LidarPoints> samples = list_samples();
         Lidar& lidar = sequence_.lidars[l];
         plans_[l] = plan_scans(layout_.lidars[l], lidar.sensor, sweep_s, samples, layout_.motion_compensated,
@@ -237,15 +229,14 @@ private:
 
     /// Replaces ring numbers of the file by beam numbers. Removes points of rings without
     /// a beam.
-    LidarPoints convert_rings_to_beams(const LidarPoints& points, const ScanPlan& plan,
-                                       std::size_t frame_index) {
+    LidarPoints map_rings(const LidarPoints& points, const ScanPlan& plan, std::size_t frame_index) {
         LidarPoints renumbered;
         for (std::size_t p = 0; p < points.size(); ++p) {
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
             if (beam == kNoBeam && !plan.is_fitted)
                 fail("{}: a point has the ring number {}, expected the number of one of {} beams",
-                     source_.get_frame_name(frame_index), ring, plan.beam_of_ring.size());
+                     source_.frame_name(frame_index), ring, plan.beam_of_ring.size());
             if (beam == kNoBeam) {
                 ++counts_[frame_index].without_beam;
                 continue;
@@ -262,7 +253,7 @@ private:
 
 /// Returns the indices of the frames whose scans will be read.
 /// @param max_scans  maximum number of scans per LiDAR
-std::vector<std::size_t> select_frames_to_read(const LidarSequence& sequence, int max_scans) {
+std::vector<std::size_t> select_frames(const Log& sequence, int max_scans) {
     std::vector<std::vector<std::size_t>> frames_by_lidar(sequence.lidars.size());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         frames_by_lidar[std::size_t(sequence.frames[i].lidar)].push_back(i);
@@ -277,22 +268,22 @@ std::vector<std::size_t> select_frames_to_read(const LidarSequence& sequence, in
 
 }  // namespace
 
-void read_scans(LidarSequence& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
+void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& scan_provider,
                 const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     ScanReader reader(sequence, layout, scan_provider, options.poses_file != kNoPoses, broken);
     reader.plan_lidars();
-    const std::vector<std::size_t> frames = select_frames_to_read(sequence, options.max_scans);
-    parallel_for_with_progress(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
-        broken.call_and_record_scan_errors(frames[index], [&] { reader.read_frame_scan(frames[index]); });
+    const std::vector<std::size_t> frames = select_frames(sequence, options.max_scans);
+    progress_for(frames.size(), options.progress, "reading scans", [&](std::size_t index) {
+        broken.guard(frames[index], [&] { reader.read_frame_scan(frames[index]); });
     });
     note_skipped_points(sequence, layout, reader.counts());
-    broken.remove_broken_frames(sequence);
+    broken.remove_broken(sequence);
 }
 
-void read_scans(LidarSequence& sequence, const ScanLayout& layout, PointFileUnits units,
+void read_scans(Log& sequence, const ScanLayout& layout, PointFileUnits units,
                 const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
-    estimate_missing_point_units(units, scan_files, sequence.notes);
+    fill_units(units, scan_files, sequence.notes);
     read_scans(sequence, layout, FolderScanProvider(sequence, layout, units, scan_files), options);
 }
 

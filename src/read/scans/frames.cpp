@@ -10,8 +10,7 @@
 
 namespace relidar {
 
-Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& translation,
-                                  const std::string& where) {
+Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where) {
     const glm::dmat3 excess = glm::transpose(rotation) * rotation - glm::dmat3(1.0);
     double worst = 0.0;
     for (int c = 0; c < 3; ++c) {
@@ -26,28 +25,26 @@ Pose check_rotation_and_make_pose(const glm::dmat3& rotation, const glm::dvec3& 
     return {glm::normalize(glm::quat_cast(rotation)), translation};
 }
 
-Pose check_rotation_and_make_pose(std::span<const double> matrix, const std::string& error_location) {
+Pose make_pose(std::span<const double> matrix, const std::string& place) {
     const auto& m = matrix;
-    return check_rotation_and_make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]},
-                                        {m[3], m[7], m[11]}, error_location);
+    return make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, place);
 }
 
-LidarFrame& add_frame(LidarSequence& sequence, int frame_number, double time_s,
-                      const Pose& world_from_vehicle, int lidar_index) {
+Frame& add_frame(Log& sequence, int frame_number, double time_s, const Pose& world_from_vehicle, int lidar) {
     PoseTrack& track = sequence.world_from_vehicle;
     if (track.time_s.empty() || track.time_s.back() != time_s) {
         track.time_s.push_back(time_s);
         track.pose.push_back(world_from_vehicle);
     }
-    return sequence.frames.emplace_back(LidarFrame{frame_number, time_s, {}, lidar_index});
+    return sequence.frames.emplace_back(Frame{frame_number, time_s, {}, lidar});
 }
 
-void move_world_origin_of_log(LidarSequence& sequence) {
+void centre_log(Log& sequence) {
     const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
-    if (!poses.empty()) move_world_origin_of_log(sequence, poses[poses.size() / 2].translation);
+    if (!poses.empty()) centre_log(sequence, poses[poses.size() / 2].translation);
 }
 
-void move_world_origin_of_log(LidarSequence& sequence, glm::dvec3 new_origin_m) {
+void centre_log(Log& sequence, glm::dvec3 new_origin_m) {
     sequence.world_offset_m += new_origin_m;
     for (Pose& pose : sequence.world_from_vehicle.pose) pose.translation -= new_origin_m;
     for (BoxTrack& box : sequence.boxes)

@@ -10,33 +10,32 @@
 
 namespace relidar {
 
-double EncoderTickGrid::compute_azimuth_per_tick_rad() const { return 2.0 * kPi / n_ticks; }
+double EncoderTickGrid::tick_step_rad() const { return 2.0 * kPi / n_ticks; }
 
-int EncoderTickGrid::find_nearest_encoder_tick(double head_azimuth_rad) const {
-    const long t = std::lround((head_azimuth_rad - zero_rad) / compute_azimuth_per_tick_rad()) % n_ticks;
+int EncoderTickGrid::nearest_tick(double head_azimuth_rad) const {
+    const long t = std::lround((head_azimuth_rad - zero_rad) / tick_step_rad()) % n_ticks;
     return int(t < 0 ? t + n_ticks : t);
 }
 
-double EncoderTickGrid::compute_azimuth_of_encoder_tick_rad(int tick) const {
-    return std::remainder(zero_rad + tick * compute_azimuth_per_tick_rad(), 2.0 * kPi);
+double EncoderTickGrid::tick_azimuth_rad(int tick) const {
+    return std::remainder(zero_rad + tick * tick_step_rad(), 2.0 * kPi);
 }
 
-SweepFirings fit_equal_azimuth_steps_to_points(const LidarPoints& points, const SpinningSensor& sensor) {
+SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sensor) {
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
-    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
     const BeamRayGenerator ideal((Beam()));
     // Its angle divided by n is the mean offset of the azimuths from the grid of n
     // columns.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamRayGenerator& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
-        sum += std::polar(1.0, sensor.columns * beam.compute_head_azimuth(glm::dvec3(points.position_m[i])));
+        sum += std::polar(1.0, sensor.columns * beam.azimuth_facing(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // The azimuth decreases from +pi, so firing i is at step `last` - i.
-    int last = sweep.lattice.find_nearest_encoder_tick(kPi);
-    if (sweep.lattice.compute_azimuth_of_encoder_tick_rad(last) < 0.0)
-        last = (last + sensor.columns - 1) % sensor.columns;
+    int last = sweep.lattice.nearest_tick(kPi);
+    if (sweep.lattice.tick_azimuth_rad(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)
         sweep.firings.push_back((last - i + sensor.columns) % sensor.columns);
     return sweep;

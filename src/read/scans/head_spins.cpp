@@ -21,17 +21,17 @@ constexpr double kLeastGap_rad = kPi / 3.0;
 constexpr double kOtherPeriod = 0.2;
 constexpr std::size_t kFewestPoints = 50;
 
-double compute_elevation(const glm::vec3& point) {
+double elevation_rad_of(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
 /// Returns the median over all rings.
-double compute_ring_elevation_spread(const LidarPoints& scan) {
+double ring_spread(const LidarPoints& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (scan.ring[i] >= rings.size()) rings.resize(std::size_t(scan.ring[i]) + 1);
         rings[scan.ring[i]].emplace_back(glm::length(scan.position_m[i]),
-                                         compute_elevation(scan.position_m[i]));
+                                         elevation_rad_of(scan.position_m[i]));
     }
     std::vector<double> spreads;
     for (auto& ring : rings) {
@@ -48,34 +48,35 @@ double compute_ring_elevation_spread(const LidarPoints& scan) {
 }
 
 /// Returns the widest azimuth range in which no scan has a point.
-double compute_widest_azimuth_gap(const std::vector<LidarPoints>& scans) {
-    constexpr std::size_t kBins = 360;
-    std::array<bool, kBins> is_bin_occupied{};
+double widest_gap_rad(const std::vector<LidarPoints>& scans) {
+    constexpr std::size_t kAzimuthBins = 360;
+    std::array<bool, kAzimuthBins> is_bin_occupied{};
     for (const LidarPoints& scan : scans)
         for (const glm::vec3& p : scan.position_m)
-            is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) %
-                            kBins] = true;
+            is_bin_occupied[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) *
+                                        kAzimuthBins) %
+                            kAzimuthBins] = true;
     std::size_t widest = 0, run = 0;
     // Counts every bin twice, because a gap may contain the start of the circle.
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {
-        run = is_bin_occupied[b % kBins] ? 0 : run + 1;
-        widest = std::max(widest, std::min(run, kBins));
+    for (std::size_t b = 0; b < 2 * kAzimuthBins; ++b) {
+        run = is_bin_occupied[b % kAzimuthBins] ? 0 : run + 1;
+        widest = std::max(widest, std::min(run, kAzimuthBins));
     }
-    return 2.0 * kPi * double(widest) / double(kBins);
+    return 2.0 * kPi * double(widest) / double(kAzimuthBins);
 }
 
 }  // namespace
 
-std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
-                                     const SpinningSensor& fitted_sensor, double frame_interval_s) {
+std::string why_not_spinning(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor,
+                             double frame_interval_s) {
     const auto fullest = std::ranges::max_element(scans, {}, &LidarPoints::size);
     if (fullest == scans.end()) return "";
-    if (const double spread = compute_ring_elevation_spread(*fullest); spread > kMostSpread_rad)
+    if (const double spread = ring_spread(*fullest); spread > kMostSpread_rad)
         return fmt::format(
             "the points of one ring differ in elevation by {:.1f} degrees; the usual causes are merged "
             "clouds of several LiDARs, wrong rings, or another frame",
             spread * 180.0 / kPi);
-    const double gap = compute_widest_azimuth_gap(scans);
+    const double gap = widest_gap_rad(scans);
     if (gap < kLeastGap_rad || fullest->time_offset_s.empty() ||
         std::abs(fitted_sensor.period_s - frame_interval_s) < kOtherPeriod * frame_interval_s)
         return "";

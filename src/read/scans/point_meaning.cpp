@@ -16,15 +16,16 @@ namespace relidar::read {
 namespace {
 
 // Largest values of the usual intensity scales: percent, 8 bits and 16 bits.
-constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
+constexpr double kPercentScale = 100.0, kByteScale = 255.0, kTwoByteScale = 65535.0;
 constexpr double kFewBrighter = 0.995;  // minimum share of the intensities that must be within the scale
 // A position marks "no return" if (points at this position / all points) is between these
 // limits, because measured points rarely have identical positions.
 constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
 constexpr std::size_t kFewestMarked = 16;
-constexpr std::size_t kLooks = 1024;  // maximum number of points that are tested for repeated positions
+constexpr std::size_t kMaxTestedPoints =
+    1024;  // maximum number of points that are tested for repeated positions
 
-bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
+bool is_all_zero(const std::vector<PointTable>& clouds, const std::string& field_name) {
     bool is_zero = true;
     for (const PointTable& cloud : clouds)
         if (const PointFieldView* values = cloud.find_field(field_name))
@@ -34,41 +35,38 @@ bool is_field_all_zero(const std::vector<PointTable>& clouds, const std::string&
 }
 
 /// Selects the first candidate that has a value other than 0.
-void choose_and_store_intensity_field(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
-    const std::vector<std::string> names = clouds[0].list_fields_with_attribute(PointAttribute::intensity);
+void choose_intensity(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
+    const std::vector<std::string> names = clouds[0].list_fields(PointAttribute::intensity);
     if (names.empty()) return;
-    const auto used = std::ranges::find_if(
-        names, [&](const std::string& name) { return !is_field_all_zero(clouds, name); });
+    const auto used =
+        std::ranges::find_if(names, [&](const std::string& name) { return !is_all_zero(clouds, name); });
     semantics.intensity_field = used == names.end() ? names[0] : *used;
     const bool is_usual =
         semantics.intensity_field == "intensity" || semantics.intensity_field == "reflectivity";
     if (used == names.end())
-        semantics.notes.push_back(
-            fmt::format("the field '{}', which usually contains intensities, is 0 for all points",
-                        shorten_for_error_message(names[0])));
+        semantics.notes.push_back(fmt::format(
+            "the field '{}', which usually contains intensities, is 0 for all points", quote(names[0])));
     else if (used != names.begin())
         semantics.notes.push_back(
             fmt::format("intensities are read from the field '{}', because '{}' is 0 for all points",
-                        shorten_for_error_message(*used), shorten_for_error_message(names[0])));
+                        quote(*used), quote(names[0])));
     else if (!is_usual)
-        semantics.notes.push_back(
-            fmt::format("intensities are read from the field '{}'", shorten_for_error_message(*used)));
+        semantics.notes.push_back(fmt::format("intensities are read from the field '{}'", quote(*used)));
 }
 
-void add_note_on_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
+void note_unread_fields(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     std::set<std::string> unread;
     for (const PointTable& cloud : clouds)
-        for (const std::string& name : cloud.unread) unread.insert(shorten_for_error_message(name));
+        for (const std::string& name : cloud.unread) unread.insert(quote(name));
     if (unread.empty()) return;
     semantics.notes.push_back(fmt::format(
         "these fields of the points are not read: {} (field of the intensities: {})", fmt::join(unread, ", "),
-        semantics.intensity_field.empty()
-            ? "none, because no field has a usual name of intensities"
-            : "'" + shorten_for_error_message(semantics.intensity_field) + "'"));
+        semantics.intensity_field.empty() ? "none, because no field has a usual name of intensities"
+                                          : "'" + quote(semantics.intensity_field) + "'"));
 }
 
 /// Returns a note, or an empty text.
-std::string describe_negative_intensities(const std::vector<PointTable>& clouds, const std::string& field) {
+std::string describe_negatives(const std::vector<PointTable>& clouds, const std::string& field) {
     double lowest = 0.0;
     for (const PointTable& cloud : clouds) {
         const PointFieldView *values = cloud.find_field(field), *x = cloud.find_field(PointAttribute::x),
@@ -77,7 +75,7 @@ std::string describe_negative_intensities(const std::vector<PointTable>& clouds,
         if (!values || !x || !y || !z) continue;
         for (std::size_t i = 0; i < cloud.n; ++i)
             if (const double value = (*values)[i];
-                value < lowest && is_valid_return_point(glm::dvec3((*x)[i], (*y)[i], (*z)[i])))
+                value < lowest && is_return_point(glm::dvec3((*x)[i], (*y)[i], (*z)[i])))
                 lowest = value;
     }
     return lowest < 0.0
@@ -86,7 +84,7 @@ std::string describe_negative_intensities(const std::vector<PointTable>& clouds,
 }
 
 /// Some files store all rays without a return as points at one position.
-std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable& cloud) {
+std::optional<glm::vec3> find_marker(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
                                                       cloud.find_field(PointAttribute::y),
                                                       cloud.find_field(PointAttribute::z)};
@@ -95,10 +93,10 @@ std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable&
         return std::array{float((*xyz[0])[index]), float((*xyz[1])[index]), float((*xyz[2])[index])};
     };
     const auto is_real = [](const std::array<float, 3>& p) {
-        return is_valid_return_point(glm::vec3(p[0], p[1], p[2]));
+        return is_return_point(glm::vec3(p[0], p[1], p[2]));
     };
     std::vector<std::array<float, 3>> some;
-    const std::size_t n = std::min(kLooks, cloud.n);
+    const std::size_t n = std::min(kMaxTestedPoints, cloud.n);
     for (std::size_t k = 0; k < n; ++k)
         if (const auto p = point(k * cloud.n / n); is_real(p)) some.push_back(p);
     std::ranges::sort(some);
@@ -120,15 +118,16 @@ std::optional<glm::vec3> find_position_that_marks_dropped_rays(const PointTable&
 
 }  // namespace
 
-IntensityScale estimate_intensity_scale(std::vector<double>& intensities) {
+IntensityScale estimate_scale(std::vector<double>& intensities) {
     std::erase_if(intensities, [](double value) { return !std::isfinite(value); });
     if (intensities.empty()) return {};
     const auto [lowest, highest] = std::ranges::minmax(intensities);
     IntensityScale scale;
-    scale.is_sure = lowest >= 0.0 && (highest <= 1.0 || (highest > kPercent && highest <= kTwoBytes));
+    scale.is_sure =
+        lowest >= 0.0 && (highest <= 1.0 || (highest > kPercentScale && highest <= kTwoByteScale));
     if (highest <= 1.0) return scale;
-    if (highest <= kByte) {
-        scale.max = kByte;
+    if (highest <= kByteScale) {
+        scale.max = kByteScale;
         scale.about = fmt::format("intensities up to {:.4g} are divided by 255{}", highest,
                                   scale.is_sure ? "" : ", but they could also be percentages");
         return scale;
@@ -142,23 +141,22 @@ IntensityScale estimate_intensity_scale(std::vector<double>& intensities) {
     return scale;
 }
 
-PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds) {
+PointFieldSemantics interpret_fields(const std::vector<PointTable>& sample_clouds) {
     PointFieldSemantics meaning;
     if (sample_clouds.empty()) return meaning;
-    choose_and_store_intensity_field(sample_clouds, meaning);
-    add_note_on_unread_fields(sample_clouds, meaning);
+    choose_intensity(sample_clouds, meaning);
+    note_unread_fields(sample_clouds, meaning);
     std::vector<double> intensities;
     for (const PointTable& cloud : sample_clouds)
         if (const PointFieldView* values = cloud.find_field(meaning.intensity_field))
             values->for_each(cloud.n, [&](std::size_t, double value) { intensities.push_back(value); });
-    meaning.scale = estimate_intensity_scale(intensities);
-    meaning.returns = find_unnumbered_returns(sample_clouds);
-    if (const std::string text = describe_negative_intensities(sample_clouds, meaning.intensity_field);
-        !text.empty())
+    meaning.scale = estimate_scale(intensities);
+    meaning.returns = find_unnumbered(sample_clouds);
+    if (const std::string text = describe_negatives(sample_clouds, meaning.intensity_field); !text.empty())
         meaning.notes.push_back(text);
     if (meaning.returns.exist) meaning.notes.push_back(meaning.returns.about);
     for (const PointTable& cloud : sample_clouds)
-        if (!meaning.no_return) meaning.no_return = find_position_that_marks_dropped_rays(cloud);
+        if (!meaning.no_return) meaning.no_return = find_marker(cloud);
     if (meaning.no_return)
         meaning.notes.push_back(fmt::format(
             "many points have exactly the position ({}, {}, {}); they are read as rays without return",

@@ -21,7 +21,7 @@ struct IntensityScale {
 };
 /// Estimates 1, or 255, or a value that only a few intensities exceed. Reorders the
 /// values.
-IntensityScale estimate_intensity_scale(std::vector<double>& intensities);
+IntensityScale estimate_scale(std::vector<double>& intensities);
 
 struct PointFieldSemantics {
     std::string intensity_field;  ///< name of the field that contains the intensities; may be empty
@@ -32,6 +32,6 @@ struct PointFieldSemantics {
     std::vector<std::string> notes;  ///< texts for the user about each assumption
 };
 /// Finds the field of intensities, their scale, and how dropped rays are marked.
-PointFieldSemantics interpret_point_fields(const std::vector<PointTable>& sample_clouds);
+PointFieldSemantics interpret_fields(const std::vector<PointTable>& sample_clouds);
 
 }  // namespace relidar::read

@@ -18,13 +18,13 @@ namespace relidar::read {
 namespace {
 
 // Counters of 16 and 32 bits, which a program may have divided by a power of 1000.
-constexpr std::array kPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296, 4.294967296};
+constexpr std::array kCounterPeriods = {65536.0, 4294967296.0, 4294967.296, 4294.967296, 4.294967296};
 // a second, a minute, an hour, a day and a week
 constexpr std::array kClockPeriods_s = {1.0, 60.0, 3600.0, 86400.0, 604800.0};
 constexpr std::array kUnitsOfSecond = {1.0, 1e3, 1e6, 1e9};
 // A counter overflows in a cloud if its times span nearly a period, and leave out more
 // than half of the period.
-constexpr double kLeastSpan = 0.9, kLeastPause = 0.5;
+constexpr double kMinSpanShare = 0.9, kLeastPause = 0.5;
 // Times in the last part of the period of a counter can be negative offsets.
 constexpr double kLastPart = 15.0 / 16.0;
 // Plausible time from the first to the last point of a scan, relative to the time between
@@ -32,10 +32,9 @@ constexpr double kLastPart = 15.0 / 16.0;
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 
 /// Sets `limit` to a value below the times before the overflow and above the other times.
-bool is_period_of_times(const std::vector<double>& times, std::array<double, 2> range, double period,
-                        double& limit) {
+bool is_period(const std::vector<double>& times, std::array<double, 2> range, double period, double& limit) {
     const auto [first, last] = range;
-    if (last - first < kLeastSpan * period || last - first > period) return false;
+    if (last - first < kMinSpanShare * period || last - first > period) return false;
     limit = 0.5 * (first + last);
     double before = first, after = last;
     for (const double t : times) {
@@ -45,7 +44,7 @@ bool is_period_of_times(const std::vector<double>& times, std::array<double, 2> 
     return after - before > kLeastPause * period && after - before < last - first;
 }
 
-std::array<double, 2> find_value_range(const std::vector<double>& times) {
+std::array<double, 2> value_range(const std::vector<double>& times) {
     std::array<double, 2> range{INFINITY, -INFINITY};
     for (const double t : times)
         if (std::isfinite(t)) range = {std::min(range[0], t), std::max(range[1], t)};
@@ -60,7 +59,7 @@ std::vector<double> read_times(const PointTable& table) {
 }
 
 void replace_times(PointTable& table, std::vector<double> times) {
-    table.remove_fields_with_attribute(PointAttribute::time);
+    table.remove_fields(PointAttribute::time);
     table.add_value_field("time", ScalarType::f8, std::move(times), "");
 }
 
@@ -68,9 +67,9 @@ void replace_times(PointTable& table, std::vector<double> times) {
 /// the index of the last value of the lower tenth.
 template <class Number>
 std::pair<double, std::size_t> estimate_span(const std::vector<Number>& sorted) {
-    constexpr double kOuter = 0.1;
-    const auto outer = std::size_t(kOuter * double(sorted.size() - 1));
-    return {double(sorted[sorted.size() - 1 - outer] - sorted[outer]) / (1.0 - 2.0 * kOuter), outer};
+    constexpr double kOuterShare = 0.1;
+    const auto outer = std::size_t(kOuterShare * double(sorted.size() - 1));
+    return {double(sorted[sorted.size() - 1 - outer] - sorted[outer]) / (1.0 - 2.0 * kOuterShare), outer};
 }
 
 }  // namespace
@@ -80,23 +79,23 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table) {
     std::erase_if(times, [](double t) { return !std::isfinite(t); });
     if (times.empty()) return std::nullopt;
     std::ranges::sort(times);
-    constexpr double kFar = 10.0;  // points can be in a small part of the sweep
+    constexpr double kMaxSpanRatio = 10.0;  // points can be in a small part of the sweep
     const auto [span, outer] = estimate_span(times);
     if (span == 0.0) return std::array{times.front(), times.back()};
     return std::array{
-        *std::ranges::lower_bound(times, times[outer] - kFar * span),
-        *std::prev(std::ranges::upper_bound(times, times[times.size() - 1 - outer] + kFar * span))};
+        *std::ranges::lower_bound(times, times[outer] - kMaxSpanRatio * span),
+        *std::prev(std::ranges::upper_bound(times, times[times.size() - 1 - outer] + kMaxSpanRatio * span))};
 }
 
-void unwrap_point_times(PointTable& table, bool are_offsets) {
+void unwrap_times(PointTable& table, bool are_offsets) {
     std::vector<double> times = read_times(table);
-    const std::array<double, 2> range = find_value_range(times);
+    const std::array<double, 2> range = value_range(times);
     double limit = 0.0, period = 0.0;
     const auto test = [&](double candidate) {
-        if ((period == 0.0 || candidate < period) && is_period_of_times(times, range, candidate, limit))
+        if ((period == 0.0 || candidate < period) && is_period(times, range, candidate, limit))
             period = candidate;
     };
-    std::ranges::for_each(kPeriods, test);
+    std::ranges::for_each(kCounterPeriods, test);
     for (const double period_s : kClockPeriods_s)
         for (const double unit : kUnitsOfSecond)
             // Clocks can repeat a second or an hour without being 0 there.
@@ -108,28 +107,28 @@ void unwrap_point_times(PointTable& table, bool are_offsets) {
     replace_times(table, std::move(times));
 }
 
-void restore_negative_offsets(PointTable& table) {
+void restore_signs(PointTable& table) {
     std::vector<double> times = read_times(table);
     if (times.empty()) return;
-    const auto [first, last] = find_value_range(times);
+    const auto [first, last] = value_range(times);
     double number_period = 0.0;  // of an integer type; 0: floats, which come from counters of 32 bits
-    table.find_field(PointAttribute::time)->call_with_value_reader([&](const auto& time_at) {
+    table.find_field(PointAttribute::time)->with_reader([&](const auto& time_at) {
         using Number = decltype(time_at(0));
         if (!std::is_floating_point_v<Number>) number_period = std::ldexp(1.0, 8 * sizeof(Number));
     });
-    for (const double period : kPeriods) {
-        const bool is_counter = number_period == 0.0 ? period != kPeriods[0] : period == number_period;
+    for (const double period : kCounterPeriods) {
+        const bool is_counter = number_period == 0.0 ? period != kCounterPeriods[0] : period == number_period;
         if (!is_counter || first < kLastPart * period || last >= period) continue;
         for (double& t : times) t -= period;
         return replace_times(table, std::move(times));
     }
 }
 
-double find_time_resolution(const PointTable& table) {
+double time_resolution(const PointTable& table) {
     constexpr double kLeastEpoch_s = 1e9;
     const std::vector<double> times = read_times(table);
     if (times.empty()) return 0.0;
-    const auto [first, last] = find_value_range(times);
+    const auto [first, last] = value_range(times);
     const bool is_float = std::ranges::all_of(
                    times, [](double t) { return !std::isfinite(t) || double(float(t)) == t; }),
                is_whole = std::ranges::all_of(
@@ -141,20 +140,20 @@ double find_time_resolution(const PointTable& table) {
     return resolution;
 }
 
-std::string describe_coarse_times(double time, double resolution) {
+std::string describe_coarse(double time, double resolution) {
     return fmt::format(
         "the times of points are ignored, because they have lost their precision: near {:.10g}, their "
         "smallest step is {:.3g}; expected 64-bit numbers, or times relative to the scan",
         time, resolution);
 }
 
-double estimate_sweep_span_s(const LidarPoints& points) {
+double sweep_span_s(const LidarPoints& points) {
     std::vector<float> times_s = points.time_offset_s;
     std::ranges::sort(times_s);
     return times_s.empty() ? 0.0 : estimate_span(times_s).first;
 }
 
-std::string describe_implausible_times(const std::vector<LidarPoints>& scans, double frame_step_s) {
+std::string describe_span(const std::vector<LidarPoints>& scans, double frame_step_s) {
     std::vector<double> spans_s, largest_offsets_s;
     for (const LidarPoints& points : scans) {
         if (points.time_offset_s.empty()) continue;
@@ -178,7 +177,7 @@ std::string describe_implausible_times(const std::vector<LidarPoints>& scans, do
     return "";
 }
 
-std::optional<double> find_middle_time_s(const std::vector<LidarPoints>& scans, double limit_s) {
+std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s) {
     std::vector<double> middles_s;
     for (const LidarPoints& scan : scans)
         if (!scan.time_offset_s.empty()) middles_s.push_back(double(compute_median(scan.time_offset_s)));
@@ -189,7 +188,7 @@ std::optional<double> find_middle_time_s(const std::vector<LidarPoints>& scans, 
     return double(n) >= kMostScans * double(middles_s.size()) ? std::optional(middle_s) : std::nullopt;
 }
 
-std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s, std::optional<double> middle_s) {
+std::size_t remove_mistimed(LidarPoints& points, double limit_s, std::optional<double> middle_s) {
     const std::size_t n = points.time_offset_s.size();
     if (n == 0) return 0;
     if (!middle_s) middle_s = double(compute_median(points.time_offset_s));

@@ -20,39 +20,39 @@ std::optional<std::array<double, 2>> find_time_range(const PointTable& table);
 
 /// Subtracts the period of a counter that overflows in a cloud from the times before.
 /// @param are_offsets  true: times have no period of a clock, such as a second or a day
-void unwrap_point_times(PointTable& table, bool are_offsets);
+void unwrap_times(PointTable& table, bool are_offsets);
 
 /// For files that store small negative offsets of all points as large unsigned numbers.
-void restore_negative_offsets(PointTable& table);
+void restore_signs(PointTable& table);
 
 /// Returns the distance between neighbouring values that the times of a cloud can have,
 /// in the unit of the file. Detects former 32-bit floats, and whole seconds since 1970.
 /// Returns 0 for other numbers.
-double find_time_resolution(const PointTable& table);
+double time_resolution(const PointTable& table);
 inline bool is_coarse_time(double resolution, double span) {
     constexpr double kFineStep = 1e-4;  // precise, even if the unit is seconds
     return resolution > kFineStep && resolution > 0.05 * span;
 }
 /// Returns a note that times are ignored, because they have lost their precision.
-std::string describe_coarse_times(double time, double resolution);
+std::string describe_coarse(double time, double resolution);
 
 /// Returns the time from the first to the last point, without the outermost tenths of the
 /// points, extrapolated to all points.
-double estimate_sweep_span_s(const LidarPoints& points);
+double sweep_span_s(const LidarPoints& points);
 
 /// Returns a note if the time of a scan does not fit the time between scans. The usual
 /// cause is a wrong unit.
-std::string describe_implausible_times(const std::vector<LidarPoints>& scans, double frame_step_s);
+std::string describe_span(const std::vector<LidarPoints>& scans, double frame_step_s);
 
 /// Share of the scans that must agree before a scan with other times is skipped.
 inline constexpr double kMostScans = 0.8;
 
 /// Returns the median of the median times of scans, if most of them are within `limit_s`.
-std::optional<double> find_middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
+std::optional<double> middle_time_s(const std::vector<LidarPoints>& scans, double limit_s);
 
 /// Removes points farther than `limit_s` from `middle_s`, or from the median time.
 /// @return number of removed points
-std::size_t remove_points_of_wrong_time(LidarPoints& points, double limit_s,
-                                        std::optional<double> middle_s = std::nullopt);
+std::size_t remove_mistimed(LidarPoints& points, double limit_s,
+                            std::optional<double> middle_s = std::nullopt);
 
 }  // namespace relidar::read

@@ -15,12 +15,12 @@ namespace relidar::read {
 namespace {
 
 // Minimum mean x component of the unit motion vectors in the vehicle frame.
-constexpr double kForward = 0.9;
+constexpr double kMinForward = 0.9;
 // Another convention is used only if it increases the mean x component, and the share of
 // overlapping points, by these amounts.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
 constexpr std::size_t kFewestSteps = 3;
-constexpr double kCell_m = 0.5;  // edge length of the cells in which the overlap of scans is counted
+constexpr double kOverlapCell_m = 0.5;  // edge length of the cells in which the overlap of scans is counted
 constexpr float kMinComparedRange_m = 3.0f,
                 kMaxComparedRange_m = 40.0f;  // only points in this interval of ranges are compared
 
@@ -35,17 +35,16 @@ constexpr double kLessUpright = 0.1, kMoreUpright = 0.5;
 // Note that the order of the quaternions is uncertain.
 constexpr const char* kQuaternionOrder = "quaternion_order";
 
-double compute_mean_upright(const PoseTrack& track) {
+double mean_upright(const PoseTrack& track) {
     double sum = 0.0;
     for (const Pose& pose : track.pose) sum += (pose.rotation * glm::dvec3(0, 0, 1)).z;
     return sum / double(track.pose.size());
 }
 
-constexpr std::size_t kPairs = 5;  // number of pairs of scans that are compared
+constexpr std::size_t kScanPairs = 5;  // number of pairs of scans that are compared
 
-std::vector<glm::vec3> compute_points_in_vehicle_frame(const LidarSequence& sequence,
-                                                       const LidarFrame& frame) {
-    const Pose& mounting = sequence.get_lidar(frame).vehicle_from_sensor;
+std::vector<glm::vec3> vehicle_points(const Log& sequence, const Frame& frame) {
+    const Pose& mounting = sequence.lidar_of(frame).vehicle_from_sensor;
     const RayTable& rays = frame.scan.rays;
     std::vector<glm::vec3> points_m;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
@@ -55,16 +54,16 @@ std::vector<glm::vec3> compute_points_in_vehicle_frame(const LidarSequence& sequ
 }
 
 /// Selects pairs of the first LiDAR, evenly spread over the log.
-OverlapScanPairs collect_consecutive_scan_pairs(const LidarSequence& sequence) {
-    std::vector<const LidarFrame*> frames;
-    for (const LidarFrame& frame : sequence.frames)
+OverlapScanPairs collect_pairs(const Log& sequence) {
+    std::vector<const Frame*> frames;
+    for (const Frame& frame : sequence.frames)
         if (frame.lidar == 0 && frame.scan.count_returns() > 0) frames.push_back(&frame);
     OverlapScanPairs pairs;
-    const std::size_t n = frames.empty() ? 0 : std::min(kPairs, frames.size() - 1);
+    const std::size_t n = frames.empty() ? 0 : std::min(kScanPairs, frames.size() - 1);
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = k * (frames.size() - 1) / n;
-        pairs.add_scan_pair(frames[i]->time_s, compute_points_in_vehicle_frame(sequence, *frames[i]),
-                            frames[i + 1]->time_s, compute_points_in_vehicle_frame(sequence, *frames[i + 1]));
+        pairs.add_scan_pair(frames[i]->time_s, vehicle_points(sequence, *frames[i]), frames[i + 1]->time_s,
+                            vehicle_points(sequence, *frames[i + 1]));
     }
     return pairs;
 }
@@ -80,37 +79,37 @@ void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3>
             {first_time_s, second_time_s, std::move(first_points_m), std::move(second_points_m)});
 }
 
-double OverlapScanPairs::compute_scan_overlap_fraction(const PoseTrack& world_from_vehicle) const {
+double OverlapScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) const {
     double sum = 0.0;
     for (const OverlapScanPair& pair : pairs_) {
-        const Pose first_from_second = inverse(world_from_vehicle.interpolate_pose(pair.first_s)) *
-                                       world_from_vehicle.interpolate_pose(pair.second_s);
+        const Pose first_from_second =
+            inverse(world_from_vehicle.pose_at(pair.first_s)) * world_from_vehicle.pose_at(pair.second_s);
         std::unordered_set<std::uint64_t> cells;
-        for (const glm::vec3& p : pair.first_m) cells.insert(compute_grid_cell_key(glm::dvec3(p), kCell_m));
+        for (const glm::vec3& p : pair.first_m) cells.insert(grid_key(glm::dvec3(p), kOverlapCell_m));
         std::size_t n = 0;
         for (const glm::vec3& p : pair.second_m)
-            n += cells.contains(compute_grid_cell_key(first_from_second * glm::dvec3(p), kCell_m));
+            n += cells.contains(grid_key(first_from_second * glm::dvec3(p), kOverlapCell_m));
         sum += double(n) / double(pair.second_m.size());
     }
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
 
-std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
-                                       const OverlapScanPairReader& read_scan_pairs_or_null,
-                                       const std::string& where, Notes& notes) {
+std::size_t choose_poses(const std::vector<PoseInterpretation>& interpretations,
+                         const OverlapScanPairReader& read_scan_pairs_or_null, const std::string& where,
+                         Notes& notes) {
     std::vector<double> forward, upright;
     for (const PoseInterpretation& reading : interpretations) {
-        const auto driving = read::estimate_driving_direction(reading.world_from_vehicle);
+        const auto driving = read::driving_direction(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
-        upright.push_back(compute_mean_upright(reading.world_from_vehicle));
+        upright.push_back(mean_upright(reading.world_from_vehicle));
     }
     const auto is_forward = [&](std::size_t k) {
-        return forward[k] >= kForward && forward[k] >= forward[0] + kMoreForward;
+        return forward[k] >= kMinForward && forward[k] >= forward[0] + kMoreForward;
     };
     // Only the scans can show that a vehicle drives backward.
     const auto is_possible = [&](std::size_t k) {
-        return is_forward(k) || (std::abs(forward[k]) >= kForward &&
-                                 (forward[0] < kForward || upright[k] > upright[0] + kMoreUpright ||
+        return is_forward(k) || (std::abs(forward[k]) >= kMinForward &&
+                                 (forward[0] < kMinForward || upright[k] > upright[0] + kMoreUpright ||
                                   (forward[k] < 0.0 && !interpretations[k].needs_scans)));
     };
     std::vector<std::size_t> possible;
@@ -118,19 +117,19 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
         if (is_possible(k)) possible.push_back(k);
     if (possible.empty()) return 0;
     const OverlapScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : OverlapScanPairs();
-    const double first_overlap = scans.compute_scan_overlap_fraction(interpretations[0].world_from_vehicle);
+    const double first_overlap = scans.overlap_fraction(interpretations[0].world_from_vehicle);
     std::size_t best = 0, undecided = 0;
     double best_overlap = first_overlap + kMoreOverlap;
     for (const std::size_t k : possible) {
         const PoseInterpretation& reading = interpretations[k];
-        const double overlap = scans.compute_scan_overlap_fraction(reading.world_from_vehicle);
+        const double overlap = scans.overlap_fraction(reading.world_from_vehicle);
         if (scans.empty()) {
             if (reading.needs_scans || best > 0 || upright[k] < upright[0] - kLessUpright ||
                 !(is_forward(k) || upright[k] > upright[0] + kMoreUpright))
                 continue;
             // A vehicle that drives backward looks like one that drives forward with
             // another order of the quaternion.
-            (forward[0] <= -kForward || !is_forward(k) ? undecided : best) = k;
+            (forward[0] <= -kMinForward || !is_forward(k) ? undecided : best) = k;
         } else if (overlap > best_overlap) {
             best = k;
             best_overlap = overlap;
@@ -149,16 +148,15 @@ std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& in
     else if (undecided > 0)
         notes.push_back(
             {interpretations[undecided].about == kScalarLast ? kQuaternionOrder : "", -1,
-             fmt::format("{}: the convention of the poses is uncertain: the vehicle moves {:.2f} m "
-                         "forward per metre of its path with poses that are read as {}, but {:.2f} m "
-                         "with {}; if these poses are wrong, add a first line with the names of the "
-                         "columns",
+             fmt::format("{}: the convention of the poses is uncertain: the vehicle moves {:.2f} m forward "
+                         "per metre of its path with poses that are read as {}, but {:.2f} m with {}; if "
+                         "these poses are wrong, add a first line with the names of the columns",
                          where, forward[0], interpretations[0].about, forward[undecided],
                          interpretations[undecided].about)});
     return best;
 }
 
-void correct_poses_if_stored_inverted(LidarSequence& sequence) {
+void fix_inverted_poses(Log& sequence) {
     if (!sequence.has_poses) return;
     PoseTrack world_track = sequence.world_from_vehicle;
     for (Pose& pose : world_track.pose) pose.translation += sequence.world_offset_m;
@@ -177,15 +175,15 @@ void correct_poses_if_stored_inverted(LidarSequence& sequence) {
         readings.push_back({kScalarLast, std::move(other_order)});
         sequence.notes.erase(undecided);
     }
-    const auto read_pairs = [&] { return collect_consecutive_scan_pairs(sequence); };
+    const auto read_pairs = [&] { return collect_pairs(sequence); };
     Notes notes;
-    const std::size_t best = choose_pose_interpretation(readings, read_pairs, sequence.source, notes);
+    const std::size_t best = choose_poses(readings, read_pairs, sequence.source, notes);
     // Now the order is final, so that a converted log keeps the text.
     for (const Note& note : notes) sequence.notes.push_back(note.text);
     if (best == 0) return;
-    set_vehicle_poses(sequence, readings[best].world_from_vehicle);
+    set_trajectory(sequence, readings[best].world_from_vehicle);
     sequence.world_offset_m = glm::dvec3(0.0);
-    move_world_origin_of_log(sequence);
+    centre_log(sequence);
 }
 
 }  // namespace relidar::read

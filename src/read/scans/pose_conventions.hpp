@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include <relidar/read/points.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/read/points.hpp>
 
 namespace relidar::read {
 
@@ -18,7 +18,7 @@ inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy
 
 /// One meaning of the numbers in a pose file.
 struct PoseInterpretation {
-    std::string about;             ///< description for notes
+    std::string about;             ///< text for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
     /// True if this meaning needs scans that overlap better. Forward motion is not
     /// enough, because vehicles can also drive backwards.
@@ -34,7 +34,7 @@ public:
     bool empty() const { return pairs_.empty(); }
     /// Returns the share of points of the second scan in a grid cell with a point of the
     /// first.
-    double compute_scan_overlap_fraction(const PoseTrack& world_from_vehicle) const;
+    double overlap_fraction(const PoseTrack& world_from_vehicle) const;
 
 private:
     struct OverlapScanPair {
@@ -52,13 +52,13 @@ using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 /// @param read_scan_pairs_or_null  called only if the motion contradicts the documented
 /// meaning
 /// @param where  name of the file, for the note
-std::size_t choose_pose_interpretation(const std::vector<PoseInterpretation>& interpretations,
-                                       const OverlapScanPairReader& read_scan_pairs_or_null,
-                                       const std::string& where, Notes& notes);
+std::size_t choose_poses(const std::vector<PoseInterpretation>& interpretations,
+                         const OverlapScanPairReader& read_scan_pairs_or_null, const std::string& where,
+                         Notes& notes);
 
 /// Inverts the poses of a log, with a note, if the vehicle then drives forward and
 /// consecutive scans overlap better. Also decides the order of the quaternions if the
 /// reader could not. The log must contain the scans.
-void correct_poses_if_stored_inverted(LidarSequence& sequence);
+void fix_inverted_poses(Log& sequence);
 
 }  // namespace relidar::read

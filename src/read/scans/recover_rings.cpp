@@ -17,16 +17,16 @@ namespace relidar {
 namespace {
 
 // Bin width of the histogram of elevations. Real beams are at least ten bins apart.
-constexpr double kBin_rad = 0.01 * kPi / 180.0;
+constexpr double kBinWidth_rad = 0.01 * kPi / 180.0;
 constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
 // Maximum width of the points of a beam, relative to the distance of the next beam.
-constexpr double kWidest = 0.5;
+constexpr double kMaxBandWidth = 0.5;
 // A bin counts as empty below this share of a well-filled bin (90th percentile).
-constexpr double kStray = 0.005;
+constexpr double kMinBinShare = 0.005;
 // A near point can have the elevation of another beam, because beams start beside the
 // origin. It is compared with this many beams above and below.
-constexpr std::ptrdiff_t kReach = 6;
+constexpr std::ptrdiff_t kBeamReach = 6;
 
 double compute_elevation(const glm::dvec3& vector) {
     return std::atan2(vector.z, std::hypot(vector.x, vector.y));
@@ -34,7 +34,7 @@ double compute_elevation(const glm::dvec3& vector) {
 
 /// Uses only the farther half of the points in each degree of elevation, because beams
 /// start beside the sensor origin.
-std::vector<double> collect_sorted_elevations_of_far_points(const std::vector<LidarPoints>& scans) {
+std::vector<double> collect_elevations(const std::vector<LidarPoints>& scans) {
     struct PointRangeElevation {
         float range_m;
         double elevation_rad;
@@ -65,8 +65,7 @@ struct RingBand {
 };
 
 /// At least kLeastGap empty bins separate two groups.
-std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points_per_bin,
-                                                  double min_points_per_bin) {
+std::vector<RingBand> group_bins(const std::vector<int>& points_per_bin, double min_points_per_bin) {
     std::vector<RingBand> bands;
     for (int b = 0; b < int(points_per_bin.size()); ++b) {
         if (points_per_bin[std::size_t(b)] == 0 || points_per_bin[std::size_t(b)] < min_points_per_bin)
@@ -82,9 +81,9 @@ std::vector<RingBand> group_filled_elevation_bins(const std::vector<int>& points
 /// bands, unlike that of stray points.
 /// @param candidate_bands  groups of all bins with points, in the order of the search
 /// @param strong_bands  bands with enough points, in the same order
-std::vector<RingBand> add_regularly_spaced_weak_bands(const std::vector<RingBand>& candidate_bands,
-                                                      const std::vector<RingBand>& strong_bands) {
-    constexpr double kNearest = 0.75, kFarthest = 1.35;  // distances, relative to the usual distance
+std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_bands,
+                                     const std::vector<RingBand>& strong_bands) {
+    constexpr double kMinStepRatio = 0.75, kMaxStepRatio = 1.35;  // distances, relative to the usual distance
     constexpr int kWidestWeak = 2;
     std::vector<RingBand> complete;
     double usual = 0.0;       // distance between the last two bands
@@ -105,29 +104,29 @@ std::vector<RingBand> add_regularly_spaced_weak_bands(const std::vector<RingBand
             add(strong_bands[next++]);
         if (next > first || !is_regular) continue;
         const double apart = distance(complete.back(), group);
-        is_regular = apart > kNearest * usual && apart < kFarthest * usual &&
-                     group.last - group.first <= kWidestWeak &&
-                     (next == strong_bands.size() || distance(group, strong_bands[next]) > kNearest * usual);
+        is_regular =
+            apart > kMinStepRatio * usual && apart < kMaxStepRatio * usual &&
+            group.last - group.first <= kWidestWeak &&
+            (next == strong_bands.size() || distance(group, strong_bands[next]) > kMinStepRatio * usual);
         if (is_regular) add(group);
     }
     return complete;
 }
 
 /// A band is a group of filled bins and contains the points of one beam.
-std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_elevations_rad) {
-    const int n_bins = int(kPi / kBin_rad) + 1;
-    const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
+std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
+    const int n_bins = int(kPi / kBinWidth_rad) + 1;
+    const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBinWidth_rad); };
     std::vector<int> count(std::size_t(n_bins) + 1, 0);
     for (const double e : sorted_elevations_rad) ++count[std::size_t(bin(e))];
     std::vector<int> full;
     std::copy_if(count.begin(), count.end(), std::back_inserter(full), [](int c) { return c > 0; });
     if (full.empty()) return {};
     std::nth_element(full.begin(), full.begin() + std::ptrdiff_t(full.size() * 9 / 10), full.end());
-    const double least = kStray * full[full.size() * 9 / 10];
-    std::vector<RingBand> groups = group_filled_elevation_bins(count, 1.0),
-                          bands = group_filled_elevation_bins(count, least);
+    const double least = kMinBinShare * full[full.size() * 9 / 10];
+    std::vector<RingBand> groups = group_bins(count, 1.0), bands = group_bins(count, least);
     for (int pass = 0; pass < 2; ++pass) {  // upward, then downward
-        bands = add_regularly_spaced_weak_bands(groups, bands);
+        bands = add_weak_bands(groups, bands);
         std::ranges::reverse(groups);
         std::ranges::reverse(bands);
     }
@@ -144,12 +143,12 @@ std::vector<RingBand> find_elevation_bands(const std::vector<double>& sorted_ele
 }  // namespace
 
 std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
-    const std::vector<RingBand> bands = find_elevation_bands(collect_sorted_elevations_of_far_points(scans));
+    const std::vector<RingBand> bands = find_bands(collect_elevations(scans));
     if (bands.size() < kFewestBands) return {};
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
-        const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
+        const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
         for (const RingBand& band : {bands[i], bands[i + 1]})
-            if (band.last - band.first > kWidest * apart) return {};
+            if (band.last - band.first > kMaxBandWidth * apart) return {};
     }
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
@@ -157,7 +156,7 @@ std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     return beams;
 }
 
-void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams) {
+void assign_rings(LidarPoints& points, const std::vector<Beam>& beams) {
     if (beams.empty() || beams.size() > kNoBeam)
         throw UsageError(
             "cannot compute the rings of points: the sensor has no beams or too many beams, expected 1 to "
@@ -167,19 +166,19 @@ void assign_points_to_rings(LidarPoints& points, const std::vector<Beam>& beams)
     const auto elevation = [&](std::uint16_t index) { return beams[index].elevation_rad; };
     std::stable_sort(rising.begin(), rising.end(),
                      [&](auto first, auto second) { return elevation(first) < elevation(second); });
-    const std::vector<BeamRayGenerator> geometry = make_beam_ray_generators(beams);
+    const std::vector<BeamRayGenerator> geometry = make_generators(beams);
     points.ring.clear();
     for (const glm::vec3& point : points.position_m) {
         const glm::dvec3 p(point);
         const double point_elevation_rad = compute_elevation(p);
         const auto nearest = std::partition_point(rising.begin(), rising.end(),
                                                   [&](auto k) { return elevation(k) < point_elevation_rad; });
-        const auto begin = nearest - std::min(kReach, nearest - rising.begin()),
-                   end = nearest + std::min(kReach, rising.end() - nearest);
+        const auto begin = nearest - std::min(kBeamReach, nearest - rising.begin()),
+                   end = nearest + std::min(kBeamReach, rising.end() - nearest);
         std::uint16_t best = *begin;
         double least = INFINITY;
         for (auto k = begin; k != end; ++k) {
-            const glm::dvec3 origin = geometry[*k].compute_ray(geometry[*k].compute_head_azimuth(p)).origin_m;
+            const glm::dvec3 origin = geometry[*k].compute_ray(geometry[*k].azimuth_facing(p)).origin_m;
             const double miss = std::abs(compute_elevation(p - origin) - elevation(*k));
             if (miss < least) {
                 least = miss;

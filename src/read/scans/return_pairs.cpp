@@ -17,7 +17,7 @@ namespace {
 // only if coordinates are rounded.
 constexpr double kLeastRepeated = 0.1;
 // Share of the repeated points that must follow the same rule.
-constexpr double kRegular = 0.95;
+constexpr double kMinRegularShare = 0.95;
 // If a driver removes repeated points, only true second returns share ring and time with
 // another point. At least this number, and this share of them, must be on the same ray.
 constexpr std::size_t kFewestPairs = 16;
@@ -29,15 +29,15 @@ constexpr double kOneRay_rad = 1.4e-3, kLargestOffset_m = 0.1;
 constexpr double kSameRay_rad = 2e-4;
 constexpr std::size_t kMostNeighbours = 64;  // number of points of equal ring and time that are compared
 
-constexpr std::size_t kNone = SIZE_MAX;  // no point
+constexpr std::size_t kNoPoint = SIZE_MAX;  // no point
 
 using RayKey = std::pair<double, double>;  // ring and time
 
 std::vector<glm::vec3> read_positions(const PointTable& table) {
     std::vector<glm::vec3> points(table.n, glm::vec3(0.0f));
-    constexpr std::array kAxes = {PointAttribute::x, PointAttribute::y, PointAttribute::z};
+    constexpr std::array kAxisAttributes = {PointAttribute::x, PointAttribute::y, PointAttribute::z};
     for (int axis = 0; axis < 3; ++axis)
-        if (const PointFieldView* field = table.find_field(kAxes[std::size_t(axis)]))
+        if (const PointFieldView* field = table.find_field(kAxisAttributes[std::size_t(axis)]))
             field->for_each(table.n, [&](std::size_t i, double value) { points[i][axis] = float(value); });
     return points;
 }
@@ -63,8 +63,8 @@ bool are_on_same_ray(const glm::vec3& first, const glm::vec3& second, double lim
 }
 
 /// Returns the pairs of indices of points that occur exactly twice.
-std::vector<std::array<std::size_t, 2>> find_repeated_points(const std::vector<glm::vec3>& points,
-                                                             std::vector<std::size_t> indices) {
+std::vector<std::array<std::size_t, 2>> find_repeated(const std::vector<glm::vec3>& points,
+                                                      std::vector<std::size_t> indices) {
     const auto position = [&](std::size_t i) { return std::array{points[i].x, points[i].y, points[i].z}; };
     std::ranges::stable_sort(indices, {}, position);
     std::vector<std::array<std::size_t, 2>> pairs;
@@ -82,16 +82,16 @@ struct PairCounts {
     /// Returns true if some points share ring and time with another point, and if these
     /// pairs are on the same ray. If most points are pairs, they must be on exactly one
     /// ray.
-    bool are_second_returns() const {
-        const bool are_exact = double(n_exact) >= kRegular * double(n_pairs);
+    bool are_returns() const {
+        const bool are_exact = double(n_exact) >= kMinRegularShare * double(n_pairs);
         return n_pairs >= kFewestPairs && (2 * n_pairs <= n_groups || are_exact) &&
                double(n_large) <= kMostLargeGroups * double(n_groups) &&
                double(n_on_ray) >= kLeastOnRay * double(n_pairs);
     }
 };
 
-void add_pairs_of_cloud(PairCounts& counts, const std::vector<glm::vec3>& points,
-                        const std::vector<RayKey>& keys, std::vector<std::size_t> indices) {
+void add_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
+               std::vector<std::size_t> indices) {
     auto& [n_groups, n_pairs, n_large, n_on_ray, n_exact] = counts;
     std::ranges::stable_sort(indices, {}, [&](std::size_t i) { return keys[i]; });
     for (std::size_t k = 0, next = 0; k < indices.size(); k = next, ++n_groups) {
@@ -104,17 +104,17 @@ void add_pairs_of_cloud(PairCounts& counts, const std::vector<glm::vec3>& points
     }
 }
 
-/// Returns for each selected point the other return of its ray, or kNone. Each pair
+/// Returns for each selected point the other return of its ray, or kNoPoint. Each pair
 /// occurs once. Sorts `order` so that the returns of a ray are close together.
 std::vector<std::size_t> find_partners(const PointTable& table, const UnnumberedReturns& layout,
                                        const std::vector<std::uint32_t>& selected,
                                        const std::vector<glm::vec3>& points,
                                        std::vector<std::size_t>& order) {
     const std::size_t n = selected.size();
-    std::vector<std::size_t> partner(n, kNone);
+    std::vector<std::size_t> partner(n, kNoPoint);
     const std::size_t distance = layout.are_halves ? table.n / 2 : layout.distance;
     if (distance > 0 && table.n % (2 * distance) == 0) {
-        std::vector<std::size_t> rank(table.n, kNone);
+        std::vector<std::size_t> rank(table.n, kNoPoint);
         for (std::size_t k = 0; k < n; ++k) rank[selected[k]] = k;
         for (std::size_t k = 0; k < n; ++k)
             if (selected[k] / distance % 2 == 0) partner[k] = rank[selected[k] + distance];
@@ -137,20 +137,20 @@ std::vector<std::size_t> find_partners(const PointTable& table, const Unnumbered
 }
 
 /// Finds returns from the repeated points of a cloud. Otherwise counts its pairs.
-UnnumberedReturns find_repeated_returns(const PointTable& cloud, PairCounts& counts) {
+UnnumberedReturns find_in_cloud(const PointTable& cloud, PairCounts& counts) {
     if (cloud.find_field(PointAttribute::return_number) || cloud.find_field(PointAttribute::return_type))
         return {};
     const std::vector<glm::vec3> points = read_positions(cloud);
     std::vector<std::size_t> valid;
     for (std::size_t i = 0; i < cloud.n; ++i)
-        if (is_valid_return_point(points[i])) valid.push_back(i);
-    const auto repeated = find_repeated_points(points, valid);
+        if (is_return_point(points[i])) valid.push_back(i);
+    const auto repeated = find_repeated(points, valid);
     const std::vector<RayKey> keys = read_ray_keys(cloud);
     UnnumberedReturns returns{.about =
                                   "the points have two returns of each ray without numbers; equal returns "
                                   "are read as one return, and of two other returns the stronger is first"};
     if (2.0 * double(repeated.size()) < kLeastRepeated * double(valid.size())) {
-        if (!keys.empty()) add_pairs_of_cloud(counts, points, keys, valid);
+        if (!keys.empty()) add_pairs(counts, points, keys, valid);
         return returns;
     }
     std::map<std::size_t, std::size_t> n_of_distance;
@@ -159,7 +159,7 @@ UnnumberedReturns find_repeated_returns(const PointTable& cloud, PairCounts& cou
         if (first / (second - first) % 2 == 0) ++n_of_distance[second - first];
         n_of_ray += !keys.empty() && keys[first] == keys[second];
     }
-    const double least = kRegular * double(repeated.size());
+    const double least = kMinRegularShare * double(repeated.size());
     for (const auto& [distance, n] : n_of_distance)
         if (double(n) >= least && cloud.n % (2 * distance) == 0) returns.distance = distance;
     returns.are_halves = 2 * returns.distance == cloud.n;
@@ -169,12 +169,12 @@ UnnumberedReturns find_repeated_returns(const PointTable& cloud, PairCounts& cou
 
 }  // namespace
 
-UnnumberedReturns find_unnumbered_returns(const std::vector<PointTable>& clouds) {
+UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds) {
     UnnumberedReturns returns;
     PairCounts counts;
     for (const PointTable& cloud : clouds)  // in some clouds, all rays can have one return
-        if (!returns.exist) returns = find_repeated_returns(cloud, counts);
-    returns.exist = returns.exist || counts.are_second_returns();
+        if (!returns.exist) returns = find_in_cloud(cloud, counts);
+    returns.exist = returns.exist || counts.are_returns();
     return returns;
 }
 
@@ -200,11 +200,11 @@ std::vector<std::uint8_t> number_returns(const PointTable& table, const Unnumber
     for (std::size_t k : order) {
         if (is_done[k]) continue;
         std::size_t other = partner[k];
-        if (other != kNone && points[other] == points[k]) is_done[std::exchange(other, kNone)] = true;
-        if (other != kNone && intensity && (*intensity)[selected[other]] > (*intensity)[selected[k]])
+        if (other != kNoPoint && points[other] == points[k]) is_done[std::exchange(other, kNoPoint)] = true;
+        if (other != kNoPoint && intensity && (*intensity)[selected[other]] > (*intensity)[selected[k]])
             std::swap(k, other);
         add(k, 1);
-        if (other != kNone) add(other, 2);
+        if (other != kNoPoint) add(other, 2);
     }
     selected = std::move(sorted);
     points = std::move(sorted_points);

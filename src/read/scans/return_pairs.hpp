@@ -25,7 +25,7 @@ struct UnnumberedReturns {
 };
 
 /// Finds out whether clouds have two returns of each ray without return numbers.
-UnnumberedReturns find_unnumbered_returns(const std::vector<PointTable>& clouds);
+UnnumberedReturns find_unnumbered(const std::vector<PointTable>& clouds);
 
 /// Returns the number of each selected point: 1 for the stronger return of a ray, 2 for
 /// the other. Sorts the points so that a second return follows its first return. Removes

@@ -15,14 +15,14 @@ constexpr double kMaxSkippedShare = 0.1;
 // "time_unit" reports.
 constexpr double kMaxFrameStep_s = 20.0;
 
-void add_lidar_note(LidarSequence& sequence, int lidar_index, const std::string& text) {
+void add_lidar_note(Log& sequence, int lidar_index, const std::string& text) {
     const std::string& name = sequence.lidars[std::size_t(lidar_index)].name;
     sequence.notes.push_back({"", lidar_index, name.empty() ? text : "LiDAR '" + name + "': " + text});
 }
 
 }  // namespace
 
-void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
+void note_plan(Log& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples) {
     const auto add = [&](const std::string& text) { add_lidar_note(sequence, lidar_index, text); };
     if (samples.empty()) add("no scan has a point with finite coordinates and a plausible time");
@@ -40,20 +40,19 @@ void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_inde
     else if (plan.is_ordered && !plan.has_rings)
         add("the points have no rings; each point is assigned to the beam with the nearest elevation");
     if (plan.is_ordered && !plan.has_times && !layout.motion_compensated)
-        add(fmt::format(
-            "the points have no times; relidar computes them from the azimuths and assumes that a "
-            "sweep takes {:.3g} s and that the head faces forward at the time of the frame",
-            plan.sensor.period_s));
-    const double step_s = find_median_frame_step_s(sequence, lidar_index).value_or(INFINITY);
+        add(
+            fmt::format("the points have no times; relidar computes them from the azimuths and assumes that "
+                        "a sweep takes {:.3g} s and that the head faces forward at the time of the frame",
+                        plan.sensor.period_s));
+    const double step_s = median_step_s(sequence, lidar_index).value_or(INFINITY);
     if (!layout.motion_compensated && step_s <= kMaxFrameStep_s)
-        if (const std::string text = describe_implausible_times(samples, step_s); !text.empty()) add(text);
+        if (const std::string text = describe_span(samples, step_s); !text.empty()) add(text);
     if (layout.motion_compensated && !plan.undo)
         add("the scans are motion-compensated. This cannot be undone without times of points and poses, so "
             "all rays start at the sensor's position at the time of the frame");
 }
 
-void note_skipped_points(LidarSequence& sequence, const ScanLayout& layout,
-                         const std::vector<PointCounts>& counts) {
+void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts) {
     std::size_t n_without_beam = 0, n_late = 0, n_late_scans = 0, worst = 0;
     for (std::size_t i = 0; i < counts.size(); ++i) {
         n_without_beam += counts[i].without_beam;

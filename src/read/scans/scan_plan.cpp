@@ -20,13 +20,13 @@ constexpr double kLongestPeriod_s = 0.25;
 bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
     // The order fails for Ouster LiDARs, because their rings begin at different azimuths.
     if (const std::vector<Beam> beams = estimate_beams(samples); !beams.empty()) {
-        for (LidarPoints& sample : samples) assign_points_to_rings(sample, beams);
+        for (LidarPoints& sample : samples) assign_rings(sample, beams);
         plan.rings = RingSource::elevation;
         return true;
     }
     const RingOrderDetector order(samples);
-    if (!order.is_stored_ring_by_ring()) return false;
-    for (LidarPoints& sample : samples) order.assign_ring_numbers(sample);
+    if (!order.is_ring_by_ring()) return false;
+    for (LidarPoints& sample : samples) order.number_rings(sample);
     plan.rings = RingSource::order;
     plan.order = order;
     return true;
@@ -35,8 +35,8 @@ bool add_rings(ScanPlan& plan, std::vector<LidarPoints>& samples) {
 /// Returns why the samples cannot be scans of the fitted sensor, or an empty text.
 std::string find_contradiction(const ScanPlan& plan, const SpinningSensor& fitted_sensor,
                                const std::vector<LidarPoints>& samples) {
-    const std::string why = explain_why_not_spinning(samples, fitted_sensor, plan.sensor.period_s);
-    return why.empty() && !plan.has_rings ? explain_removed_points(samples, fitted_sensor) : why;
+    const std::string why = why_not_spinning(samples, fitted_sensor, plan.sensor.period_s);
+    return why.empty() && !plan.has_rings ? why_thinned(samples, fitted_sensor) : why;
 }
 
 /// Fits the beams of a spinning LiDAR to the samples, or sets why it cannot.
@@ -47,7 +47,7 @@ void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
         return;
     }
     try {
-        FittedSensor fit = estimate_spinning_sensor(samples, plan.sensor.period_s);
+        FittedSensor fit = fit_spinning_sensor(samples, plan.sensor.period_s);
         if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
             fail("the fitted sensor has {} beams and {} columns, expected at most {} rays",
                  fit.sensor.beams.size(), fit.sensor.columns, kMaxRays);
@@ -73,16 +73,16 @@ void fit_sensor(ScanPlan& plan, std::vector<LidarPoints>& samples) {
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s) {
     constexpr double kOffsetMargin = 1.5;
     std::vector<double> spans_s;
-    for (const LidarPoints& points : samples) spans_s.push_back(estimate_sweep_span_s(points));
+    for (const LidarPoints& points : samples) spans_s.push_back(sweep_span_s(points));
     const double span_s = spans_s.empty() ? 0.0 : compute_median(std::move(spans_s));
     const double longest_offset_s = kOffsetMargin * std::max(span_s, sweep_s);
-    return {longest_offset_s, find_middle_time_s(samples, longest_offset_s)};
+    return {longest_offset_s, middle_time_s(samples, longest_offset_s)};
 }
 
-std::optional<double> find_median_frame_step_s(const LidarSequence& sequence, int lidar_index) {
+std::optional<double> median_step_s(const Log& sequence, int lidar_index) {
     std::vector<double> steps;
     double before_s = NAN;
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
         if (frame.time_s > before_s) steps.push_back(frame.time_s - before_s);
         before_s = frame.time_s;
@@ -90,10 +90,10 @@ std::optional<double> find_median_frame_step_s(const LidarSequence& sequence, in
     return steps.empty() ? std::nullopt : std::optional(compute_median(std::move(steps)));
 }
 
-double find_sweep_duration_s(const LidarSequence& sequence, const ScanLayout& layout, int lidar_index) {
+double find_sweep_s(const Log& sequence, const ScanLayout& layout, int lidar_index) {
     const double known_s = layout.lidars[std::size_t(lidar_index)].sweep_duration_s;
     if (known_s > 0.0) return known_s;
-    const double step_s = find_median_frame_step_s(sequence, lidar_index).value_or(kUsualPeriod_s);
+    const double step_s = median_step_s(sequence, lidar_index).value_or(kUsualPeriod_s);
     return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
 }
 

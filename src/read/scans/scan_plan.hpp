@@ -20,14 +20,13 @@ namespace relidar {
 /// time of a full revolution, even if the field of view is limited.
 /// @param scans  some scans, with rings
 /// @param frame_interval_s  time between scans in seconds
-std::string explain_why_not_spinning(const std::vector<LidarPoints>& scans,
-                                     const SpinningSensor& fitted_sensor, double frame_interval_s);
+std::string why_not_spinning(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor,
+                             double frame_interval_s);
 /// Returns the reason, or an empty string. Points were probably removed, for example by a
 /// filter, if few rays have a return, or if the azimuth steps between the points of a
 /// ring are uneven. Their rays must not be treated as dropped rays.
 /// @param scans  some scans with rings; the rings may have been estimated
-std::string explain_removed_points(const std::vector<LidarPoints>& scans,
-                                   const SpinningSensor& fitted_sensor);
+std::string why_thinned(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor);
 
 }  // namespace relidar
 
@@ -47,7 +46,7 @@ struct ScanLayout {
     std::vector<LidarScanLayout> lidars = {};
     bool motion_compensated = false;
     /// True if the user describes the LiDARs in sequence.json. Points that contradict the
-    /// description are then an error.
+    /// text are then an error.
     bool is_described = false;
 };
 
@@ -67,7 +66,7 @@ struct ScanPlan {
     std::vector<std::uint16_t> beam_of_ring;
     std::optional<RingOrderDetector> order;  ///< finds rings for RingSource::order
     std::string problem;                     ///< why no sensor fits the points of a LiDAR that may spin
-    bool is_contradiction = false;           ///< true if the problem contradicts a description
+    bool is_contradiction = false;           ///< true if the problem contradicts a text
 };
 
 /// Interval of plausible times of points, relative to the time of the frame.
@@ -79,10 +78,10 @@ struct TimeLimits {
 TimeLimits find_time_limits(const std::vector<LidarPoints>& samples, double sweep_s);
 
 /// Returns the median time between consecutive frames of a LiDAR, if it has several.
-std::optional<double> find_median_frame_step_s(const LidarSequence& sequence, int lidar_index);
+std::optional<double> median_step_s(const Log& sequence, int lidar);
 /// Returns the duration of a revolution: the known one, or the median time between frames
 /// divided by the number of revolutions if the log has only every n-th scan.
-double find_sweep_duration_s(const LidarSequence& sequence, const ScanLayout& layout, int lidar_index);
+double find_sweep_s(const Log& sequence, const ScanLayout& layout, int lidar);
 
 /// Returns the plan for a LiDAR. Estimates unknown beams from the points.
 /// @param sensor  sensor of the LiDAR as far as it is known
@@ -99,11 +98,10 @@ struct PointCounts {
 };
 /// Adds notes for the user about the plan of a LiDAR.
 /// @param samples  points of some scans
-void note_plan(LidarSequence& sequence, const ScanLayout& layout, int lidar_index, const ScanPlan& plan,
+void note_plan(Log& sequence, const ScanLayout& layout, int lidar, const ScanPlan& plan,
                const std::vector<LidarPoints>& samples);
 /// Adds notes for the user about points that are skipped.
 /// @param counts  [frames]
-void note_skipped_points(LidarSequence& sequence, const ScanLayout& layout,
-                         const std::vector<PointCounts>& counts);
+void note_skipped_points(Log& sequence, const ScanLayout& layout, const std::vector<PointCounts>& counts);
 
 }  // namespace relidar::read

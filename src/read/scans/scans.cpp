@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns points to the rays that measured them. compute_beam_ray() gives the ray of a
+// Assigns points to the rays that measured them. aim_beam() gives the ray of a
 // beam at head azimuth theta. The range is |point - origin|. The firing time is the
 // measured time. If the points have no times, it is
 //   -theta / (2 pi) * period   (clockwise, 0 = facing forward)
@@ -14,26 +14,26 @@
 namespace relidar {
 namespace {
 
-constexpr int kEmpty = -1;
+constexpr int kNoPointIndex = -1;
 // maximum number of returns per ray; real sensors have two or three
 constexpr std::size_t kMostReturns = 8;
 constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per sweep (0.005 degrees per step)
 constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
-/// [rings x firings] index of the point that is assigned to each ray; kEmpty: no return
+/// [rings x firings] index of the point that is assigned to each ray; kNoPointIndex: no return
 struct RayPointIndices {
     std::size_t n_firings;
     std::vector<int> point;
 
-    int& get_point_index(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
+    int& point_index_at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-std::size_t get_zero_based_return_number(const LidarPoints& points, std::size_t point_index) {
+std::size_t return_index_of(const LidarPoints& points, std::size_t point_index) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
 
 /// @param n_beams  number of beams; 0 if rings are not needed
-void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) {
+void check_points(const LidarPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
         if (count != points.size() && !(may_be_empty && count == 0))
             fail<UsageError>(
@@ -51,20 +51,20 @@ void require_valid_point_arrays(const LidarPoints& points, std::size_t n_beams) 
             fail<UsageError>(
                 "cannot make a scan: point {} has ring {}, expected the index of one of {} beams", i,
                 points.ring[i], n_beams);
-        if (get_zero_based_return_number(points, i) >= kMostReturns)
+        if (return_index_of(points, i) >= kMostReturns)
             fail<UsageError>("cannot make a scan: point {} has return number {}, expected 1 to {}", i,
                              points.return_number[i], kMostReturns);
     }
 }
 
-std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
-    std::vector<int> nearest(std::size_t(n_ticks), kEmpty);
+std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
+    std::vector<int> nearest(std::size_t(n_ticks), kNoPointIndex);
     for (std::size_t f = 0; f < firing_ticks.size(); ++f) nearest[std::size_t(firing_ticks[f])] = int(f);
     std::vector<int> filled = nearest;
     for (int t = 0; t < n_ticks; ++t) {
-        for (int d = 1; filled[std::size_t(t)] == kEmpty && d < n_ticks; ++d) {
+        for (int d = 1; filled[std::size_t(t)] == kNoPointIndex && d < n_ticks; ++d) {
             const int below = nearest[std::size_t((t - d % n_ticks + n_ticks) % n_ticks)];
-            filled[std::size_t(t)] = below != kEmpty ? below : nearest[std::size_t((t + d) % n_ticks)];
+            filled[std::size_t(t)] = below != kNoPointIndex ? below : nearest[std::size_t((t + d) % n_ticks)];
         }
     }
     return filled;
@@ -72,14 +72,14 @@ std::vector<int> find_nearest_firing_per_tick(const std::vector<int>& firing_tic
 
 /// Returns for each column of a scan the index of its firing (one shot of all lasers at
 /// one azimuth). If the sweep has fewer firings than columns, columns share firings.
-std::vector<int> assign_firings_to_columns(const SweepFirings& sweep, int n_columns) {
+std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
     int n_extra_columns = n_columns - int(n);
     const double step = 2.0 * kPi / n_columns;
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
-        const double gap = sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]) -
-                           sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f + 1]);
+        const double gap = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
+                           sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
         const int missing = std::min(int(std::lround(gap / step)) - 1, n_extra_columns);
         if (missing > 0) {
             repeat[f] += missing;
@@ -102,19 +102,18 @@ public:
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
         firing_of.reserve(points.size());
         column_of_.reserve(points.size());
-        if (points.firing.empty())
-            nearest_ = find_nearest_firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
-        get_or_add_point_indices_of_return(0);
-        for (std::size_t i = 0; i < points.size(); ++i) assign_point_to_ray(i);
-        for (std::size_t i = 0; i < points.size(); ++i) assign_far_point_to_ray_without_point(i);
+        if (points.firing.empty()) nearest_ = firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
+        indices_of_return(0);
+        for (std::size_t i = 0; i < points.size(); ++i) assign_point(i);
+        for (std::size_t i = 0; i < points.size(); ++i) assign_far_point(i);
     }
     std::vector<RayPointIndices> by_return;
-    /// [points] firing that measured each point; kEmpty if the point is too near or too
+    /// [points] firing that measured each point; kNoPointIndex if the point is too near or too
     /// far
     std::vector<int> firing_of;
 
 private:
-    std::vector<int> column_of_;  ///< [points] firing whose ray has the point; kEmpty: no ray
+    std::vector<int> column_of_;  ///< [points] firing whose ray has the point; kNoPointIndex: no ray
 
     const LidarPoints& points_;
     const SpinningSensor& sensor_;
@@ -123,84 +122,84 @@ private:
     /// [azimuth steps] nearest firing; empty if each point has a firing index
     std::vector<int> nearest_;
 
-    float compute_point_range(int point_index) const {
+    float point_range_m(int point_index) const {
         return glm::length(points_.position_m[std::size_t(point_index)]);
     }
 
-    RayPointIndices& get_or_add_point_indices_of_return(std::size_t return_index) {
+    RayPointIndices& indices_of_return(std::size_t return_index) {
         while (by_return.size() <= return_index)
-            by_return.push_back({sweep_.firings.size(),
-                                 std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kEmpty)});
+            by_return.push_back(
+                {sweep_.firings.size(),
+                 std::vector<int>(sensor_.beams.size() * sweep_.firings.size(), kNoPointIndex)});
         return by_return[return_index];
     }
 
-    std::size_t find_nearest_firing(std::size_t point_index) const {
+    std::size_t nearest_firing(std::size_t point_index) const {
         if (!points_.firing.empty()) return points_.firing[point_index];
-        return std::size_t(
-            nearest_[std::size_t(sweep_.lattice.find_nearest_encoder_tick(head_rad_[point_index]))]);
+        return std::size_t(nearest_[std::size_t(sweep_.lattice.nearest_tick(head_rad_[point_index]))]);
     }
 
     /// Returns the firing of the previous point if this point is the next return of its
     /// ray. A near return can have another azimuth, because beams start beside the
     /// centre.
-    int find_firing_of_earlier_return(std::size_t i) const {
-        const std::size_t number = get_zero_based_return_number(points_, i);
+    int earlier_firing(std::size_t i) const {
+        const std::size_t number = return_index_of(points_, i);
         const bool follows =
             i > 0 && number > 0 && points_.firing.empty() && points_.ring[i] == points_.ring[i - 1] &&
-            get_zero_based_return_number(points_, i - 1) + 1 == number &&
+            return_index_of(points_, i - 1) + 1 == number &&
             (points_.time_offset_s.empty() || points_.time_offset_s[i] == points_.time_offset_s[i - 1]);
-        return follows ? column_of_[i - 1] : kEmpty;
+        return follows ? column_of_[i - 1] : kNoPointIndex;
     }
 
-    void assign_point_to_ray(std::size_t point_index) {
+    void assign_point(std::size_t point_index) {
         const std::size_t ring = points_.ring[point_index], n = sweep_.firings.size(),
-                          number = get_zero_based_return_number(points_, point_index);
-        const int earlier = find_firing_of_earlier_return(point_index);
-        column_of_.push_back(kEmpty);
-        const double range = compute_point_range(int(point_index));
-        firing_of.push_back(kEmpty);
+                          number = return_index_of(points_, point_index);
+        const int earlier = earlier_firing(point_index);
+        column_of_.push_back(kNoPointIndex);
+        const double range = point_range_m(int(point_index));
+        firing_of.push_back(kNoPointIndex);
         if (range > sensor_.max_range_m || range < kLeastRange_m) return;
         const std::size_t firing =
-            earlier != kEmpty ? std::size_t(earlier) : find_nearest_firing(point_index);
+            earlier != kNoPointIndex ? std::size_t(earlier) : nearest_firing(point_index);
         firing_of.back() = int(firing);
-        RayPointIndices& cells = get_or_add_point_indices_of_return(number);
+        RayPointIndices& cells = indices_of_return(number);
         int point = int(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
             // If the ray of a first return is occupied, tries the neighbouring firings.
-            if (cells.get_point_index(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
-            std::swap(cells.get_point_index(ring, f), point);
+            if (cells.point_index_at(ring, f) != kNoPointIndex || (number > 0 && f != firing)) continue;
+            std::swap(cells.point_index_at(ring, f), point);
             column_of_.back() = int(f);
             break;
         }
-        if (point != kEmpty && range < compute_point_range(cells.get_point_index(ring, firing))) {
-            cells.get_point_index(ring, firing) = point;
+        if (point != kNoPointIndex && range < point_range_m(cells.point_index_at(ring, firing))) {
+            cells.point_index_at(ring, firing) = point;
             column_of_.back() = int(firing);
         }
     }
 
     /// Does nothing if the ray already has a point.
-    void assign_far_point_to_ray_without_point(std::size_t point_index) {
-        if (!(double(compute_point_range(int(point_index))) > sensor_.max_range_m)) return;
-        const std::size_t firing = find_nearest_firing(point_index);
-        int& point = get_or_add_point_indices_of_return(get_zero_based_return_number(points_, point_index))
-                         .get_point_index(points_.ring[point_index], firing);
-        if (point == kEmpty) point = int(point_index);
+    void assign_far_point(std::size_t point_index) {
+        if (!(double(point_range_m(int(point_index))) > sensor_.max_range_m)) return;
+        const std::size_t firing = nearest_firing(point_index);
+        int& point = indices_of_return(return_index_of(points_, point_index))
+                         .point_index_at(points_.ring[point_index], firing);
+        if (point == kNoPointIndex) point = int(point_index);
     }
 };
 
 /// Returns the mean time of the points of each firing. Extrapolates from the nearest
 /// firing with points at the rotation rate of the head.
-std::vector<double> compute_firing_times(const LidarPoints& points, const SpinningSensor& sensor,
-                                         const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
+std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor& sensor,
+                                 const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
     const std::size_t n = sweep.firings.size();
     const auto turning_time = [&](double azimuth_rad) {
         return (sensor.clockwise ? -azimuth_rad : azimuth_rad) / (2.0 * kPi) * sensor.period_s;
     };
     std::vector<double> time_s(n), sum(n, 0.0), count(n, 0.0);
     for (std::size_t f = 0; f < n; ++f)
-        time_s[f] = turning_time(sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]));
+        time_s[f] = turning_time(sweep.lattice.tick_azimuth_rad(sweep.firings[f]));
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i)
-        if (firing_of_point[i] != kEmpty) {
+        if (firing_of_point[i] != kNoPointIndex) {
             sum[std::size_t(firing_of_point[i])] += double(points.time_offset_s[i]);
             count[std::size_t(firing_of_point[i])] += 1.0;
         }
@@ -212,16 +211,15 @@ std::vector<double> compute_firing_times(const LidarPoints& points, const Spinni
             else if (f >= d) from = f - d;
         }
         if (count[from] == 0.0) return time_s;
-        const double step =
-            std::remainder(sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[f]) -
-                               sweep.lattice.compute_azimuth_of_encoder_tick_rad(sweep.firings[from]),
-                           2.0 * kPi);
+        const double step = std::remainder(sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
+                                               sweep.lattice.tick_azimuth_rad(sweep.firings[from]),
+                                           2.0 * kPi);
         measured[f] = sum[from] / count[from] + turning_time(step);
     }
     return measured;
 }
 
-void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
+void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns, bool has_classes) {
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     scan.rays.rows = rows;
     scan.rays.columns = columns;
@@ -236,45 +234,43 @@ void resize_scan_arrays(Scan& scan, int rows, int columns, std::size_t n_second_
 }
 
 /// The origin and direction are of the ideal beam; the range stays 0.
-void set_dropped_ray(Scan& scan, std::size_t ray_index, const BeamRayGenerator& beam,
-                     double head_azimuth_rad) {
+void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad) {
     const BeamRay model = beam.compute_ray(head_azimuth_rad);
-    scan.rays.origin[ray_index] = glm::vec3(model.origin_m);
-    scan.rays.direction[ray_index] = glm::vec3(model.direction);
+    scan.rays.origin[ray] = glm::vec3(model.origin_m);
+    scan.rays.direction[ray] = glm::vec3(model.direction);
 }
 
 /// The direction is from the beam's origin to the point. Returns false if the point is
 /// too close to the origin.
 /// @param head_azimuth_rad  azimuth at the time of the point. It gives the exact origin,
 /// even if the azimuths of the firings are rounded.
-bool set_ray_with_return(Scan& scan, std::size_t ray_index, const BeamRayGenerator& beam,
-                         double head_azimuth_rad, const LidarPoints& points, std::size_t point_index) {
+bool set_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad,
+             const LidarPoints& points, std::size_t point_index) {
     const glm::dvec3 p(points.position_m[point_index]);
     const glm::dvec3 origin = beam.compute_ray(head_azimuth_rad).origin_m;
     const double range = glm::length(p - origin);
     if (!(range > kLeastRange_m)) return false;
-    scan.rays.origin[ray_index] = glm::vec3(origin);
-    scan.rays.direction[ray_index] = glm::vec3((p - origin) / range);
-    scan.range_m[ray_index] = float(range);
-    scan.intensity[ray_index] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
-    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray_index] = points.time_offset_s[point_index];
-    if (!points.classes.empty()) scan.classes[ray_index] = points.classes[point_index];
+    scan.rays.origin[ray] = glm::vec3(origin);
+    scan.rays.direction[ray] = glm::vec3((p - origin) / range);
+    scan.range_m[ray] = float(range);
+    scan.intensity[ray] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
+    if (!points.time_offset_s.empty()) scan.rays.time_offset_s[ray] = points.time_offset_s[point_index];
+    if (!points.classes.empty()) scan.classes[ray] = points.classes[point_index];
     return true;
 }
 
-void set_second_return(Scan& scan, std::size_t ray_index, const LidarPoints& points,
-                       std::size_t point_index) {
-    if (scan.range_m[ray_index] == 0.0f) return;
-    AdditionalReturns& echo = scan.second_returns[get_zero_based_return_number(points, point_index) - 1];
-    echo.range_m[ray_index] = glm::distance(points.position_m[point_index], scan.rays.origin[ray_index]);
-    echo.intensity[ray_index] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
+void set_second(Scan& scan, std::size_t ray, const LidarPoints& points, std::size_t point_index) {
+    if (scan.range_m[ray] == 0.0f) return;
+    AdditionalReturns& echo = scan.second_returns[return_index_of(points, point_index) - 1];
+    echo.range_m[ray] = glm::distance(points.position_m[point_index], scan.rays.origin[ray]);
+    echo.intensity[ray] = glm::clamp(points.intensity[point_index], 0.0f, 1.0f);
 }
 
 }  // namespace
 
-Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
-                                            const SweepFirings& sweep_firings) {
-    require_valid_point_arrays(points, sensor.beams.size());
+Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
+                   const SweepFirings& sweep_firings) {
+    check_points(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep_firings.lattice.n_ticks > kMostTicks)
         fail<UsageError>(
@@ -289,55 +285,54 @@ Scan assign_points_to_rays_of_spinning_scan(const LidarPoints& points, const Spi
             fail<UsageError>(
                 "cannot make a scan: a point has firing {}, expected the index of one of {} firings", firing,
                 sweep_firings.firings.size());
-    const std::vector<BeamRayGenerator> beams = make_beam_ray_generators(sensor.beams);
+    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        head_rad[i] = beams[points.ring[i]].compute_head_azimuth(glm::dvec3(points.position_m[i]));
+        head_rad[i] = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
     PointToRayAssignment assigned(points, sensor, sweep_firings, head_rad);
-    const std::vector<double> times = compute_firing_times(points, sensor, sweep_firings, assigned.firing_of);
-    const std::vector<int> slot = assign_firings_to_columns(sweep_firings, sensor.columns);
+    const std::vector<double> times = firing_times(points, sensor, sweep_firings, assigned.firing_of);
+    const std::vector<int> slot = firing_per_column(sweep_firings, sensor.columns);
     std::vector<double> firing_rad;
     for (const int tick : sweep_firings.firings)
-        firing_rad.push_back(sweep_firings.lattice.compute_azimuth_of_encoder_tick_rad(tick));
+        firing_rad.push_back(sweep_firings.lattice.tick_azimuth_rad(tick));
     const int columns = sensor.columns;
     Scan scan;
-    resize_scan_arrays(scan, int(sensor.beams.size()), columns, assigned.by_return.size() - 1,
-                       !points.classes.empty());
+    resize_scan(scan, int(sensor.beams.size()), columns, assigned.by_return.size() - 1,
+                !points.classes.empty());
     scan.rays.divergence_rad = float(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
-        const int shift = compute_beam_azimuth_offset_columns(sensor.beams[ring], columns);
+        const int shift = offset_columns(sensor.beams[ring], columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const std::size_t firing =
                 std::size_t(slot[std::size_t(((column + shift) % columns + columns) % columns)]);
             scan.rays.time_offset_s[at] = float(times[firing]);
             scan.rays.channel[at] = std::uint16_t(ring);
-            const int first = assigned.by_return[0].get_point_index(ring, firing);
-            if (first == kEmpty || !set_ray_with_return(scan, at, beams[ring], head_rad[std::size_t(first)],
-                                                        points, std::size_t(first)))
+            const int first = assigned.by_return[0].point_index_at(ring, firing);
+            if (first == kNoPointIndex ||
+                !set_ray(scan, at, beams[ring], head_rad[std::size_t(first)], points, std::size_t(first)))
                 set_dropped_ray(scan, at, beams[ring], firing_rad[firing]);
             for (std::size_t number = 1; number < assigned.by_return.size(); ++number)
-                if (const int i = assigned.by_return[number].get_point_index(ring, firing); i != kEmpty)
-                    set_second_return(scan, at, points, std::size_t(i));
+                if (const int i = assigned.by_return[number].point_index_at(ring, firing); i != kNoPointIndex)
+                    set_second(scan, at, points, std::size_t(i));
         }
     }
     return scan;
 }
 
-Scan make_scan_with_one_ray_per_point(const LidarPoints& points) {
-    require_valid_point_arrays(points, 0);
+Scan scan_of_points(const LidarPoints& points) {
+    check_points(points, 0);
     std::vector<std::size_t> first;  // [rays] index of the point that is the first return of each ray
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         fail<UsageError>("cannot make a scan: found {} points, expected at most {}", points.size(), kMaxRays);
     for (std::size_t i = 0; i < points.size(); ++i) {
-        n_second_returns = std::max(n_second_returns, get_zero_based_return_number(points, i));
-        if (get_zero_based_return_number(points, i) == 0 &&
-            glm::length(points.position_m[i]) > float(kLeastRange_m))
+        n_second_returns = std::max(n_second_returns, return_index_of(points, i));
+        if (return_index_of(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
             first.push_back(i);
     }
     Scan scan;
-    resize_scan_arrays(scan, 1, int(first.size()), n_second_returns, !points.classes.empty());
+    resize_scan(scan, 1, int(first.size()), n_second_returns, !points.classes.empty());
     for (std::size_t at = 0; at < first.size(); ++at) {
         const std::size_t i = first[at];
         const float range = glm::length(points.position_m[i]);
@@ -347,18 +342,17 @@ Scan make_scan_with_one_ray_per_point(const LidarPoints& points) {
         scan.range_m[at] = range;
         scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
         if (!points.classes.empty()) scan.classes[at] = points.classes[i];
-        for (std::size_t k = i + 1; k < points.size() && get_zero_based_return_number(points, k) > 0; ++k)
-            set_second_return(scan, at, points, k);
+        for (std::size_t k = i + 1; k < points.size() && return_index_of(points, k) > 0; ++k)
+            set_second(scan, at, points, k);
     }
     return scan;
 }
 
-void undo_motion_compensation(LidarPoints& points, const PoseTrack& world_from_sensor,
-                              double compensated_time_s) {
-    const Pose world_from_reference = world_from_sensor.interpolate_pose(compensated_time_s);
+void undo_deskew(LidarPoints& points, const PoseTrack& world_from_sensor, double compensated_time_s) {
+    const Pose world_from_reference = world_from_sensor.pose_at(compensated_time_s);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Pose world_from_firing =
-            world_from_sensor.interpolate_pose(compensated_time_s + double(points.time_offset_s[i]));
+            world_from_sensor.pose_at(compensated_time_s + double(points.time_offset_s[i]));
         points.position_m[i] =
             glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.position_m[i])));
     }

@@ -6,15 +6,15 @@
 #include <cmath>
 #include <complex>
 
-#include <relidar/read/clouds.hpp>
 #include <relidar/log/log_time.hpp>
+#include <relidar/read/clouds.hpp>
 
 #include "base/csv.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
-#include "read/scans/folder_points.hpp"
 #include "read/kitti/log_files.hpp"
+#include "read/scans/folder_points.hpp"
 
 namespace relidar::read {
 namespace {
@@ -23,7 +23,7 @@ namespace fs = std::filesystem;
 
 // Minimum distance between poses from which the driving direction is computed. It is much
 // larger than the errors of poses.
-constexpr double kStep_m = 1.0;
+constexpr double kMinDrive_m = 1.0;
 // If more time is between two poses, the motion between them is ignored.
 constexpr double kLongestStep_s = 1.0;
 // The points fit the nominal beams if their median distance from the beams is below this
@@ -35,15 +35,15 @@ constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
-StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std::size_t n_values,
-                                 const std::string& where) {
+StampedPoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n_values,
+                         const std::string& where) {
     StampedPoseRow row{0, {}, where};
-    std::optional<std::int64_t> stamp = parse_integer_timestamp(cells[0]);
+    std::optional<std::int64_t> stamp = parse_stamp(cells[0]);
     if (!stamp) {  // Some programs write time stamps with a fraction or an exponent.
         const std::optional<double> number = parse_number(cells[0]);
         if (number && *number >= 0.0 && *number < 9e18) stamp = std::int64_t(std::llround(*number));
     }
-    if (!stamp) fail("{}: found '{}', expected a time", where, shorten_for_error_message(cells[0]));
+    if (!stamp) fail("{}: found '{}', expected a time", where, quote(cells[0]));
     row.stamp = *stamp;
     if (cells.size() < n_values + 1)
         fail("{}: found {} cells in the line, expected a time and {} numbers, separated by commas", where,
@@ -51,54 +51,54 @@ StampedPoseRow parse_stamped_row(const std::vector<std::string_view>& cells, std
     for (std::size_t c = 1; c <= n_values; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
-            fail("{}: cell {} is '{}', expected a number from {:g} to {:g}", where, c + 1,
-                 shorten_for_error_message(cells[c]), -kLargestCoordinate_m, kLargestCoordinate_m);
+            fail("{}: cell {} is '{}', expected a number from {:g} to {:g}", where, c + 1, quote(cells[c]),
+                 -kLargestCoordinate_m, kLargestCoordinate_m);
         row.values.push_back(*number);
     }
     return row;
 }
 
-std::optional<Pose> interpolate_pose_if_well_covered(const StampedLog& log, double time_s) {
+std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
     if (!track.contains_time(time_s - log.reach_s) || !track.contains_time(time_s + log.reach_s))
         return std::nullopt;
-    const TrackInterpolation track_position = track.find_poses_before_and_after_time(time_s);
+    const TrackInterpolation track_position = track.find_segment(time_s);
     const bool is_one = track_position.s < kSameTime || track_position.s > 1.0 - kSameTime;
     if (!is_one && track.time_s[track_position.left + 1] - track.time_s[track_position.left] > log.most_gap_s)
         return std::nullopt;
-    return track.interpolate_pose(time_s);
+    return track.pose_at(time_s);
 }
 
 /// Reads point files. Adds missing values such as rings. Rotates the points to relidar's
 /// axes.
 class StampedScanProvider : public read::ScanProvider {
 public:
-    StampedScanProvider(const LidarSequence& sequence, const std::vector<fs::path>& files,
+    StampedScanProvider(const Log& sequence, const std::vector<fs::path>& files,
                         const PointFileFormat& format)
         : sequence_(sequence), files_(files), format_(format) {}
 
-    std::string get_frame_name(std::size_t index) const override { return files_[index].string(); }
-    bool is_stored_as_points(std::size_t) const override { return true; }
-    LidarPoints read_points_of_frame(std::size_t index) const override {
+    std::string frame_name(std::size_t index) const override { return files_[index].string(); }
+    bool stores_points(std::size_t) const override { return true; }
+    LidarPoints read_points(std::size_t index) const override {
         read::PointTable table = read::read_point_file(files_[index], format_.units.columns);
-        if (format_.complete) format_.complete(table, get_frame_name(index));
-        LidarPoints points = read::convert_table_to_points(
-            table, format_.units, sequence_.frames[index].time_s, get_frame_name(index));
+        if (format_.complete) format_.complete(table, frame_name(index));
+        LidarPoints points =
+            read::convert_table(table, format_.units, sequence_.frames[index].time_s, frame_name(index));
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
         for (glm::vec3& p : points.position_m) {
             const glm::dvec3 point_in_file_axes(p);
             p = glm::vec3(c * point_in_file_axes.x - s * point_in_file_axes.y,
                           s * point_in_file_axes.x + c * point_in_file_axes.y, point_in_file_axes.z);
         }
-        if (!format_.beams.empty()) assign_points_to_rings(points, format_.beams);
+        if (!format_.beams.empty()) assign_rings(points, format_.beams);
         return points;
     }
-    Scan read_rays_of_frame(std::size_t index) const override {
-        fail("{}: the scan has no points, expected at least one", get_frame_name(index));
+    Scan read_rays(std::size_t index) const override {
+        fail("{}: the scan has no points, expected at least one", frame_name(index));
     }
 
 private:
-    const LidarSequence& sequence_;
+    const Log& sequence_;
     const std::vector<fs::path>& files_;
     const PointFileFormat& format_;
 };
@@ -106,7 +106,7 @@ private:
 std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& scan_provider, std::size_t n_scans) {
     std::vector<LidarPoints> samples;
     read::read_samples(n_scans, [&](std::size_t i) {
-        samples.push_back(scan_provider.read_points_of_frame(i));
+        samples.push_back(scan_provider.read_points(i));
         if (samples.back().size() == 0) samples.pop_back();
     });
     return samples;
@@ -114,8 +114,7 @@ std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& scan_provi
 
 /// Returns true if most points are close to the nominal beams in elevation, compared with
 /// the beam spacing. Returns false for points of another LiDAR.
-bool do_points_match_fitted_beams(const std::vector<LidarPoints>& sample_scans,
-                                  const FittedSensor& fitted_sensor) {
+bool match_beams(const std::vector<LidarPoints>& sample_scans, const FittedSensor& fitted_sensor) {
     const std::vector<Beam>& beams = fitted_sensor.sensor.beams;
     // angle between each point and its beam, divided by the angle to the next beam
     std::vector<double> off;
@@ -137,16 +136,16 @@ bool do_points_match_fitted_beams(const std::vector<LidarPoints>& sample_scans,
 /// Returns a sensor with the beams in `format`, fitted to the points. Returns nothing if
 /// the points come from another LiDAR. Also returns nothing if their azimuths are not on
 /// a regular grid, for example after motion compensation.
-std::optional<SpinningSensor> fit_nominal_sensor(const std::vector<LidarPoints>& sample_scans,
-                                                 const PointFileFormat& format) {
+std::optional<SpinningSensor> fit_nominal(const std::vector<LidarPoints>& sample_scans,
+                                          const PointFileFormat& format) {
     if (sample_scans.empty()) return std::nullopt;
     FittedSensor fit;
     try {
-        fit = estimate_spinning_sensor(sample_scans, format.sweep_duration_s);
+        fit = fit_spinning_sensor(sample_scans, format.sweep_duration_s);
     } catch (const DataError&) {
         return std::nullopt;
     }
-    if (!do_points_match_fitted_beams(sample_scans, fit)) return std::nullopt;
+    if (!match_beams(sample_scans, fit)) return std::nullopt;
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
@@ -169,18 +168,17 @@ std::optional<SpinningSensor> fit_nominal_sensor(const std::vector<LidarPoints>&
 
 }  // namespace
 
-std::optional<std::int64_t> parse_integer_timestamp(std::string_view text) {
+std::optional<std::int64_t> parse_stamp(std::string_view text) {
     std::int64_t stamp = 0;
     const auto [end, failed] = std::from_chars(text.data(), text.data() + text.size(), stamp);
     if (failed != std::errc() || end != text.data() + text.size() || stamp < 0) return std::nullopt;
     return stamp;
 }
 
-std::vector<StampedScanFile> list_timestamped_scan_files(const fs::path& folder) {
+std::vector<StampedScanFile> list_stamped_files(const fs::path& folder) {
     std::vector<StampedScanFile> scans;
-    for (const fs::path& file : list_folder_entries(folder))
-        if (const auto stamp = parse_integer_timestamp(file.stem().string());
-            stamp && file.extension() == ".bin")
+    for (const fs::path& file : list_folder(folder))
+        if (const auto stamp = parse_stamp(file.stem().string()); stamp && file.extension() == ".bin")
             scans.push_back({0, *stamp, file});
     if (scans.empty())
         fail("{}: no scan was found, expected files named by their times, such as 1598990189106857.bin",
@@ -191,17 +189,16 @@ std::vector<StampedScanFile> list_timestamped_scan_files(const fs::path& folder)
     return scans;
 }
 
-std::vector<StampedPoseRow> read_timestamped_number_rows(const fs::path& file,
-                                                         std::size_t min_values_per_row) {
+std::vector<StampedPoseRow> read_stamped_rows(const fs::path& file, std::size_t min_values_per_row) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<StampedPoseRow> rows;
     std::size_t n_cells = 0;  // number of cells in the line before
     for (std::size_t l = 0; l < lines.size(); ++l) {
-        if (trim_blanks_at_both_ends(lines[l]).empty()) continue;
+        if (trim(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
         StampedPoseRow row =
-            parse_stamped_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
+            parse_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
         if (cells.size() < n_cells)
             fail("{}: found {} cells in the line, expected {} as in the line before", row.where, cells.size(),
                  n_cells);
@@ -218,14 +215,14 @@ std::vector<StampedPoseRow> read_timestamped_number_rows(const fs::path& file,
     return rows;
 }
 
-DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) {
+DrivingDirection driving_direction(const PoseTrack& world_from_sensor) {
     const std::vector<Pose>& poses = world_from_sensor.pose;
     DrivingDirection driving;
     double rises = 0.0;
     for (std::size_t from = 0, to = 1; to < poses.size(); ++to) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_sensor.time_s[to] - world_from_sensor.time_s[from] > kLongestStep_s;
-        if (!is_late && glm::length(step) < kStep_m) continue;
+        if (!is_late && glm::length(step) < kMinDrive_m) continue;
         // Adds the direction of motion to `driving.mean`, unless the two poses are too
         // far apart in time. Uses the mean of the directions in both sensor frames,
         // because the sensor rotates between the poses in a curve.
@@ -246,7 +243,7 @@ DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor) 
     return driving;
 }
 
-void add_note_unless_driving_forward(Notes& notes, double forward_fraction) {
+void note_driving(Notes& notes, double forward_fraction) {
     constexpr double kMostlyForward = 0.9;
     if (forward_fraction < kMostlyForward)
         notes.push_back(fmt::format(
@@ -255,16 +252,14 @@ void add_note_unless_driving_forward(Notes& notes, double forward_fraction) {
             forward_fraction));
 }
 
-std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, const StampedLog& log,
-                                                    const DatasetOptions& options) {
+std::vector<fs::path> add_frames(Log& sequence, const StampedLog& log, const DatasetOptions& options) {
     const FrameRange& range = options.frames;
     std::vector<fs::path> files;
     std::vector<const StampedScanFile*> without;
     for (const StampedScanFile& scan : log.scans) {
         if (!range.contains(scan.number)) continue;
-        const double time_s = log.convert_stamp_to_seconds(scan.stamp);
-        const std::optional<Pose> pose =
-            options.poses_file.empty() ? interpolate_pose_if_well_covered(log, time_s) : Pose{};
+        const double time_s = log.seconds_of(scan.stamp);
+        const std::optional<Pose> pose = options.poses_file.empty() ? find_pose(log, time_s) : Pose{};
         if (!pose) {
             without.push_back(&scan);
             continue;
@@ -281,8 +276,7 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
             "which are {:.3f} to {:.3f} s",
             log.poses_file.string(), log.world_from_vehicle.time_s.front(),
             log.world_from_vehicle.time_s.back(), without.front()->number, without.back()->number,
-            log.convert_stamp_to_seconds(without.front()->stamp),
-            log.convert_stamp_to_seconds(without.back()->stamp));
+            log.seconds_of(without.front()->stamp), log.seconds_of(without.back()->stamp));
     if (!without.empty())
         sequence.notes.push_back(
             fmt::format("{} of {} scans are skipped (the first is frame {}, the last frame {}), because {} "
@@ -290,24 +284,24 @@ std::vector<fs::path> add_frames_and_get_scan_files(LidarSequence& sequence, con
                         without.size(), without.size() + files.size(), without.front()->number,
                         without.back()->number, log.poses_file.filename().string()));
     set_log_start(sequence, log.scans[0].stamp * std::llround(1e9 * log.unit_s), "on the clock of the files");
-    kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
-    move_world_origin_of_log(sequence);
+    kitti::replace_poses(sequence, options.poses_file);
+    centre_log(sequence);
     return files;
 }
 
-void require_pose_file_or_poses_option(const fs::path& pose_file, const DatasetOptions& options) {
+void check_pose_source(const fs::path& pose_file, const DatasetOptions& options) {
     if (!options.poses_file.empty() || does_path_exist(pose_file)) return;
     fail("{}: no such file; expected poses; use dataset.poses=FILE or dataset.poses=none",
          pose_file.string());
 }
 
-void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& scan_files,
-                          PointFileFormat format, const DatasetOptions& options) {
+void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, PointFileFormat format,
+                      const DatasetOptions& options) {
     const StampedScanProvider source(sequence, scan_files, format);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     read::ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
     if (!format.beams.empty()) {
-        if (auto fitted = fit_nominal_sensor(read_sample_scans(source, scan_files.size()), format)) {
+        if (auto fitted = fit_nominal(read_sample_scans(source, scan_files.size()), format)) {
             fitted->name = sensor.name;
             fitted->max_range_m = sensor.max_range_m;
             sensor = std::move(*fitted);
@@ -325,13 +319,13 @@ void read_scans_of_frames(LidarSequence& sequence, const std::vector<fs::path>& 
     read::read_scans(sequence, layout, source, options);
 }
 
-read::IntensityScale estimate_dataset_intensity_scale(const std::vector<fs::path>& scan_files,
-                                                        const std::vector<std::string>& column_names) {
+read::IntensityScale estimate_dataset_scale(const std::vector<fs::path>& scan_files,
+                                            const std::vector<std::string>& column_names) {
     std::vector<read::PointTable> samples;
     read::read_samples(scan_files.size(), [&](std::size_t i) {
         samples.push_back(read::read_point_file(scan_files[i], column_names));
     });
-    return read::interpret_point_fields(samples).scale;
+    return read::interpret_fields(samples).scale;
 }
 
 }  // namespace relidar::read

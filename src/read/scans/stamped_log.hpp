@@ -13,9 +13,9 @@
 
 #include <relidar/read/dataset.hpp>
 
+#include "read/files/point_table.hpp"
 #include "read/scans/folder_head.hpp"
 #include "read/scans/point_meaning.hpp"
-#include "read/files/point_table.hpp"
 
 namespace relidar::read {
 
@@ -25,11 +25,11 @@ struct StampedScanFile {
     std::filesystem::path file;
 };
 /// Parses a time stamp of digits only, for example from a file name.
-std::optional<std::int64_t> parse_integer_timestamp(std::string_view text);
+std::optional<std::int64_t> parse_stamp(std::string_view text);
 /// Lists the .bin files of a folder, which are named by their time stamps, sorted by time
 /// and numbered from 0.
 /// @throws DataError if the folder contains no such file
-std::vector<StampedScanFile> list_timestamped_scan_files(const std::filesystem::path& folder);
+std::vector<StampedScanFile> list_stamped_files(const std::filesystem::path& folder);
 
 struct StampedPoseRow {
     std::int64_t stamp = 0;
@@ -39,8 +39,8 @@ struct StampedPoseRow {
 /// Reads a CSV table whose lines contain a time stamp and numbers. Skips a header line,
 /// and repeated lines with the same time stamp.
 /// @throws DataError with file and line, also if time stamps decrease
-std::vector<StampedPoseRow> read_timestamped_number_rows(const std::filesystem::path& file,
-                                                         std::size_t min_values_per_row);
+std::vector<StampedPoseRow> read_stamped_rows(const std::filesystem::path& file,
+                                              std::size_t min_values_per_row);
 
 /// Direction in which a vehicle drives, measured in the frame of its sensor.
 struct DrivingDirection {
@@ -49,9 +49,9 @@ struct DrivingDirection {
     double rise_spread = 0.0;  ///< standard deviation of the z components of the unit vectors
     std::size_t n_steps = 0;   ///< number of position changes of at least one metre
 };
-DrivingDirection estimate_driving_direction(const PoseTrack& world_from_sensor);
+DrivingDirection driving_direction(const PoseTrack& world_from_sensor);
 /// @param forward_fraction  x component of the mean driving direction
-void add_note_unless_driving_forward(Notes& notes, double forward_fraction);
+void note_driving(Notes& notes, double forward_fraction);
 
 /// The scan files and poses of a log, without the points.
 struct StampedLog {
@@ -64,21 +64,18 @@ struct StampedLog {
     /// A scan is used only if poses are known this many seconds before and after it.
     double reach_s = 0.0;
 
-    double convert_stamp_to_seconds(std::int64_t stamp) const {
-        return double(stamp - scans[0].stamp) * unit_s;
-    }
+    double seconds_of(std::int64_t stamp) const { return double(stamp - scans[0].stamp) * unit_s; }
 };
 /// Adds the scans of the requested range to the log as frames. Moves the origin of the
 /// world near the log. Skips scans without a pose and adds a note.
 /// @return files of the scans
 /// @throws UsageError if the range contains no scan
 /// @throws DataError if no scan in the range has a pose
-std::vector<std::filesystem::path> add_frames_and_get_scan_files(LidarSequence& sequence,
-                                                                 const StampedLog& log,
-                                                                 const DatasetOptions& options);
+std::vector<std::filesystem::path> add_frames(Log& sequence, const StampedLog& log,
+                                              const DatasetOptions& options);
 
 /// @throws DataError if the log has no pose file and the user selects no other poses
-void require_pose_file_or_poses_option(const std::filesystem::path& pose_file, const DatasetOptions& options);
+void check_pose_source(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
 struct PointFileFormat {
     read::PointFileUnits units;
@@ -95,12 +92,12 @@ struct PointFileFormat {
 };
 /// Reads the scans of all frames. Fits the beams of the sensor to the points.
 /// @param scan_files  [frames] scan file of each frame
-void read_scans_of_frames(LidarSequence& sequence, const std::vector<std::filesystem::path>& scan_files,
-                          PointFileFormat format, const DatasetOptions& options);
+void read_frame_scans(Log& sequence, const std::vector<std::filesystem::path>& scan_files,
+                      PointFileFormat format, const DatasetOptions& options);
 
 /// Estimates which intensity value in the files must be converted to intensity 1.
 /// @param scan_files  scan files; only some are read, and unreadable files are skipped
-read::IntensityScale estimate_dataset_intensity_scale(const std::vector<std::filesystem::path>& scan_files,
-                                                        const std::vector<std::string>& column_names);
+read::IntensityScale estimate_dataset_scale(const std::vector<std::filesystem::path>& scan_files,
+                                            const std::vector<std::string>& column_names);
 
 }  // namespace relidar::read

@@ -13,46 +13,45 @@ namespace relidar::read {
 namespace {
 
 // Pose corrections are computed at this interval and interpolated in between.
-constexpr double kStep_s = 1e-3;
+constexpr double kCorrectionStep_s = 1e-3;
 // Smaller corrections are skipped. The range errors of sensors are ten times larger.
-constexpr double kLeast_m = 1e-3;
+constexpr double kMinCorrection_m = 1e-3;
 // A rotation is measured in metres: how far it moves a point at this distance.
-constexpr double kReach_m = 50.0;
+constexpr double kLeverArm_m = 50.0;
 
 /// Returns transforms from true to interpolated sensor coordinates, at times relative to
 /// the frame. The log has only one pose per frame.
-PoseTrack compute_pose_corrections(const LidarSequence& sequence, const LidarFrame& frame,
-                                   const PoseLookup& find_vehicle_pose) {
-    const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
+PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const PoseLookup& find_vehicle_pose) {
+    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
-    const int n = 1 + int(std::ceil(double(last - first) / kStep_s));
+    const int n = 1 + int(std::ceil(double(last - first) / kCorrectionStep_s));
     PoseTrack track;
     for (int k = 0; k <= n; ++k) {
         const double offset_s = double(first) + double(last - first) * k / n, t_s = frame.time_s + offset_s;
         const std::optional<Pose> vehicle_pose = find_vehicle_pose(t_s);
         if (!vehicle_pose || (!track.time_s.empty() && offset_s <= track.time_s.back())) continue;
         track.time_s.push_back(offset_s);
-        track.pose.push_back(inverse(sequence.world_from_vehicle.interpolate_mounted_pose(t_s, mounted)) *
+        track.pose.push_back(inverse(sequence.world_from_vehicle.mounted_pose_at(t_s, mounted)) *
                              (*vehicle_pose * mounted));
     }
     return track;
 }
 
 /// @return maximum distance in metres by which a point is moved
-double move_rays_and_get_max_displacement_m(LidarFrame& frame, const PoseTrack& pose_corrections) {
+double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose) {
         const double sine = glm::length(glm::dvec3(pose.rotation.x, pose.rotation.y, pose.rotation.z));
         const double displacement_m =
-            glm::length(pose.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
+            glm::length(pose.translation) + kLeverArm_m * 2.0 * std::asin(std::min(sine, 1.0));
         farthest_m = std::max(farthest_m, displacement_m);
     }
-    if (farthest_m < kLeast_m) return 0.0;
+    if (farthest_m < kMinCorrection_m) return 0.0;
     RayTable& rays = frame.scan.rays;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const double t_s = std::clamp(double(rays.time_offset_s[i]), pose_corrections.time_s.front(),
                                       pose_corrections.time_s.back());
-        const Pose pose = pose_corrections.interpolate_pose(t_s);
+        const Pose pose = pose_corrections.pose_at(t_s);
         rays.origin[i] = glm::vec3(pose * glm::dvec3(rays.origin[i]));
         rays.direction[i] = glm::vec3(glm::normalize(pose.rotation * glm::dvec3(rays.direction[i])));
     }
@@ -61,22 +60,21 @@ double move_rays_and_get_max_displacement_m(LidarFrame& frame, const PoseTrack& 
 
 }  // namespace
 
-std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseLookup& find_vehicle_pose) {
+std::string correct_rays(Log& sequence, const PoseLookup& find_vehicle_pose) {
     if (!sequence.rolling_shutter) return "";
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
     parallel_for(int(sequence.frames.size()), [&](int index) {
-        LidarFrame& frame = sequence.frames[std::size_t(index)];
+        Frame& frame = sequence.frames[std::size_t(index)];
         if (frame.scan.rays.size() == 0) return;
-        const PoseTrack track = compute_pose_corrections(sequence, frame, find_vehicle_pose);
-        if (!track.pose.empty())
-            moved_m[std::size_t(index)] = move_rays_and_get_max_displacement_m(frame, track);
+        const PoseTrack track = pose_corrections_of(sequence, frame, find_vehicle_pose);
+        if (!track.pose.empty()) moved_m[std::size_t(index)] = move_rays(frame, track);
     });
     const auto n = std::ranges::count_if(moved_m, [](double m) { return m > 0.0; });
     return n == 0 ? ""
                   : fmt::format(
                         "the ray origins of {0} sweeps are computed from poses between the frames, which "
                         "moves points at {2:.0f} m by up to {1:.3f} m",
-                        n, std::ranges::max(moved_m), kReach_m);
+                        n, std::ranges::max(moved_m), kLeverArm_m);
 }
 
 }  // namespace relidar::read

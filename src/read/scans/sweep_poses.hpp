@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the rays of a log for motion between frames. Recordings contain vehicle poses
-// between frames, but a LidarSequence stores one pose per frame.
+// between frames, but a Log stores one pose per frame.
 #pragma once
 
 #include <functional>
@@ -19,6 +19,6 @@ using PoseLookup = std::function<std::optional<Pose>(double)>;
 /// wrong by 5 cm. Sweeps with an error below a millimetre are not changed.
 /// @param find_vehicle_pose  vehicle pose by time, in the world frame of the log
 /// @return a note, or an empty string if no sweep was changed
-std::string correct_rays_for_vehicle_motion(LidarSequence& sequence, const PoseLookup& find_vehicle_pose);
+std::string correct_rays(Log& sequence, const PoseLookup& find_vehicle_pose);
 
 }  // namespace relidar::read

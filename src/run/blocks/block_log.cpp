@@ -17,7 +17,7 @@ constexpr double kMaxBoxDistance_m = 100.0;
 
 /// Poses at the times of the frames, and directly before and after each, for the motion
 /// during a sweep.
-PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::vector<int>& frame_indices) {
+PoseTrack cut_track(const Log& sequence, const std::vector<int>& frame_indices) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
     for (const int position : frame_indices) {
@@ -38,11 +38,10 @@ PoseTrack select_poses_around_frames(const LidarSequence& sequence, const std::v
 
 /// Actors without a box in this part of the log. If none remains, also clears
 /// options.actor_classes, because with an empty list the classes would select actors.
-void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
-                                       const std::vector<BoxTrack>& boxes) {
+void drop_missing_tracks(InitOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> remaining_tracks;
-    for (const std::string& track : split_comma_separated_list(options.actor_tracks))
+    for (const std::string& track : split_list(options.actor_tracks))
         if (std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& b) { return b.id == track; }))
             remaining_tracks.push_back(track);
     options.actor_tracks = fmt::format("{}", fmt::join(remaining_tracks, ","));
@@ -51,18 +50,18 @@ void remove_actor_tracks_without_boxes(SceneInitialisationOptions& options,
 
 }  // namespace
 
-BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, const TrainTestSplit& split,
-                                                const TrajectoryBlock& block, const Config& config) {
+BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
+                         const Config& config) {
     // in the order of the log
     std::vector<int> frames = block.train;
     for (const int position : block.recorded_frames)
         if (std::find(split.test.begin(), split.test.end(), position) != split.test.end())
             frames.push_back(position);
     std::sort(frames.begin(), frames.end());
-    BlockTrainingLog log{copy_without_frames(sequence), {}, config};
-    LidarSequence& part = log.sequence;
+    BlockTrainingLog log{strip_frames(sequence), {}, config};
+    Log& part = log.sequence;
     part.name = fmt::format("{}, metres {:.0f} to {:.0f}", sequence.name, block.begin_m, block.end_m);
-    part.world_from_vehicle = select_poses_around_frames(sequence, frames);
+    part.world_from_vehicle = cut_track(sequence, frames);
     part.boxes.clear();
     for (const int position : frames) {
         const bool trains = std::binary_search(block.train.begin(), block.train.end(), position);
@@ -71,11 +70,11 @@ BlockTrainingLog copy_frames_and_boxes_of_block(const LidarSequence& sequence, c
     }
     for (const BoxTrack& box : sequence.boxes)
         if (std::any_of(frames.begin(), frames.end(), [&](int position) {
-                return is_box_within_distance_of_vehicle(box, sequence, position, kMaxBoxDistance_m);
+                return is_near_box(box, sequence, position, kMaxBoxDistance_m);
             }))
             part.boxes.push_back(box);
     log.config.blocks.length_m = 0.0;
-    remove_actor_tracks_without_boxes(log.config.init, part.boxes);
+    drop_missing_tracks(log.config.init, part.boxes);
     return log;
 }
 

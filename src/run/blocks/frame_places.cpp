@@ -3,19 +3,18 @@
 
 namespace relidar {
 
-std::vector<glm::dvec3> compute_vehicle_position_per_frame(const LidarSequence& sequence) {
+std::vector<glm::dvec3> list_positions(const Log& sequence) {
     std::vector<glm::dvec3> positions_m;
-    for (const LidarFrame& frame : sequence.frames)
-        positions_m.push_back(sequence.world_from_vehicle.interpolate_pose(frame.time_s).translation);
+    for (const Frame& frame : sequence.frames)
+        positions_m.push_back(sequence.world_from_vehicle.pose_at(frame.time_s).translation);
     return positions_m;
 }
 
-bool is_box_within_distance_of_vehicle(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
-                                       double max_distance_m) {
+bool is_near_box(const BoxTrack& box, const Log& sequence, int frame_index, double max_distance_m) {
     const double time_s = sequence.frames[std::size_t(frame_index)].time_s;
-    return box.is_observed_at_time(time_s) &&
-           glm::distance(box.world_from_box.interpolate_pose(time_s).translation,
-                         sequence.world_from_vehicle.interpolate_pose(time_s).translation) <= max_distance_m;
+    return box.is_observed(time_s) &&
+           glm::distance(box.world_from_box.pose_at(time_s).translation,
+                         sequence.world_from_vehicle.pose_at(time_s).translation) <= max_distance_m;
 }
 
 }  // namespace relidar

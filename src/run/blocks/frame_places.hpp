@@ -10,11 +10,10 @@
 namespace relidar {
 
 /// @return [frames] metres, world frame
-std::vector<glm::dvec3> compute_vehicle_position_per_frame(const LidarSequence& sequence);
+std::vector<glm::dvec3> list_positions(const Log& sequence);
 
 /// True if the box exists at the time of the frame within `max_distance_m` of the
 /// vehicle.
-bool is_box_within_distance_of_vehicle(const BoxTrack& box, const LidarSequence& sequence, int frame_index,
-                                       double max_distance_m);
+bool is_near_box(const BoxTrack& box, const Log& sequence, int frame, double max_distance_m);
 
 }  // namespace relidar

@@ -17,7 +17,7 @@ namespace fs = std::filesystem;
 // returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
-SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path& model_file) {
+SceneBlock make_block(const Scene& scene, const fs::path& model_file) {
     SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
         const glm::vec2 log_scale = scene.surfels.log_scale[i];
@@ -32,7 +32,7 @@ SceneBlock make_block_from_background_surfels(const Scene& scene, const fs::path
 /// Average over blocks, weighted by their numbers of training frames.
 class MeanRayDropTable {
 public:
-    void add_table_weighted_by_frames(const RayDropTable& table, std::size_t n_training_frames) {
+    void add_table(const RayDropTable& table, std::size_t n_training_frames) {
         if (table.empty()) return;
         if (sum_.empty())
             sum_ = {table.channels, table.bins, std::vector<float>(table.probability.size(), 0.0f)};
@@ -40,7 +40,7 @@ public:
             sum_.probability[i] += float(n_training_frames) * table.probability[i];
         n_frames_ += n_training_frames;
     }
-    RayDropTable compute_mean_over_training_frames() const {
+    RayDropTable mean_table() const {
         RayDropTable table = sum_;
         for (float& p : table.probability) p /= float(std::max<std::size_t>(n_frames_, 1));
         return table;
@@ -60,12 +60,11 @@ struct ActorModelCandidate {
     BoxTrack box;
 };
 
-void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSequence& full_sequence,
-                                     const TrajectoryBlock& block,
-                                     std::map<std::string, ActorModelCandidate>& best_actors) {
+void keep_best_models(const Run& block_run, const Log& full_sequence, const TrajectoryBlock& block,
+                      std::map<std::string, ActorModelCandidate>& best_actors) {
     for (const ModelInstance& instance : block_run.scene.instances) {
         if (instance.track.empty()) continue;
-        const BoxTrack* box = find_box_track_by_id(block_run.sequence, instance.track);
+        const BoxTrack* box = find_box(block_run.sequence, instance.track);
         if (!box)
             fail(
                 "{}: the trained scene has an actor with the track id \"{}\", but the log has no box with "
@@ -73,7 +72,7 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
                 block_run.folder.string(), instance.track);
         const auto sightings =
             std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
-                return is_box_within_distance_of_vehicle(*box, full_sequence, position, kMaxActorDistance_m);
+                return is_near_box(*box, full_sequence, position, kMaxActorDistance_m);
             }));
         ActorModelCandidate& candidate = best_actors[instance.track];
         if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;
@@ -82,8 +81,8 @@ void keep_most_observed_actor_models(const TrainedRun& block_run, const LidarSeq
     }
 }
 
-void copy_block_vehicle_poses_to_track(const TrainedRun& block_run, const LidarSequence& full_sequence,
-                                       const TrajectoryBlock& block, PoseTrack& full_track) {
+void copy_poses(const Run& block_run, const Log& full_sequence, const TrajectoryBlock& block,
+                PoseTrack& full_track) {
     for (const int position : block.recorded_frames) {
         const double time_s = full_sequence.frames[std::size_t(position)].time_s;
         const PoseTrack& part_track = block_run.sequence.world_from_vehicle;
@@ -100,23 +99,23 @@ void copy_block_vehicle_poses_to_track(const TrainedRun& block_run, const LidarS
 
 }  // namespace
 
-void join_trained_blocks(TrainedRun& run, const std::vector<TrajectoryBlock>& blocks,
-                         const std::vector<fs::path>& run_folders) {
-    Scene scene = make_background_scene({});
+void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks,
+                 const std::vector<fs::path>& run_folders) {
+    Scene scene = wrap_background({});
     MeanRayDropTable drop;
     std::map<std::string, ActorModelCandidate> actors;
     PoseTrack poses = run.sequence.world_from_vehicle;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
-        const TrainedRun part = load_run(run_folders[k]);
-        scene.blocks.push_back(make_block_from_background_surfels(part.scene, run_folders[k] / kModelFile));
-        drop.add_table_weighted_by_frames(part.scene.sensor_drop, blocks[k].train.size());
-        keep_most_observed_actor_models(part, run.sequence, blocks[k], actors);
-        copy_block_vehicle_poses_to_track(part, run.sequence, blocks[k], poses);
-        run.coverage.add_all_voxels_of_set(part.coverage);
-        add_missing_cells_of_class_map(run.classes, part.classes);
+        const Run part = load_run(run_folders[k]);
+        scene.blocks.push_back(make_block(part.scene, run_folders[k] / kModelFile));
+        drop.add_table(part.scene.sensor_drop, blocks[k].train.size());
+        keep_best_models(part, run.sequence, blocks[k], actors);
+        copy_poses(part, run.sequence, blocks[k], poses);
+        run.coverage.merge(part.coverage);
+        merge_class_map(run.classes, part.classes);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
-    scene.sensor_drop = drop.compute_mean_over_training_frames();
+    scene.sensor_drop = drop.mean_table();
     run.sequence.world_from_vehicle = std::move(poses);
     // In the order of the log's boxes, as in a scene that is trained without blocks.
     for (BoxTrack& box : run.sequence.boxes) {

@@ -14,8 +14,8 @@ namespace relidar {
 namespace {
 
 /// Sections of equal length. Sections without sweeps are left out.
-std::vector<TrajectoryBlock> divide_route_into_blocks(const std::vector<double>& cumulative_distances_m,
-                                                      double block_length_m) {
+std::vector<TrajectoryBlock> divide_route(const std::vector<double>& cumulative_distances_m,
+                                          double block_length_m) {
     const double driven_length_m = cumulative_distances_m.back();
     const double n = std::max(1.0, std::ceil(driven_length_m / block_length_m - 1e-9));
     std::vector<TrajectoryBlock> blocks;
@@ -31,8 +31,8 @@ std::vector<TrajectoryBlock> divide_route_into_blocks(const std::vector<double>&
     return blocks;
 }
 
-bool is_near_any_position(const glm::dvec3& query_position, const std::vector<glm::dvec3>& all_positions,
-                          const std::vector<int>& position_indices, double max_distance_m) {
+bool is_near_any(const glm::dvec3& query_position, const std::vector<glm::dvec3>& all_positions,
+                 const std::vector<int>& position_indices, double max_distance_m) {
     return std::any_of(position_indices.begin(), position_indices.end(), [&](int index) {
         return glm::distance(query_position, all_positions[std::size_t(index)]) <= max_distance_m;
     });
@@ -40,18 +40,18 @@ bool is_near_any_position(const glm::dvec3& query_position, const std::vector<gl
 
 }  // namespace
 
-std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence, const TrainTestSplit& split,
-                                                  const BlockConfig& options) {
-    const std::vector<glm::dvec3> vehicle_positions = compute_vehicle_position_per_frame(sequence);
+std::vector<TrajectoryBlock> plan_blocks(const Log& sequence, const Split& split,
+                                         const BlockConfig& options) {
+    const std::vector<glm::dvec3> vehicle_positions = list_positions(sequence);
     std::vector<double> cumulative_distances_m(vehicle_positions.size(), 0.0);
     for (std::size_t i = 1; i < vehicle_positions.size(); ++i)
         cumulative_distances_m[i] =
             cumulative_distances_m[i - 1] + glm::distance(vehicle_positions[i - 1], vehicle_positions[i]);
-    std::vector<TrajectoryBlock> blocks = divide_route_into_blocks(cumulative_distances_m, options.length_m);
+    std::vector<TrajectoryBlock> blocks = divide_route(cumulative_distances_m, options.length_m);
     for (TrajectoryBlock& block : blocks) {
         for (const int position : split.train)
-            if (is_near_any_position(vehicle_positions[std::size_t(position)], vehicle_positions,
-                                     block.recorded_frames, options.halo_m))
+            if (is_near_any(vehicle_positions[std::size_t(position)], vehicle_positions,
+                            block.recorded_frames, options.halo_m))
                 block.train.push_back(position);
         if (block.train.empty())
             fail(
@@ -63,22 +63,22 @@ std::vector<TrajectoryBlock> plan_training_blocks(const LidarSequence& sequence,
     return blocks;
 }
 
-void remove_surfels_of_other_blocks(Scene& scene, const LidarSequence& sequence,
-                                    const std::vector<TrajectoryBlock>& blocks, std::size_t block_index) {
+void keep_block_surfels(Scene& scene, const Log& sequence, const std::vector<TrajectoryBlock>& blocks,
+                        std::size_t block_index) {
     std::vector<bool> is_block_frame(sequence.frames.size(), false);
     for (const int position : blocks[block_index].recorded_frames)
         is_block_frame[std::size_t(position)] = true;
-    const NearestPointFinder<double> nearest(compute_vehicle_position_per_frame(sequence));
+    const NearestPointFinder<double> nearest(list_positions(sequence));
     const std::uint32_t n = scene.models.front().count;
     std::vector<glm::vec3> means;
     std::vector<std::uint32_t> remaining_surfels;
     for (std::uint32_t i = 0; i < n; ++i) {
-        if (!is_block_frame[nearest.find_nearest_point_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
+        if (!is_block_frame[nearest.nearest_index(glm::dvec3(scene.surfels.mean[i]))]) continue;
         remaining_surfels.push_back(i);
         means.push_back(scene.surfels.mean[i]);
     }
     std::vector<std::uint32_t> order;
-    for (const std::uint32_t i : compute_kd_tree_order(means)) order.push_back(remaining_surfels[i]);
+    for (const std::uint32_t i : kd_tree_order(means)) order.push_back(remaining_surfels[i]);
     for (std::uint32_t i = n; i < scene.surfels.size(); ++i) order.push_back(i);
     scene.surfels = scene.surfels.reorder(order);
     const auto n_removed = static_cast<std::uint32_t>(n - remaining_surfels.size());

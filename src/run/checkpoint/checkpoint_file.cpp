@@ -17,9 +17,9 @@ namespace {
 
 using Texts = std::map<std::string, std::string>;
 
-constexpr const char* kFormat = "relidar checkpoint";
-constexpr const char* kVersion = "1";
-constexpr const char* kChecksum = "crc32";
+constexpr const char* kCheckpointFormat = "relidar checkpoint";
+constexpr const char* kCheckpointVersion = "1";
+constexpr const char* kChecksumKey = "crc32";
 
 class Crc32 {
 public:
@@ -29,31 +29,31 @@ public:
     }
     // Includes the terminating zero, so that the texts "ab","c" and "a","bc" have
     // different checksums.
-    void update_crc_with_text(const std::string& text) { update_crc(text.c_str(), text.size() + 1); }
-    std::string format_crc_as_hex() const { return fmt::format("{:08x}", crc_); }
+    void add_text(const std::string& text) { update_crc(text.c_str(), text.size() + 1); }
+    std::string hex() const { return fmt::format("{:08x}", crc_); }
 
 private:
     uLong crc_ = ::crc32_z(0, nullptr, 0);
 };
 
-std::string compute_checksum(const Texts& metadata, const std::vector<NamedArray>& arrays) {
+std::string checksum(const Texts& metadata, const std::vector<NamedArray>& arrays) {
     Crc32 crc;
     for (const auto& [key, value] : metadata) {
-        if (key == kChecksum) continue;
-        crc.update_crc_with_text(key);
-        crc.update_crc_with_text(value);
+        if (key == kChecksumKey) continue;
+        crc.add_text(key);
+        crc.add_text(value);
     }
     for (const NamedArray& array : arrays) {
-        crc.update_crc_with_text(array.name);
-        crc.update_crc_with_text(array.dtype);
-        crc.update_crc_with_text(fmt::format("{}", fmt::join(array.shape, ",")));
+        crc.add_text(array.name);
+        crc.add_text(array.dtype);
+        crc.add_text(fmt::format("{}", fmt::join(array.shape, ",")));
         crc.update_crc(array.bytes.data(), array.bytes.size());
     }
-    return crc.format_crc_as_hex();
+    return crc.hex();
 }
 
 /// For entries of the file format that callers must not see.
-std::string pop_metadata_value(Texts& metadata, const std::string& key) {
+std::string pop_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
     if (it == metadata.end())
         fail("the metadata key \"{}\" is missing, expected a checkpoint of relidar", key);
@@ -62,38 +62,35 @@ std::string pop_metadata_value(Texts& metadata, const std::string& key) {
     return value;
 }
 
-void require_equal_text(const std::string& description, const std::string& found_value,
-                        const std::string& expected_value) {
-    if (found_value != expected_value)
-        fail("{}: found \"{}\", expected \"{}\"", description, shorten_for_error_message(found_value),
-             expected_value);
+void check_equal(const std::string& description, const std::string& found,
+                 const std::string& expected_value) {
+    if (found != expected_value)
+        fail("{}: found \"{}\", expected \"{}\"", description, quote(found), expected_value);
 }
 
-int parse_iteration_number(const std::string& text) {
+int parse_iteration(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
     if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
-        fail("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0",
-             shorten_for_error_message(text));
+        fail("the metadata key \"iteration\" is \"{}\", expected an integer of at least 0", quote(text));
     return iteration;
 }
 
 Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     const auto format = metadata.find("format"), version = metadata.find("version");
-    require_equal_text("metadata format", format == metadata.end() ? "" : format->second, kFormat);
+    check_equal("metadata format", format == metadata.end() ? "" : format->second, kCheckpointFormat);
     // The version first, because other versions may compute the checksum differently.
-    require_equal_text("metadata version", version == metadata.end() ? "" : version->second, kVersion);
-    const std::string computed_checksum = compute_checksum(metadata, arrays);
-    require_equal_text("checksum of the metadata and arrays", computed_checksum,
-                       pop_metadata_value(metadata, kChecksum));
-    for (const char* key : {"format", "version", "relidar"}) pop_metadata_value(metadata, key);
-    const int iteration = parse_iteration_number(pop_metadata_value(metadata, "iteration"));
+    check_equal("metadata version", version == metadata.end() ? "" : version->second, kCheckpointVersion);
+    const std::string computed_checksum = checksum(metadata, arrays);
+    check_equal("checksum of the metadata and arrays", computed_checksum, pop_value(metadata, kChecksumKey));
+    for (const char* key : {"format", "version", "relidar"}) pop_value(metadata, key);
+    const int iteration = parse_iteration(pop_value(metadata, "iteration"));
     Checkpoint checkpoint{iteration, std::move(metadata), std::move(arrays)};
-    require_finite_checkpoint_arrays(checkpoint);
+    check_finite_arrays(checkpoint);
     return checkpoint;
 }
 
-std::optional<int> parse_iteration_in_file_name(const std::filesystem::path& path) {
+std::optional<int> iteration_of_file(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
         return std::nullopt;
@@ -107,11 +104,11 @@ std::optional<int> parse_iteration_in_file_name(const std::filesystem::path& pat
 
 void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint) {
     Texts texts = checkpoint.texts;
-    texts["format"] = kFormat;
-    texts["version"] = kVersion;
+    texts["format"] = kCheckpointFormat;
+    texts["version"] = kCheckpointVersion;
     texts["relidar"] = RELIDAR_VERSION;
     texts["iteration"] = fmt::format("{}", checkpoint.iteration);
-    texts[kChecksum] = compute_checksum(texts, checkpoint.arrays);
+    texts[kChecksumKey] = checksum(texts, checkpoint.arrays);
     write_safetensors(path, checkpoint.arrays, texts);
 }
 
@@ -129,10 +126,10 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     std::vector<std::filesystem::path> paths;
     std::error_code failed;
     for (const auto& entry : std::filesystem::directory_iterator(folder, failed)) {
-        if (parse_iteration_in_file_name(entry.path())) paths.push_back(entry.path());
+        if (iteration_of_file(entry.path())) paths.push_back(entry.path());
     }
     std::sort(paths.begin(), paths.end(), [](const auto& first, const auto& second) {
-        return *parse_iteration_in_file_name(first) < *parse_iteration_in_file_name(second);
+        return *iteration_of_file(first) < *iteration_of_file(second);
     });
     return paths;
 }
@@ -146,7 +143,7 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     write_checkpoint(path, checkpoint);
     std::vector<std::filesystem::path> older;
     for (const std::filesystem::path& other : list_checkpoints(folder)) {
-        const int iteration = *parse_iteration_in_file_name(other);
+        const int iteration = *iteration_of_file(other);
         if (iteration < checkpoint.iteration) older.push_back(other);
         if (iteration > checkpoint.iteration) std::filesystem::remove(other, failed);
     }
@@ -154,8 +151,8 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
 }
 
-std::optional<Checkpoint> load_newest_checkpoint(
-    const std::filesystem::path& folder, const std::function<void(const std::string&)>& report_unreadable) {
+std::optional<Checkpoint> load_newest(const std::filesystem::path& folder,
+                                      const std::function<void(const std::string&)>& report_unreadable) {
     const std::vector<std::filesystem::path> paths = list_checkpoints(folder);
     for (auto path = paths.rbegin(); path != paths.rend(); ++path) {
         try {

@@ -29,86 +29,82 @@ struct ParsedValue {
     enum class QuotedState { unknown, yes, no } quotes = QuotedState::unknown;
 };
 
-std::vector<std::string> list_all_setting_keys() {
+std::vector<std::string> list_keys() {
     std::vector<std::string> keys;
     for (const ConfigKey& key : list_config_keys(Config{})) keys.push_back(key.key);
     return keys;
 }
 
-std::string make_unknown_key_message(const std::string& key) {
-    return fmt::format(
-        "setting {}: unknown key{}", shorten_for_error_message(key),
-        format_name_suggestion(key, list_all_setting_keys(), "",
-                               ", expected one of the keys that `relidar list settings --all` prints"));
+std::string unknown_key(const std::string& key) {
+    return fmt::format("setting {}: unknown key{}", quote(key),
+                       did_you_mean(key, list_keys(), "",
+                                    ", expected one of the keys that `relidar list settings --all` prints"));
 }
 
 template <class T>
-void assign_setting_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
-                          const ParsedValue& parsed_value) {
+void assign_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
+                  const ParsedValue& parsed_value) {
     const bool wrong_kind =
         parsed_value.quotes == (is_text<T> ? ParsedValue::QuotedState::no : ParsedValue::QuotedState::yes);
-    const std::optional<T> parsed = parse_setting_value<T>(parsed_value.text, accepted_values);
+    const std::optional<T> parsed = parse_setting<T>(parsed_value.text, accepted_values);
     if (wrong_kind || !parsed) {
         const char* hint = "";
         if (wrong_kind) hint = is_text<T> ? " in quotes" : " without quotes";
-        fail<UsageError>("setting {}: found \"{}\", expected {}{}", key,
-                         shorten_for_error_message(parsed_value.text),
-                         describe_accepted_values<T>(accepted_values), hint);
+        fail<UsageError>("setting {}: found \"{}\", expected {}{}", key, quote(parsed_value.text),
+                         describe_range<T>(accepted_values), hint);
     }
     field = *parsed;
 }
 
 void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {
     bool is_valid_key = false;
-    visit_all_settings(
-        config, [&](const char* name, auto& field, const SettingValueRange& accepts, const SettingHelp&) {
-            if (is_valid_key || key != name) return;
-            is_valid_key = true;
-            assign_setting_value(field, key, accepts, value);
-        });
-    if (!is_valid_key) throw UsageError(make_unknown_key_message(key));
-    if (key == "preset") config = make_preset_config(config.preset);
+    visit_settings(config,
+                   [&](const char* name, auto& field, const SettingValueRange& accepts, const SettingHelp&) {
+                       if (is_valid_key || key != name) return;
+                       is_valid_key = true;
+                       assign_value(field, key, accepts, value);
+                   });
+    if (!is_valid_key) throw UsageError(unknown_key(key));
+    if (key == "preset") config = make_preset(config.preset);
 }
 
-ParsedValue convert_toml_scalar_to_text(const toml::node& node, const std::string& key) {
+ParsedValue scalar_text(const toml::node& node, const std::string& key) {
     if (const auto* text = node.as_string()) return {text->get(), ParsedValue::QuotedState::yes};
     if (const auto* integer = node.as_integer())
         return {fmt::format("{}", integer->get()), ParsedValue::QuotedState::no};
     if (const auto* number = node.as_floating_point())
-        return {format_number_text(number->get()), ParsedValue::QuotedState::no};
+        return {number_text(number->get()), ParsedValue::QuotedState::no};
     if (const auto* boolean = node.as_boolean())
         return {boolean->get() ? "true" : "false", ParsedValue::QuotedState::no};
     std::ostringstream kind;
     kind << node.type();
-    fail<UsageError>("setting {}: found a TOML {}, expected a single value", shorten_for_error_message(key),
-                     kind.str());
+    fail<UsageError>("setting {}: found a TOML {}, expected a single value", quote(key), kind.str());
 }
 
 /// The keys are full names such as "table.key".
-void flatten_toml_table(const toml::table& table, const std::string& key_prefix,
-                        std::map<std::string, ParsedValue>& settings) {
+void flatten(const toml::table& table, const std::string& key_prefix,
+             std::map<std::string, ParsedValue>& settings) {
     for (const auto& [name, node] : table) {
         const std::string key = key_prefix + std::string(name.str());
-        if (const toml::table* inner = node.as_table()) flatten_toml_table(*inner, key + ".", settings);
-        else settings.emplace(key, convert_toml_scalar_to_text(node, key));
+        if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
+        else settings.emplace(key, scalar_text(node, key));
     }
 }
 
 /// @throws UsageError if a setting is missing or a key is unknown
-void require_complete_and_known_settings(const std::map<std::string, ParsedValue>& settings) {
+void check_settings(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice =
         "the run was probably written by another version of relidar, so it must be trained again";
-    const std::vector<std::string> keys = list_all_setting_keys();
+    const std::vector<std::string> keys = list_keys();
     for (const auto& [key, found] : settings)
-        if (std::ranges::find(keys, key) == keys.end())
-            fail<UsageError>("{}; {}", make_unknown_key_message(key), kAdvice);
+        if (std::ranges::find(keys, key) == keys.end()) fail<UsageError>("{}; {}", unknown_key(key), kAdvice);
     for (const std::string& key : keys)
         if (!settings.contains(key))
             fail<UsageError>("the setting {} is missing, but the file must contain all settings; {}", key,
                              kAdvice);
 }
 
-std::string quote_toml_string(const std::string& text) {
+std::string quote_toml(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
         if (c == '"' || c == '\\') result += '\\';
@@ -124,18 +120,18 @@ std::string quote_toml_string(const std::string& text) {
 template <class Check>
 void read_config_file(Config& config, const std::filesystem::path& path, const Check& check_file_settings) {
     const std::string text = read_text_file(path);
-    require_toml_nesting_within_limit(text, path.string());
+    check_toml_depth(text, path.string());
     Config result = config;  // changes a copy, so that `config` stays unchanged if an error is thrown
     try {
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, ParsedValue> settings;
-        flatten_toml_table(table, "", settings);
+        flatten(table, "", settings);
         check_file_settings(settings);
         if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) apply_setting(result, key, found);
     } catch (const toml::parse_error& error) {
         fail("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
-             shorten_for_error_message(error.description()));
+             quote(error.description()));
     } catch (const UsageError& error) {
         fail<UsageError>("{}: {}", path.string(), error.what());
     }
@@ -144,19 +140,19 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
 
 /// Groups the settings by table, with a comment for each setting.
 template <class Shown>
-std::string format_config_as_toml(const Config& config, const Shown& is_key_shown) {
+std::string format_toml(const Config& config, const Shown& is_key_shown) {
     std::string text, table;
-    visit_all_settings(config, [&](const std::string& key, const auto& field,
-                                   const SettingValueRange& accepts, const SettingHelp& help) {
+    visit_settings(config, [&](const std::string& key, const auto& field, const SettingValueRange& accepts,
+                               const SettingHelp& help) {
         using T = std::decay_t<decltype(field)>;
         if (!is_key_shown(key)) return;
         const std::size_t dot = key.find('.');
         const std::string key_table = dot == std::string::npos ? "" : key.substr(0, dot);
         if (key_table != table) text += fmt::format("\n[{}]\n", key_table);
         table = key_table;
-        const std::string value = format_setting_value(field, accepts);
-        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe_accepted_values<T>(accepts),
-                            key.substr(dot + 1), is_text<T> ? quote_toml_string(value) : value);
+        const std::string value = format_setting(field, accepts);
+        text += fmt::format("# {} ({})\n{} = {}\n", help.text, describe_range<T>(accepts),
+                            key.substr(dot + 1), is_text<T> ? quote_toml(value) : value);
     });
     return text;
 }
@@ -165,28 +161,27 @@ std::string format_config_as_toml(const Config& config, const Shown& is_key_show
 
 std::vector<ConfigKey> list_config_keys(const Config& config) {
     std::vector<ConfigKey> keys;
-    visit_all_settings(config, [&](const char* key, const auto& field, const SettingValueRange& accepts,
-                                   const SettingHelp& help) {
+    visit_settings(config, [&](const char* key, const auto& field, const SettingValueRange& accepts,
+                               const SettingHelp& help) {
         using T = std::decay_t<decltype(field)>;
-        keys.push_back({key, format_setting_value(field, accepts),
-                        fmt::format("{} ({})", help.text, describe_accepted_values<T>(accepts)),
-                        help.expert});
+        keys.push_back({key, format_setting(field, accepts),
+                        fmt::format("{} ({})", help.text, describe_range<T>(accepts)), help.expert});
     });
     return keys;
 }
 
-void set_config_value(Config& config, const std::string& key, const std::string& value) {
+void set_value(Config& config, const std::string& key, const std::string& value) {
     apply_setting(config, key, {value, ParsedValue::QuotedState::unknown});
 }
 
-void apply_config_file(Config& config, const std::filesystem::path& path) {
+void apply_file(Config& config, const std::filesystem::path& path) {
     read_config_file(config, path, [](const std::map<std::string, ParsedValue>&) {});
 }
 
-Config load_saved_config(const std::filesystem::path& path) {
+Config load_settings(const std::filesystem::path& path) {
     Config config;
     try {
-        read_config_file(config, path, require_complete_and_known_settings);
+        read_config_file(config, path, check_settings);
     } catch (const UsageError& error) {
         throw DataError(error.what());
     }
@@ -195,16 +190,16 @@ Config load_saved_config(const std::filesystem::path& path) {
 
 std::string to_toml(const Config& config) {
     return "# All settings of a relidar run. `relidar train --config` can read this file.\n" +
-           format_config_as_toml(config, [](const std::string&) { return true; });
+           format_toml(config, [](const std::string&) { return true; });
 }
 
-std::string to_toml_without_defaults(const Config& config) {
+std::string to_short_toml(const Config& config) {
     std::set<std::string> left_out;
     const std::vector<ConfigKey> keys = list_config_keys(config),
-                                 preset = list_config_keys(make_preset_config(config.preset));
+                                 preset = list_config_keys(make_preset(config.preset));
     for (std::size_t i = 0; i < keys.size(); ++i)
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
-    return format_config_as_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
+    return format_toml(config, [&](const std::string& key) { return !left_out.contains(key); }) +
            fmt::format(
                "\n"
                "# {} expert settings with the values of the preset are not shown; `relidar list settings "

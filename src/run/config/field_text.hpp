@@ -23,15 +23,15 @@ template <class T>
 constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 
 template <class T>
-std::string format_setting_value(const T& value, const SettingValueRange& accepted_values) {
+std::string format_setting(const T& value, const SettingValueRange& accepted_values) {
     if constexpr (std::is_enum_v<T>) return accepted_values.choices.at(static_cast<std::size_t>(value));
-    else if constexpr (std::is_floating_point_v<T>) return format_number_text(value);
+    else if constexpr (std::is_floating_point_v<T>) return number_text(value);
     else return fmt::format("{}", value);
 }
 
 /// For example "a number >= 0", "an integer in 1..64", "one of ray, surfel".
 template <class T>
-std::string describe_accepted_values(const SettingValueRange& accepted_values) {
+std::string describe_range(const SettingValueRange& accepted_values) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
     if (accepted_values.several)
         return fmt::format("some of {}, separated by commas", fmt::join(accepted_values.choices, ", "));
@@ -50,7 +50,7 @@ std::string describe_accepted_values(const SettingValueRange& accepted_values) {
 }
 
 template <class T>
-std::optional<T> parse_number_in_range(const std::string& text, const SettingValueRange& accepted_values) {
+std::optional<T> parse_in_range(const std::string& text, const SettingValueRange& accepted_values) {
     T parsed{};
     const char* begin = text.data();
     const char* end = begin + text.size();
@@ -69,7 +69,7 @@ std::optional<T> parse_number_in_range(const std::string& text, const SettingVal
 
 /// Nothing if the setting does not accept this text.
 template <class T>
-std::optional<T> parse_setting_value(const std::string& text, const SettingValueRange& accepted_values) {
+std::optional<T> parse_setting(const std::string& text, const SettingValueRange& accepted_values) {
     const auto find = [&](const std::string& word) {
         return std::find(accepted_values.choices.begin(), accepted_values.choices.end(), word);
     };
@@ -77,7 +77,7 @@ std::optional<T> parse_setting_value(const std::string& text, const SettingValue
     const auto is_choice = [&](const std::string& word) {
         return find(word) != accepted_values.choices.end();
     };
-    if (accepted_values.several ? !std::ranges::all_of(split_comma_separated_list(text), is_choice)
+    if (accepted_values.several ? !std::ranges::all_of(split_list(text), is_choice)
                                 : !accepted_values.choices.empty() && choice == accepted_values.choices.end())
         return std::nullopt;
     if constexpr (std::is_enum_v<T>) {
@@ -89,7 +89,7 @@ std::optional<T> parse_setting_value(const std::string& text, const SettingValue
         if (text != "true" && text != "false") return std::nullopt;
         return text == "true";
     } else {
-        return parse_number_in_range<T>(text, accepted_values);
+        return parse_in_range<T>(text, accepted_values);
     }
 }
 

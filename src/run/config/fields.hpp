@@ -40,7 +40,7 @@ inline SettingValueRange accept_one_of(std::vector<std::string> choices) {
     return accepts;
 }
 
-inline std::vector<std::string> list_primitive_names() {
+inline std::vector<std::string> primitive_names() {
     std::vector<std::string> names;
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
     return names;
@@ -64,7 +64,7 @@ inline constexpr double kMaxCount = 2147483647.0;
 inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>
-void visit_dataset_settings(C& config, Visitor&& visitor) {
+void visit_dataset(C& config, Visitor&& visitor) {
     visitor("dataset.path", config.dataset.path, accept_anything(),
             "path of the log, or KIND:PATH to set the kind of the dataset; training stores it in the "
             "settings of the run");
@@ -108,7 +108,7 @@ void visit_dataset_settings(C& config, Visitor&& visitor) {
 }
 
 template <class C, class Visitor>
-void visit_sensor_settings(C& config, Visitor&& visitor) {
+void visit_sensor(C& config, Visitor&& visitor) {
     visitor("sensor.grid", config.sensor.grid, accept_one_of({"native", "kitti360"}),
             "pixel grid of the range images that are rendered and scored: the rows and columns of the sensor "
             "(native), or the grid of KITTI-360 with 66 x 1030 pixels (kitti360)");
@@ -138,7 +138,7 @@ void visit_sensor_settings(C& config, Visitor&& visitor) {
 }
 
 template <class C, class Visitor>
-void visit_initialisation_settings(C& config, Visitor&& visitor) {
+void visit_init(C& config, Visitor&& visitor) {
     visitor("init.voxel_m", config.init.voxel_m, accept_above(0),
             "edge length in metres of the voxels in which the points of all training frames are averaged to "
             "initialise surfels");
@@ -184,7 +184,7 @@ void visit_initialisation_settings(C& config, Visitor&& visitor) {
 }
 
 template <class C, class Visitor>
-void visit_image_settings(C& config, Visitor&& visitor) {
+void visit_image(C& config, Visitor&& visitor) {
     visitor("image.alpha_min", config.image.alpha_min, accept_between(1e-6, 0.5),
             mark_expert("minimum alpha at the edge of a surfel (value in the paper: 1/255); larger values "
                         "make surfels smaller, so that rays hit fewer of them"));
@@ -200,13 +200,13 @@ void visit_image_settings(C& config, Visitor&& visitor) {
     visitor("image.single_drop_logit", config.image.single_drop_logit, accept_anything(),
             mark_expert("compute the ray-drop probability of a ray as the sigmoid of one blended logit; "
                         "false: as the softmax of a drop logit and a hit logit (as in the paper)"));
-    visitor("image.primitive", config.image.primitive, accept_one_of(list_primitive_names()),
+    visitor("image.primitive", config.image.primitive, accept_one_of(primitive_names()),
             mark_expert("primitives of the scene: flat 2D Gaussians (as in the paper) or 3D Gaussians; ray "
                         "query traces 3D Gaussians as icosahedra of triangles"));
 }
 
 template <class C, class Visitor>
-void visit_loss_settings(C& config, Visitor&& visitor) {
+void visit_loss(C& config, Visitor&& visitor) {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
     visitor("loss." #setting, config.loss.setting, accepts, meaning);
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
@@ -217,7 +217,7 @@ void visit_loss_settings(C& config, Visitor&& visitor) {
 }
 
 template <class C, class Visitor>
-void visit_training_settings(C& config, Visitor&& visitor) {
+void visit_train(C& config, Visitor&& visitor) {
     visitor("train.iterations", config.train.iterations, accept_between(0, kMaxCount),
             "number of optimiser steps; 0: the scene is not trained after its initialisation");
     visitor("train.grid", config.train.grid, accept_one_of({"native", "kitti360"}),
@@ -246,7 +246,7 @@ void visit_training_settings(C& config, Visitor&& visitor) {
 }
 
 template <class C, class Visitor>
-void visit_logging_settings(C& config, Visitor&& visitor) {
+void visit_logging(C& config, Visitor&& visitor) {
     visitor("train.frame_memory_mib", config.train.frame_memory_mib, accept_between(0, kMaxCount),
             mark_expert("device memory in MiB for the rays and targets of frames; frames that do not fit are "
                         "uploaded again for each step that uses them"));
@@ -259,7 +259,7 @@ void visit_logging_settings(C& config, Visitor&& visitor) {
 }
 
 template <class C, class Visitor>
-void visit_refinement_settings(C& config, Visitor&& visitor) {
+void visit_refine(C& config, Visitor&& visitor) {
     visitor("refine.enabled", config.refine.enabled, accept_anything(),
             "after the scene, train a network that corrects the ray-drop of rendered scans (paper, Eq. "
             "12-13), and use it for rendering if the run has one");
@@ -285,29 +285,29 @@ void visit_refinement_settings(C& config, Visitor&& visitor) {
 
 /// visitor(key, field, accepts, help) for every setting, in the order of the TOML file
 template <class C, class Visitor>
-void visit_all_settings(C& config, Visitor&& visitor) {
+void visit_settings(C& config, Visitor&& visitor) {
     visitor("preset", config.preset, accept_one_of({"paper", "released", "default", "quick"}),
             "name of the preset that sets all values; setting the preset overwrites all other settings");
-    visit_dataset_settings(config, visitor);
-    visit_sensor_settings(config, visitor);
-    visit_initialisation_settings(config, visitor);
-    visit_image_settings(config, visitor);
-    visit_loss_settings(config, visitor);
-    visit_training_settings(config, visitor);
-    visit_logging_settings(config, visitor);
+    visit_dataset(config, visitor);
+    visit_sensor(config, visitor);
+    visit_init(config, visitor);
+    visit_image(config, visitor);
+    visit_loss(config, visitor);
+    visit_train(config, visitor);
+    visit_logging(config, visitor);
     visitor("blocks.length_m", config.blocks.length_m, accept_between(0, 1e6),
             "maximum length in metres of a block of the trajectory; a long log is trained block by block; 0: "
             "train the log as one piece");
     visitor("densify.strategy", config.densify.strategy, accept_one_of({"none", "adaptive"}),
             "how training adds and removes surfels; adaptive: by their gradients (as in the paper)");
-    visit_refinement_settings(config, visitor);
+    visit_refine(config, visitor);
     visitor("render.range", config.render.range, accept_one_of({"expected", "normalised", "median", "mode"}),
             mark_expert(
                 "range of a ray in range images; \"expected\": the blended range D (as in the paper); "
                 "\"normalised\": D / W, where W is the sum of the weights; \"median\": the range at which "
                 "the transmittance falls below 0.5; \"mode\": the mean range of the surface with the largest "
                 "weight (hits closer together than sensor.return_separation_m form one surface)"));
-    visitor("render.channels", config.render.channels, accept_some_of(list_optional_channel_names()),
+    visitor("render.channels", config.render.channels, accept_some_of(optional_names()),
             "additional channels of scans, in all output files; `relidar render --help` describes them");
     visitor("render.points", config.render.points, accept_one_of({"median", "range"}),
             mark_expert("range of points in point clouds: median: where the transmittance falls below 0.5, "

@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-LidarSequence load_log(const Config& config, const ProgressReporter& progress, int max_scans) {
+Log load_log(const Config& config, const Progress& progress, int max_scans) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
-    options.lidars = split_comma_separated_list(config.dataset.lidars);
+    options.lidars = split_list(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
     options.skip_broken = config.dataset.skip_broken;

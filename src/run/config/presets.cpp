@@ -7,7 +7,7 @@
 namespace relidar {
 namespace {
 
-Config make_paper_preset_config() {
+Config paper_preset() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
     // as in the paper: only vehicles become actors; people and cyclists are background
@@ -30,8 +30,8 @@ Config make_paper_preset_config() {
 
 /// The program that the authors released differs from the text of the paper
 /// (docs/method.md section 5). Its errors (section 10) are not reproduced.
-Config make_paper_code_preset_config() {
-    Config config = make_paper_preset_config();
+Config released_preset() {
+    Config config = paper_preset();
     config.preset = "released";
     config.loss.intensity_ssim = 0.15f;
     config.loss.chamfer = 0.0f;
@@ -41,7 +41,7 @@ Config make_paper_code_preset_config() {
 
 /// Best results on a real log (KITTI raw 0005, docs/results.md). Training adds no
 /// surfels, because it starts from dense, smoothed points.
-Config make_default_preset_config() {
+Config default_preset() {
     Config config;
     config.preset = "default";
     // 0: uses the maximum range of the sensor, instead of the 80 m of published results
@@ -102,8 +102,8 @@ Config make_default_preset_config() {
 }
 
 /// Training on a CPU in minutes: fewer rays per step and fewer steps.
-Config make_quick_preset_config() {
-    Config config = make_default_preset_config();
+Config quick_preset() {
+    Config config = default_preset();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
     // An opaque surfel leaves a transmittance of 0.01, so the value must be smaller.
@@ -135,21 +135,21 @@ struct Preset {
     const char* name;
     Config (*make)();
 };
-constexpr Preset kPresets[] = {{"paper", make_paper_preset_config},
-                               {"released", make_paper_code_preset_config},
-                               {"default", make_default_preset_config},
-                               {"quick", make_quick_preset_config}};
+constexpr Preset kPresets[] = {{"paper", paper_preset},
+                               {"released", released_preset},
+                               {"default", default_preset},
+                               {"quick", quick_preset}};
 
 }  // namespace
 
-Config make_preset_config(const std::string& preset_name) {
+Config make_preset(const std::string& preset_name) {
     std::vector<std::string> preset_names;
     for (const Preset& preset : kPresets) {
         if (preset_name == preset.name) return preset.make();
         preset_names.emplace_back(preset.name);
     }
     fail<UsageError>("preset '{}': unknown{} (known: {})", preset_name,
-                     format_name_suggestion(preset_name, preset_names, "'"), fmt::join(preset_names, ", "));
+                     did_you_mean(preset_name, preset_names, "'"), fmt::join(preset_names, ", "));
 }
 
 }  // namespace relidar

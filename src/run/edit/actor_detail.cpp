@@ -15,8 +15,7 @@ namespace relidar {
 namespace {
 
 /// The box is centred at the origin.
-bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction,
-                       const glm::dvec3& box_size_m) {
+bool hits_box(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction, const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
         const double half_m = 0.5 * box_size_m[axis];
@@ -34,10 +33,9 @@ bool is_box_hit_by_ray(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_dir
 
 }  // namespace
 
-ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> ray_origins,
-                                                    std::span<const glm::vec3> ray_directions,
-                                                    const Pose& box_from_sensor, const glm::dvec3& size_m,
-                                                    std::size_t n_surfels) {
+ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
+                                      std::span<const glm::vec3> ray_directions, const Pose& box_from_sensor,
+                                      const glm::dvec3& size_m, std::size_t n_surfels) {
     ActorModelResolution detail{glm::length(box_from_sensor.translation), 0.0, 0, n_surfels};
     const glm::vec3 centre_m(inverse(box_from_sensor).translation);
     const float radius_m = float(0.5 * glm::length(size_m)) * 1.001f + 0.01f;
@@ -49,16 +47,15 @@ ActorModelResolution compute_actor_model_resolution(std::span<const glm::vec3> r
         const bool is_sphere_hit = distance2 <= radius_m * radius_m ||
                                    (along_m > 0.0f && distance2 - along_m * along_m <= radius_m * radius_m);
         if (is_sphere_hit)
-            detail.rays +=
-                is_box_hit_by_ray(box_from_sensor * glm::dvec3(ray_origins[i]),
-                                  box_from_sensor.rotation * glm::dvec3(ray_directions[i]), size_m);
+            detail.rays += hits_box(box_from_sensor * glm::dvec3(ray_origins[i]),
+                                    box_from_sensor.rotation * glm::dvec3(ray_directions[i]), size_m);
     }
     return detail;
 }
 
-ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_and_log,
-                                                    const std::string& track, int lidar_index) {
-    const LidarSequence& log = scene_and_log.sequence;
+ActorModelResolution model_resolution(const SceneWithLog& scene_and_log, const std::string& track,
+                                      int lidar_index) {
+    const Log& log = scene_and_log.sequence;
     const auto instance = std::ranges::find_if(scene_and_log.scene.instances,
                                                [&](const ModelInstance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
@@ -66,12 +63,12 @@ ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_an
         fail<UsageError>("cannot inspect actor \"{}\": the scene has no actor with this track id", track);
     ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
                                 scene_and_log.scene.models[instance->model].count};
-    const PoseTrack world_from_sensor = log.get_world_from_sensor(lidar_index);
+    const PoseTrack world_from_sensor = log.lidar_track(lidar_index);
     Pose box_from_sensor;
-    for (const LidarFrame& frame : log.frames) {
-        if (frame.lidar != lidar_index || !box->is_observed_at_time(frame.time_s)) continue;
-        const Pose nearer = inverse(box->world_from_box.interpolate_pose(frame.time_s)) *
-                            world_from_sensor.interpolate_pose(frame.time_s);
+    for (const Frame& frame : log.frames) {
+        if (frame.lidar != lidar_index || !box->is_observed(frame.time_s)) continue;
+        const Pose nearer =
+            inverse(box->world_from_box.pose_at(frame.time_s)) * world_from_sensor.pose_at(frame.time_s);
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m) {
             box_from_sensor = nearer;
             detail.nearest_m = distance_m;
@@ -79,24 +76,23 @@ ActorModelResolution compute_actor_model_resolution(const SceneWithLog& scene_an
         }
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
-    const RayTable rays = make_nominal_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);
-    detail.rays = compute_actor_model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m,
-                                                 detail.surfels)
-                      .rays;
+    const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);
+    detail.rays =
+        model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
     return detail;
 }
 
-std::string describe_unobserved_sides(const Scene& scene, const std::string& track_id) {
+std::string describe_unseen(const Scene& scene, const std::string& track_id) {
     const auto actor = std::ranges::find(scene.instances, track_id, &ModelInstance::track);
     if (actor == scene.instances.end() || !scene.models[actor->model].surface) return "";
     const std::optional<ObservedBoxSurface>& surface = scene.models[actor->model].surface;
     std::vector<std::string> parts;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const double share = surface->compute_mirrorable_area_fraction(BoxSide(s));
+        const double share = surface->mirrorable_fraction(BoxSide(s));
         if (surface->is_completed && share >= double(kUnseenSide))
-            parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, get_name(BoxSide(s))));
+            parts.push_back(fmt::format("{:.0f} % of the {}", 100.0 * share, name_of(BoxSide(s))));
     }
-    const std::string unseen = format_unobserved_sides(surface->compute_covered_fraction_of_each_side());
+    const std::string unseen = list_unseen_sides(surface->covered_sides());
     std::string text;
     if (!parts.empty())
         text = fmt::format(

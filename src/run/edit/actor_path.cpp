@@ -15,49 +15,49 @@ namespace relidar {
 namespace {
 
 enum ActorPathField { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-// In a file without a header, column i contains the field kNames[i].
-constexpr std::size_t kUnnamed = 7;
-constexpr std::size_t kNeeded = 5;
+// In a file without a header, column i contains the field kColumnNames[i].
+constexpr std::size_t kMaxUnnamedColumns = 7;
+constexpr std::size_t kMinColumns = 5;
 // seconds since 1970 are smaller
-constexpr double kLargest = 1e10;
-const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
-                                      "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
+constexpr double kMaxNumber = 1e10;
+const std::vector<std::string> kColumnNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
+                                            "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
 /// Column index of each field, or -1 if the file does not have the field.
 using FieldColumnIndices = std::vector<int>;
 
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
-FieldColumnIndices find_trajectory_columns_in_header(const std::vector<std::string_view>& header,
-                                                     const std::string& error_location) {
-    FieldColumnIndices at = find_column_indices(header, kNames, error_location);
+FieldColumnIndices parse_header(const std::vector<std::string_view>& header,
+                                const std::string& error_location) {
+    FieldColumnIndices at = find_columns(header, kColumnNames, error_location);
     for (const ActorPathField field : {kTime, kX, kY, kZ})
-        if (at[field] < 0) fail("{}: the column '{}' is missing", error_location, kNames[field]);
+        if (at[field] < 0) fail("{}: the column '{}' is missing", error_location, kColumnNames[field]);
     if (at[kYaw] < 0 && at[kYawRad] < 0)
         fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", error_location);
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
             fail("{}: found both columns '{}' and '{}', expected only one of them", error_location,
-                 kNames[angle], kNames[other]);
+                 kColumnNames[angle], kColumnNames[other]);
     return at;
 }
 
 /// @throws DataError if there are too few or too many columns
-FieldColumnIndices make_default_column_indices(std::size_t n_columns, const std::string& error_location) {
-    if (n_columns < kNeeded || n_columns > kUnnamed)
+FieldColumnIndices default_columns(std::size_t n_columns, const std::string& error_location) {
+    if (n_columns < kMinColumns || n_columns > kMaxUnnamedColumns)
         fail(
             "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, or a "
             "header line with the names of the columns",
             error_location, n_columns);
     FieldColumnIndices at(kFieldCount, -1);
-    for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
+    for (std::size_t i = 0; i < kMaxUnnamedColumns; ++i) at[i] = static_cast<int>(i);
     return at;
 }
 
 /// A field without a column is 0. Without a header, pitch and roll may be missing.
 /// @throws DataError naming the column that is not a number
-std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::string_view>& cells,
-                                                     const FieldColumnIndices& column_indices,
-                                                     const std::string& error_location) {
+std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& cells,
+                                          const FieldColumnIndices& column_indices,
+                                          const std::string& error_location) {
     std::array<double, kFieldCount> row{};
     for (std::size_t f = 0; f < row.size(); ++f) {
         const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
@@ -67,12 +67,12 @@ std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::stri
         if (static_cast<std::size_t>(column_indices[f]) >= cells.size())
             fail("{}: found {} columns, expected {}; the column '{}' is missing", error_location,
                  cells.size(), std::ranges::count_if(column_indices, [](int place) { return place >= 0; }),
-                 kNames[f]);
+                 kColumnNames[f]);
         const std::string_view cell = cells[static_cast<std::size_t>(column_indices[f])];
         const std::optional<double> value = parse_number(cell);
-        if (!value || !(std::abs(*value) <= kLargest))
+        if (!value || !(std::abs(*value) <= kMaxNumber))
             fail("{}: {}: found \"{}\", expected a finite number of at most {:.0e}", error_location,
-                 kNames[f], shorten_for_error_message(cell), kLargest);
+                 kColumnNames[f], quote(cell), kMaxNumber);
         row[f] = *value;
     }
     return row;
@@ -80,20 +80,19 @@ std::array<double, kFieldCount> parse_trajectory_row(const std::vector<std::stri
 
 }  // namespace
 
-PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
+PoseTrack read_trajectory(const std::filesystem::path& path) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices at;
     std::size_t n_cells = 0, n_needed = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
-        if (trim_blanks_at_both_ends(lines[i]).empty()) continue;
+        if (trim(lines[i]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[i]);
         const std::string where = fmt::format("{}: line {}", path.string(), i + 1);
         if (at.empty()) {
             const bool is_header = !parse_number(cells[0]);
-            n_cells = is_header ? cells.size() : kUnnamed;
-            at = is_header ? find_trajectory_columns_in_header(cells, where)
-                           : make_default_column_indices(cells.size(), where);
+            n_cells = is_header ? cells.size() : kMaxUnnamedColumns;
+            at = is_header ? parse_header(cells, where) : default_columns(cells.size(), where);
             if (is_header) {
                 n_needed = n_cells;
                 continue;
@@ -101,7 +100,7 @@ PoseTrack read_trajectory_csv(const std::filesystem::path& path) {
         }
         if (cells.size() > n_cells)
             fail("{}: found {} columns, expected at most {}", where, cells.size(), n_cells);
-        const auto row = parse_trajectory_row(cells, at, where);
+        const auto row = parse_row(cells, at, where);
         if (cells.size() < n_needed)
             fail("{}: found {} columns, expected {} as in the lines before; the file may be truncated", where,
                  cells.size(), n_needed);

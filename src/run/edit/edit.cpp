@@ -19,14 +19,14 @@ namespace {
 constexpr double kLargestNumber = 1e10;
 constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a trajectory.
 
-std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const std::string& track_id) {
+std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
     for (std::size_t i = 0; i < scene_and_log.scene.instances.size(); ++i) {
         const std::string& name = scene_and_log.scene.instances[i].track;
         if (!name.empty() && name == track_id) return i;
         if (!name.empty()) actor_ids.push_back(name);
     }
-    if (find_box_track_by_id(scene_and_log.sequence, track_id)) {
+    if (find_box(scene_and_log.sequence, track_id)) {
         // The error suggests a setting that lists all current actors and this track.
         actor_ids.push_back(track_id);
         fail<UsageError>(
@@ -37,14 +37,14 @@ std::size_t get_actor_instance_index(const SceneWithLog& scene_and_log, const st
     }
     const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track_id);
     if (actor_ids.empty()) throw UsageError(message + ", and its scene has no actors");
-    fail<UsageError>("{}{} (actors: {})", message, format_name_suggestion(track_id, actor_ids, "\""),
+    fail<UsageError>("{}{} (actors: {})", message, did_you_mean(track_id, actor_ids, "\""),
                      fmt::join(actor_ids, ", "));
 }
 
-BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& track_id) {
-    get_actor_instance_index(scene_and_log, track_id);
+BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) {
+    find_instance(scene_and_log, track_id);
     std::vector<BoxTrack>& boxes = scene_and_log.sequence.boxes;
-    if (const BoxTrack* box = find_box_track_by_id(scene_and_log.sequence, track_id))
+    if (const BoxTrack* box = find_box(scene_and_log.sequence, track_id))
         return boxes[std::size_t(box - boxes.data())];
     fail(
         "cannot edit track \"{}\": the trained scene has this actor, but the log has no box with this track "
@@ -53,7 +53,7 @@ BoxTrack& get_actor_box_track(SceneWithLog& scene_and_log, const std::string& tr
 }
 
 /// The model of the background is kept.
-void remove_unused_models(Scene& scene) {
+void drop_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<SurfelModel> models;
     std::vector<std::uint32_t> moved_to(scene.models.size(), 0);
@@ -73,7 +73,7 @@ void remove_unused_models(Scene& scene) {
 }
 
 template <class Keep>
-void remove_unselected_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
+void keep_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
     std::vector<ModelInstance> remaining_instances;
     for (const ModelInstance& instance : scene_and_log.scene.instances) {
         if (instance.track.empty() || should_keep_track(instance.track))
@@ -83,24 +83,24 @@ void remove_unselected_actors(SceneWithLog& scene_and_log, const Keep& should_ke
                           [&](const BoxTrack& b) { return b.id == instance.track; });
     }
     scene_and_log.scene.instances = std::move(remaining_instances);
-    remove_unused_models(scene_and_log.scene);
+    drop_unused_models(scene_and_log.scene);
 }
 
-bool is_track_id_used(const SceneWithLog& scene_and_log, const std::string& id) {
+bool has_track_id(const SceneWithLog& scene_and_log, const std::string& id) {
     return std::any_of(scene_and_log.sequence.boxes.begin(), scene_and_log.sequence.boxes.end(),
                        [&](const BoxTrack& b) { return b.id == id; });
 }
 
-std::string make_unused_track_id(const SceneWithLog& scene_and_log, const std::string& id_prefix) {
+std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& id_prefix) {
     int n = 1;
-    while (is_track_id_used(scene_and_log, fmt::format("{}-{}", id_prefix, n))) ++n;
+    while (has_track_id(scene_and_log, fmt::format("{}-{}", id_prefix, n))) ++n;
     return fmt::format("{}-{}", id_prefix, n);
 }
 
 /// With one pose for each frame of the log.
-PoseTrack make_straight_constant_speed_track(const LidarSequence& sequence, const NewActorMotion& start) {
+PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
     PoseTrack track;
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         Pose pose = start.dataset_from_box;
         pose.translation +=
             pose.rotation *
@@ -112,40 +112,39 @@ PoseTrack make_straight_constant_speed_track(const LidarSequence& sequence, cons
     return track;
 }
 
-[[noreturn]] void throw_trajectory_error(const std::string& track_id, const std::string& found,
-                                         const std::string& expected) {
+[[noreturn]] void fail_trajectory(const std::string& track_id, const std::string& found,
+                                  const std::string& expected) {
     fail("cannot use the new trajectory of track \"{}\": found {}, expected {}", track_id, found, expected);
 }
 
-void require_finite_poses(const PoseTrack& track, const std::string& track_id) {
+void check_finite_poses(const PoseTrack& track, const std::string& track_id) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const auto& [rotation, p] = track.pose[i];
         for (const double x : {track.time_s[i], p.x, p.y, p.z, glm::length(rotation)})
             if (!(std::abs(x) <= kLargestNumber))
-                throw_trajectory_error(
+                fail_trajectory(
                     track_id, fmt::format("the number {} in entry {}", x, i + 1),
                     fmt::format("finite times, positions and rotations of at most {:.0e}", kLargestNumber));
     }
 }
 
-void require_valid_trajectory(const PoseTrack& track, const std::string& track_id) {
+void check_trajectory(const PoseTrack& track, const std::string& track_id) {
     if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
-        throw_trajectory_error(track_id,
-                               fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
-                               "at least two poses, and exactly one time for each pose");
-    require_finite_poses(track, track_id);
+        fail_trajectory(track_id,
+                        fmt::format("{} poses and {} times", track.pose.size(), track.time_s.size()),
+                        "at least two poses, and exactly one time for each pose");
+    check_finite_poses(track, track_id);
     for (std::size_t i = 1; i < track.pose.size(); ++i)
         if (!(track.time_s[i] > track.time_s[i - 1]))
-            throw_trajectory_error(
-                track_id,
-                fmt::format("the time {1} s in entry {0} after {2} s in the previous entry", i + 1,
-                            track.time_s[i], track.time_s[i - 1]),
-                "increasing times");
+            fail_trajectory(track_id,
+                            fmt::format("the time {1} s in entry {0} after {2} s in the previous entry",
+                                        i + 1, track.time_s[i], track.time_s[i - 1]),
+                            "increasing times");
 }
 
 /// A box is present up to half a time step before its first and after its last pose, so
 /// steps of at most `max_step_s` keep this extra time short.
-PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
+PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
         const double span = track.time_s[i + 1] - track.time_s[i];
@@ -161,8 +160,7 @@ PoseTrack insert_interpolated_poses(const PoseTrack& track, double max_step_s) {
 }
 
 /// The completed model that an earlier edit has made from `model`, if any.
-std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& scene,
-                                                                 const SurfelModel& model) {
+std::optional<std::uint32_t> find_mirrored_model(const Scene& scene, const SurfelModel& model) {
     ObservedBoxSurface completed = *model.surface;
     completed.is_completed = true;
     const auto copy = std::ranges::find_if(scene.models, [&](const SurfelModel& other) {
@@ -176,23 +174,23 @@ std::optional<std::uint32_t> find_mirror_completed_copy_of_model(const Scene& sc
 /// surfels are not in memory.
 /// @param is_shared true if actors that were not moved have the same model; they keep it,
 /// and this actor gets a completed copy
-void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
+void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
     Scene& scene = scene_and_log.scene;
     const SurfelModel& shared_model = scene.models[instance.model];
     if (!shared_model.surface || shared_model.surface->is_completed ||
-        shared_model.surface->compute_mirrorable_area_fraction() == 0.0 ||
-        !is_vehicle(get_actor_box_track(scene_and_log, instance.track)) ||
+        shared_model.surface->mirrorable_fraction() == 0.0 ||
+        !is_vehicle(mutable_box(scene_and_log, instance.track)) ||
         std::size_t(shared_model.first) + shared_model.count > scene.surfels.size())
         return;
     if (is_shared) {
-        if (const auto copy = find_mirror_completed_copy_of_model(scene, shared_model)) {
+        if (const auto copy = find_mirrored_model(scene, shared_model)) {
             instance.model = *copy;
             return;
         }
     }
     ObservedBoxSurface surface = *shared_model.surface;
     Surfels completed = scene.surfels.slice(shared_model.first, shared_model.count);
-    if (replace_unobserved_by_mirrored_surfels(completed, surface) == 0) return;
+    if (mirror_unobserved(completed, surface) == 0) return;
     if (is_shared) instance.model = append_model(scene, scene, instance.model);
     const std::uint32_t number = instance.model;
     SurfelModel& model = scene.models[number];
@@ -210,23 +208,23 @@ void fill_unobserved_sides_by_symmetry(SceneWithLog& scene_and_log, ModelInstanc
 
 /// except for rounding errors
 bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
-    constexpr double kSame = 1e-9;  // metres, seconds, and components of quaternions
+    constexpr double kMaxDifference = 1e-9;  // metres, seconds, and components of quaternions
     const auto is_same_pose = [](const Pose& p, const Pose& q) {
-        return glm::distance(p.translation, q.translation) <= kSame &&
-               std::min(glm::length(p.rotation - q.rotation), glm::length(p.rotation + q.rotation)) <= kSame;
+        return glm::distance(p.translation, q.translation) <= kMaxDifference &&
+               std::min(glm::length(p.rotation - q.rotation), glm::length(p.rotation + q.rotation)) <=
+                   kMaxDifference;
     };
     return std::ranges::equal(first.time_s, second.time_s,
-                              [](double t, double u) { return std::abs(t - u) <= kSame; }) &&
+                              [](double t, double u) { return std::abs(t - u) <= kMaxDifference; }) &&
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
-void add_actor_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, BoxTrack box,
-                        const NewActorMotion& start) {
-    box.world_from_box =
-        start.dataset_path.pose.empty()
-            ? make_straight_constant_speed_track(scene_and_log.sequence, start)
-            : add_offset_to_track_positions(start.dataset_path, -scene_and_log.sequence.world_offset_m);
-    require_finite_poses(box.world_from_box, box.id);
+void add_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, BoxTrack box,
+                  const NewActorMotion& start) {
+    box.world_from_box = start.dataset_path.pose.empty()
+                             ? make_straight_track(scene_and_log.sequence, start)
+                             : shift_track(start.dataset_path, -scene_and_log.sequence.world_offset_m);
+    check_finite_poses(box.world_from_box, box.id);
     box.n_before = box.n_after = 0;
     scene_and_log.scene.instances.push_back({model_index, box.id});
     scene_and_log.sequence.boxes.push_back(std::move(box));
@@ -235,27 +233,27 @@ void add_actor_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, 
 }  // namespace
 
 SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) {
-    get_actor_instance_index(scene_and_log, track);
-    remove_unselected_actors(scene_and_log, [&](const std::string& name) { return name != track; });
+    find_instance(scene_and_log, track);
+    keep_actors(scene_and_log, [&](const std::string& name) { return name != track; });
     return scene_and_log;
 }
 
 SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
                         const Pose& old_box_from_new_box) {
-    PoseTrack& world_from_box = get_actor_box_track(scene_and_log, track).world_from_box;
+    PoseTrack& world_from_box = mutable_box(scene_and_log, track).world_from_box;
     for (Pose& pose : world_from_box.pose) pose = pose * old_box_from_new_box;
-    require_finite_poses(world_from_box, track);
+    check_finite_poses(world_from_box, track);
     return scene_and_log;
 }
 
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s) {
-    PoseTrack& world_from_box = get_actor_box_track(scene_and_log, track).world_from_box;
+    PoseTrack& world_from_box = mutable_box(scene_and_log, track).world_from_box;
     for (double& time_s : world_from_box.time_s) time_s += delay_s;
-    require_finite_poses(world_from_box, track);
+    check_finite_poses(world_from_box, track);
     return scene_and_log;
 }
 
-SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
+SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before) {
     std::vector<ModelInstance>& instances = scene_and_log.scene.instances;
     std::set<std::string> moved;
     for (const ModelInstance& instance : instances) {
@@ -270,19 +268,17 @@ SceneWithLog complete_moved_actors(SceneWithLog scene_and_log, const std::vector
         const bool is_shared = std::ranges::any_of(instances, [&](const ModelInstance& other) {
             return other.model == instance.model && !moved.contains(other.track);
         });
-        if (moved.contains(instance.track))
-            fill_unobserved_sides_by_symmetry(scene_and_log, instance, is_shared);
+        if (moved.contains(instance.track)) mirror_unseen_sides(scene_and_log, instance, is_shared);
     }
     return scene_and_log;
 }
 
-std::string describe_frames_without_actor(const BoxTrack& original_box,
-                                          const LidarSequence& edited_sequence) {
-    const BoxTrack* box = find_box_track_by_id(edited_sequence, original_box.id);
+std::string describe_absence(const BoxTrack& original_box, const Log& edited_sequence) {
+    const BoxTrack* box = find_box(edited_sequence, original_box.id);
     // A set, because LiDARs that sweep at the same time share a frame number.
     std::set<int> lost;
-    for (const LidarFrame& frame : edited_sequence.frames)
-        if (box && original_box.is_observed_at_time(frame.time_s) && !box->is_observed_at_time(frame.time_s))
+    for (const Frame& frame : edited_sequence.frames)
+        if (box && original_box.is_observed(frame.time_s) && !box->is_observed(frame.time_s))
             lost.insert(frame.index);
     if (lost.empty()) return "";
     const std::vector<double>& times_s = box->world_from_box.time_s;
@@ -292,46 +288,43 @@ std::string describe_frames_without_actor(const BoxTrack& original_box,
         original_box.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 
-SceneWithLog replace_trajectory(SceneWithLog scene_and_log, const std::string& track,
-                                const PoseTrack& dataset_from_box) {
-    BoxTrack& box = get_actor_box_track(scene_and_log, track);
-    require_valid_trajectory(dataset_from_box, track);
-    const double step_s = std::max(scene_and_log.sequence.lidars[0].get_sweep_period_s(), 1e-3);
+SceneWithLog replace_track(SceneWithLog scene_and_log, const std::string& track,
+                           const PoseTrack& dataset_from_box) {
+    BoxTrack& box = mutable_box(scene_and_log, track);
+    check_trajectory(dataset_from_box, track);
+    const double step_s = std::max(scene_and_log.sequence.lidars[0].sweep_period_s(), 1e-3);
     if (const double span_s = dataset_from_box.time_s.back() - dataset_from_box.time_s.front();
         span_s > kMaxTrackSteps * step_s)
-        throw_trajectory_error(track, fmt::format("times over {} s", span_s),
-                               fmt::format("at most {} s", kMaxTrackSteps * step_s));
+        fail_trajectory(track, fmt::format("times over {} s", span_s),
+                        fmt::format("at most {} s", kMaxTrackSteps * step_s));
     box.n_before = box.n_after = 0;
-    box.world_from_box = insert_interpolated_poses(
-        add_offset_to_track_positions(dataset_from_box, -scene_and_log.sequence.world_offset_m), step_s);
+    box.world_from_box =
+        densify_track(shift_track(dataset_from_box, -scene_and_log.sequence.world_offset_m), step_s);
     return scene_and_log;
 }
 
 SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start) {
-    BoxTrack box = get_actor_box_track(scene_and_log, track);
-    box.id = make_unused_track_id(scene_and_log, track + "-copy");
-    const std::uint32_t model =
-        scene_and_log.scene.instances[get_actor_instance_index(scene_and_log, track)].model;
-    add_actor_instance(scene_and_log, model, std::move(box), start);
+    BoxTrack box = mutable_box(scene_and_log, track);
+    box.id = make_track_id(scene_and_log, track + "-copy");
+    const std::uint32_t model = scene_and_log.scene.instances[find_instance(scene_and_log, track)].model;
+    add_instance(scene_and_log, model, std::move(box), start);
     return scene_and_log;
 }
 
 SceneWithLog insert_track(SceneWithLog scene_and_log, const SceneWithLog& source_scene,
                           const std::string& track, const NewActorMotion& start) {
     SceneWithLog source = source_scene;
-    BoxTrack box = get_actor_box_track(source, track);
-    if (is_track_id_used(scene_and_log, box.id))
-        box.id = make_unused_track_id(scene_and_log, track + "-insert");
-    add_actor_instance(
-        scene_and_log,
-        append_model(scene_and_log.scene, source_scene.scene,
-                     source_scene.scene.instances[get_actor_instance_index(source_scene, track)].model),
-        std::move(box), start);
+    BoxTrack box = mutable_box(source, track);
+    if (has_track_id(scene_and_log, box.id)) box.id = make_track_id(scene_and_log, track + "-insert");
+    add_instance(scene_and_log,
+                 append_model(scene_and_log.scene, source_scene.scene,
+                              source_scene.scene.instances[find_instance(source_scene, track)].model),
+                 std::move(box), start);
     return scene_and_log;
 }
 
-SceneWithLog remove_all_actors(SceneWithLog scene_and_log) {
-    remove_unselected_actors(scene_and_log, [](const std::string&) { return false; });
+SceneWithLog remove_actors(SceneWithLog scene_and_log) {
+    keep_actors(scene_and_log, [](const std::string&) { return false; });
     return scene_and_log;
 }
 

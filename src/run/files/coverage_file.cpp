@@ -12,13 +12,13 @@ constexpr const char* kCoverageFormat = "relidar coverage";
 constexpr const char* kCoverageVersion = "1";
 constexpr const char* kClassesFormat = "relidar classes";
 constexpr const char* kClassesVersion = "1";
-constexpr const char* kCell = "cell_m";
+constexpr const char* kCellSizeKey = "cell_m";
 
 ArrayFile read_cell_file(const std::filesystem::path& path, const char* format, const char* version,
                          double cell_size_m) {
     ArrayFile file(path, format, version);
-    if (const std::string expected = fmt::format("{}", cell_size_m); file.metadata[kCell] != expected)
-        fail("{}: {}: found {}, expected {}", file.path, kCell, file.metadata[kCell], expected);
+    if (const std::string expected = fmt::format("{}", cell_size_m); file.metadata[kCellSizeKey] != expected)
+        fail("{}: {}: found {}, expected {}", file.path, kCellSizeKey, file.metadata[kCellSizeKey], expected);
     return file;
 }
 
@@ -28,23 +28,23 @@ void save_coverage(const std::filesystem::path& path, const ObservedVoxelSet& co
     if (coverage.empty()) return void(std::filesystem::remove(path));
     std::vector<std::int32_t> block_coordinates;
     std::vector<std::uint16_t> cells;
-    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_voxel_blocks()) {
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_blocks()) {
         for (int axis = 0; axis < 3; ++axis) block_coordinates.push_back(block.grid_index[axis]);
         cells.insert(cells.end(), block.cells.begin(), block.cells.end());
     }
     const std::size_t n = block_coordinates.size() / 3;
     write_array_file(path,
                      {make_array("place", {n, 3}, block_coordinates.data(), block_coordinates.size()),
-                      make_array("cells", {n, ObservedVoxelSet::kWords}, cells.data(), cells.size())},
+                      make_array("cells", {n, ObservedVoxelSet::kBlockWords}, cells.data(), cells.size())},
                      kCoverageFormat, kCoverageVersion,
-                     {{kCell, fmt::format("{}", ObservedVoxelSet::kCell_m)}});
+                     {{kCellSizeKey, fmt::format("{}", ObservedVoxelSet::kCell_m)}});
 }
 
 ObservedVoxelSet load_coverage(const std::filesystem::path& path) {
     const ArrayFile file = read_cell_file(path, kCoverageFormat, kCoverageVersion, ObservedVoxelSet::kCell_m);
     const NamedArray& block_coordinates = file.find("place", "i4", {kAnyLength, 3});
     const std::size_t n = block_coordinates.shape[0];
-    const NamedArray& cells = file.find("cells", "u2", {n, ObservedVoxelSet::kWords});
+    const NamedArray& cells = file.find("cells", "u2", {n, ObservedVoxelSet::kBlockWords});
     ObservedVoxelSet coverage;
     for (std::size_t i = 0; i < n; ++i) {
         ObservedVoxelSet::VoxelBlock block;
@@ -52,7 +52,7 @@ ObservedVoxelSet load_coverage(const std::filesystem::path& path) {
                     3 * sizeof(std::int32_t));
         std::memcpy(block.cells.data(), cells.bytes.data() + i * sizeof(ObservedVoxelSet::VoxelBits),
                     sizeof(ObservedVoxelSet::VoxelBits));
-        coverage.add_voxels_of_block(block);
+        coverage.add_block(block);
     }
     return coverage;
 }
@@ -69,7 +69,7 @@ void save_class_map(const std::filesystem::path& path, const SurfaceClassMap& cl
         path,
         {make_array("place", {class_map.size(), 3}, cell_coordinates.data(), cell_coordinates.size()),
          make_array("class", {class_map.size(), 1}, classes.data(), classes.size())},
-        kClassesFormat, kClassesVersion, {{kCell, fmt::format("{}", kClassCell_m)}});
+        kClassesFormat, kClassesVersion, {{kCellSizeKey, fmt::format("{}", kClassCell_m)}});
 }
 
 SurfaceClassMap load_class_map(const std::filesystem::path& path) {

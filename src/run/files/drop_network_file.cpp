@@ -13,29 +13,28 @@ namespace {
 constexpr const char* kNetworkFormat = "relidar drop network";
 constexpr const char* kNetworkVersion = "1";
 
-void read_network_architecture(const JsonField& architecture, RayDropNetwork& network) {
-    network.image = architecture.at("image").get_string();
+void read_architecture(const JsonField& architecture, RayDropNetwork& network) {
+    network.image = architecture.at("image").text();
     const JsonField inputs = architecture.at("inputs"), widths = architecture.at("widths");
     if (inputs.size() < 1 || inputs.size() > 64)
-        inputs.throw_field_error(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64 inputs");
+        inputs.reject(fmt::format("found {} inputs", inputs.size()), "expected 1 to 64 inputs");
     if (widths.size() < 1 || widths.size() > 8)
-        widths.throw_field_error(fmt::format("found {} channel numbers", widths.size()),
-                                 "expected 1 to 8 channel numbers, one per level");
-    for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).get_string());
+        widths.reject(fmt::format("found {} channel numbers", widths.size()),
+                      "expected 1 to 8 channel numbers, one per level");
+    for (std::size_t i = 0; i < inputs.size(); ++i) network.inputs.push_back(inputs.at(i).text());
     for (std::size_t i = 0; i < widths.size(); ++i)
-        network.widths.push_back(std::uint32_t(widths.at(i).get_integer_in_range(2, 4096)));
-    network.heads = std::uint32_t(architecture.at("heads").get_integer_in_range(0, network.widths.back()));
+        network.widths.push_back(std::uint32_t(widths.at(i).integer_in(2, 4096)));
+    network.heads = std::uint32_t(architecture.at("heads").integer_in(0, network.widths.back()));
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
-        architecture.at("heads").throw_field_error(
-            fmt::format("found {}", network.heads),
-            fmt::format("expected a divisor of {}", network.widths.back()));
-    network.taps = std::uint32_t(architecture.at("taps").get_integer_in_range(1, 9));
-    network.residual = architecture.at("residual").get_integer_in_range(0, 1) != 0;
+        architecture.at("heads").reject(fmt::format("found {}", network.heads),
+                                        fmt::format("expected a divisor of {}", network.widths.back()));
+    network.taps = std::uint32_t(architecture.at("taps").integer_in(1, 9));
+    network.residual = architecture.at("residual").integer_in(0, 1) != 0;
 }
 
 }  // namespace
 
-void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwork& network) {
+void save_drop_network(const std::filesystem::path& path, const RayDropNetwork& network) {
     using files::make_vector_array;
     const nlohmann::ordered_json shape = {{"image", network.image},   {"inputs", network.inputs},
                                           {"widths", network.widths}, {"heads", network.heads},
@@ -47,12 +46,12 @@ void save_ray_drop_network(const std::filesystem::path& path, const RayDropNetwo
         kNetworkFormat, kNetworkVersion, {{"shape", shape.dump()}});
 }
 
-RayDropNetwork load_ray_drop_network(const std::filesystem::path& path) {
+RayDropNetwork load_drop_network(const std::filesystem::path& path) {
     files::ArrayFile file(path, kNetworkFormat, kNetworkVersion);
     RayDropNetwork network;
     const std::string where = file.path + ": metadata shape";
     const nlohmann::json shape = parse_json(file.metadata["shape"], where);
-    read_network_architecture(JsonField(shape, where, ""), network);
+    read_architecture(JsonField(shape, where, ""), network);
     const auto read = [&](const char* name, std::vector<float>& values) {
         const std::vector<double> numbers = file.find_numbers(name, "f4");
         values.assign(numbers.begin(), numbers.end());

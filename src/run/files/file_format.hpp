@@ -56,7 +56,7 @@ struct ArrayFile {
     /// @throws DataError like find(), and if a number is not finite
     std::vector<double> find_numbers(const std::string& name, const char* dtype,
                                      std::size_t count = kAnyLength) const {
-        const std::vector<double> values = find(name, dtype, {count}).convert_to_doubles();
+        const std::vector<double> values = find(name, dtype, {count}).to_doubles();
         for (std::size_t i = 0; i < values.size(); ++i)
             if (!std::isfinite(values[i]))
                 fail("{}: array {}: entry {} is {}, expected a finite number", path, name, i, values[i]);

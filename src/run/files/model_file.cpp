@@ -27,8 +27,8 @@ constexpr const char* kModelFormat = "relidar model";
 constexpr const char* kModelVersion = "1";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
-void require_finite_surfel_parameters(const SurfelParameterGroup& group, const Surfels& surfels,
-                                      const std::string& file_name) {
+void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surfels,
+                          const std::string& file_name) {
     const std::span<const float> values = group.values(surfels);
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
@@ -37,79 +37,75 @@ void require_finite_surfel_parameters(const SurfelParameterGroup& group, const S
 }
 
 /// 0, 0, 0 means that the model is unbounded.
-glm::vec3 read_box_half_size_m(const JsonField& model) {
-    const std::array<double, 3> v = model.at("half_size_m").get_numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).get_number_in_range(0.0, 1e6);
+glm::vec3 read_half_size_m(const JsonField& model) {
+    const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number_in(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
 /// The walked distance after which the leg motion of a person repeats; 0 for a rigid
 /// model.
-float read_walking_stride_m(const JsonField& model) {
-    return model.has_member("stride_m")
-               ? static_cast<float>(model.at("stride_m").get_number_in_range(1e-3, 1e6))
-               : 0.0f;
+float read_stride_m(const JsonField& model) {
+    return model.has_member("stride_m") ? static_cast<float>(model.at("stride_m").number_in(1e-3, 1e6))
+                                        : 0.0f;
 }
 
-constexpr const char* kSurface = "surface";
+constexpr const char* kSurfaceKey = "surface";
 
 /// Nothing if the file does not contain it.
-std::optional<ObservedBoxSurface> read_observed_box_surface(const JsonField& model) {
-    if (!model.has_member(kSurface)) return {};
-    const JsonField field = model.at(kSurface), size = field.at("size_m");
-    const std::array<double, 3> size_m = size.get_numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) size.at(k).get_number_in_range(1e-3, 1e4);
+std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
+    if (!model.has_member(kSurfaceKey)) return {};
+    const JsonField field = model.at(kSurfaceKey), size = field.at("size_m");
+    const std::array<double, 3> size_m = size.numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) size.at(k).number_in(1e-3, 1e4);
     ObservedBoxSurface surface({size_m[0], size_m[1], size_m[2]});
-    surface.is_completed = field.at("completed").get_boolean();
+    surface.is_completed = field.at("completed").boolean();
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        const JsonField side = field.at(get_name(BoxSide(s)));
-        if (!surface.try_parse_and_set_observed_patches(BoxSide(s), side.get_string()))
-            side.throw_field_error(
-                "found a text with " + std::to_string(side.get_string().size()) + " characters",
-                "expected a 0 or 1 for each of " +
-                    std::to_string(surface.format_observed_patches(BoxSide(s)).size()) + " patches");
+        const JsonField side = field.at(name_of(BoxSide(s)));
+        if (!surface.parse_patches(BoxSide(s), side.text()))
+            side.reject("found a text with " + std::to_string(side.text().size()) + " characters",
+                        "expected a 0 or 1 for each of " +
+                            std::to_string(surface.format_patches(BoxSide(s)).size()) + " patches");
     }
     return surface;
 }
 
-void read_models_and_instances(const JsonField& layout, Scene& scene) {
+void read_models(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
     std::int64_t next = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
         const JsonField m = models.at(i);
-        const std::int64_t first = m.at("first").get_integer_in_range(0, kMaxSurfels),
-                           count = m.at("count").get_integer_in_range(0, kMaxSurfels);
+        const std::int64_t first = m.at("first").integer_in(0, kMaxSurfels),
+                           count = m.at("count").integer_in(0, kMaxSurfels);
         if (first != next)
-            m.at("first").throw_field_error(
+            m.at("first").reject(
                 fmt::format("found {}", first),
                 fmt::format(
                     "expected {}, because the surfels of successive models follow each other without gaps",
                     next));
         next = first + count;
-        scene.models.push_back({m.at("name").get_string(), static_cast<std::uint32_t>(first),
-                                static_cast<std::uint32_t>(count), read_box_half_size_m(m),
-                                read_walking_stride_m(m), read_observed_box_surface(m)});
+        scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
+                                static_cast<std::uint32_t>(count), read_half_size_m(m), read_stride_m(m),
+                                read_surface(m)});
     }
     if (next != n)
-        models.throw_field_error(fmt::format("found models of {} surfels", next),
-                                 fmt::format("expected {} surfels", n));
+        models.reject(fmt::format("found models of {} surfels", next), fmt::format("expected {} surfels", n));
     if (models.size() == 0 || instances.size() == 0)
-        models.throw_field_error(
-            fmt::format("found {} models and {} instances", models.size(), instances.size()),
-            "expected at least one model and at least one instance");
+        models.reject(fmt::format("found {} models and {} instances", models.size(), instances.size()),
+                      "expected at least one model and at least one instance");
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const JsonField instance = instances.at(i);
         const std::int64_t model =
-            instance.at("model").get_integer_in_range(0, static_cast<std::int64_t>(models.size()) - 1);
-        scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").get_string()});
+            instance.at("model").integer_in(0, static_cast<std::int64_t>(models.size()) - 1);
+        scene.instances.push_back({static_cast<std::uint32_t>(model), instance.at("track").text()});
     }
 }
 
-constexpr const char* kBlocks = "blocks";
+constexpr const char* kBlocksKey = "blocks";
 
 /// File names are relative to the folder of the model.
-std::string format_blocks_json(const Scene& scene, const std::filesystem::path& model_folder) {
+std::string format_blocks(const Scene& scene, const std::filesystem::path& model_folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
         json.push_back({{"file", b.file.lexically_relative(model_folder).generic_string()},
@@ -119,39 +115,38 @@ std::string format_blocks_json(const Scene& scene, const std::filesystem::path& 
     return json.dump();
 }
 
-glm::vec3 read_bounding_box_corner(const JsonField& field) {
-    const std::array<double, 3> v = field.get_numbers<3>();
-    for (std::size_t k = 0; k < 3; ++k) field.at(k).get_number_in_range(-1e7, 1e7);
+glm::vec3 read_corner(const JsonField& field) {
+    const std::array<double, 3> v = field.numbers<3>();
+    for (std::size_t k = 0; k < 3; ++k) field.at(k).number_in(-1e7, 1e7);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
 /// @param model_folder  folder of the model, which must contain the files of the blocks
-void parse_blocks_json(const std::string& json_text, const std::string& error_location,
-                       const std::filesystem::path& model_folder, Scene& scene) {
-    const nlohmann::json json = parse_json(json_text, error_location);
-    const JsonField blocks(json, error_location, "");
+void parse_blocks(const std::string& json_text, const std::string& where,
+                  const std::filesystem::path& model_folder, Scene& scene) {
+    const nlohmann::json json = parse_json(json_text, where);
+    const JsonField blocks(json, where, "");
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const JsonField block = blocks.at(i);
-        const std::filesystem::path file = block.at("file").get_string();
+        const std::filesystem::path file = block.at("file").text();
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
         if (file.empty() || file.is_absolute() || goes_up)
-            block.at("file").throw_field_error("found the file name " + file.string(),
-                                               "expected the name of a file in the folder of the model");
-        scene.blocks.push_back(
-            {model_folder / file,
-             static_cast<std::uint32_t>(block.at("surfels").get_integer_in_range(0, kMaxSurfels)),
-             read_bounding_box_corner(block.at("low_m")), read_bounding_box_corner(block.at("high_m"))});
+            block.at("file").reject("found the file name " + file.string(),
+                                    "expected the name of a file in the folder of the model");
+        scene.blocks.push_back({model_folder / file,
+                                static_cast<std::uint32_t>(block.at("surfels").integer_in(0, kMaxSurfels)),
+                                read_corner(block.at("low_m")), read_corner(block.at("high_m"))});
     }
 }
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
 /// [channels, bins], if the file contains it.
-void read_sensor_drop_table(const files::ArrayFile& file, Scene& scene) {
+void read_drop_table(const files::ArrayFile& file, Scene& scene) {
     using files::kAnyLength;
     if (!find_array(file.arrays, kSensorDrop)) return;
     const NamedArray& array = file.find(kSensorDrop, "f4", {kAnyLength, kAnyLength});
-    scene.sensor_drop = {int(array.shape[0]), int(array.shape[1]), array.convert_to_floats()};
+    scene.sensor_drop = {int(array.shape[0]), int(array.shape[1]), array.to_floats()};
     for (const float p : scene.sensor_drop.probability)
         if (!(p >= 0.0f && p <= 1.0f))
             fail("{}: array {}: found {}, expected probabilities from 0 to 1", file.path, kSensorDrop, p);
@@ -159,7 +154,7 @@ void read_sensor_drop_table(const files::ArrayFile& file, Scene& scene) {
 
 }  // namespace
 
-std::string format_scene_layout_json(const Scene& scene) {
+std::string format_layout(const Scene& scene) {
     nlohmann::ordered_json json = {{"models", nlohmann::ordered_json::array()},
                                    {"instances", nlohmann::ordered_json::array()}};
     for (const SurfelModel& m : scene.models) {
@@ -170,10 +165,10 @@ std::string format_scene_layout_json(const Scene& scene) {
         if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
         if (m.surface) {
             const glm::dvec3 size_m = 2.0 * m.surface->half_size_m();
-            nlohmann::ordered_json& surface = json["models"].back()[kSurface];
+            nlohmann::ordered_json& surface = json["models"].back()[kSurfaceKey];
             surface = {{"size_m", {size_m.x, size_m.y, size_m.z}}, {"completed", m.surface->is_completed}};
             for (std::size_t s = 0; s < kBoxSides; ++s)
-                surface[get_name(BoxSide(s))] = m.surface->format_observed_patches(BoxSide(s));
+                surface[name_of(BoxSide(s))] = m.surface->format_patches(BoxSide(s));
         }
     }
     for (const ModelInstance& i : scene.instances)
@@ -181,56 +176,55 @@ std::string format_scene_layout_json(const Scene& scene) {
     return json.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace);
 }
 
-void parse_scene_layout_json(const std::string& text, const std::string& error_location, Scene& scene) {
-    const nlohmann::json layout = parse_json(text, error_location);
-    read_models_and_instances(JsonField(layout, error_location, ""), scene);
+void parse_layout(const std::string& text, const std::string& where, Scene& scene) {
+    const nlohmann::json layout = parse_json(text, where);
+    read_models(JsonField(layout, where, ""), scene);
 }
 
-void save_scene_to_model_file(const std::filesystem::path& path, const Scene& scene) {
-    scene.surfels.require_equal_array_lengths();
+void save_model(const std::filesystem::path& path, const Scene& scene) {
+    scene.surfels.check_lengths();
     std::vector<NamedArray> arrays;
-    for (const SurfelParameterGroup& group : list_parameter_groups(scene.surfels.get_parameter_set())) {
-        require_finite_surfel_parameters(group, scene.surfels, path.string());
+    for (const SurfelParameterGroup& group : list_groups(scene.surfels.parameters_used())) {
+        check_finite_surfels(group, scene.surfels, path.string());
         const std::span<const float> values = group.values(scene.surfels);
-        arrays.push_back(make_array(group.name, group.get_array_shape(scene.surfels.size()), values.data(),
-                                    values.size()));
+        arrays.push_back(
+            make_array(group.name, group.array_shape(scene.surfels.size()), values.data(), values.size()));
     }
     const RayDropTable& drop = scene.sensor_drop;
     if (!drop.empty())
         arrays.push_back(make_array(kSensorDrop, {std::size_t(drop.channels), std::size_t(drop.bins)},
                                     drop.probability.data(), drop.probability.size()));
-    std::map<std::string, std::string> metadata{
-        {kPrimitiveKey, get_primitive_properties(scene.surfels.primitive).name},
-        {"layout", format_scene_layout_json(scene)}};
-    if (!scene.blocks.empty()) metadata[kBlocks] = format_blocks_json(scene, path.parent_path());
+    std::map<std::string, std::string> metadata{{kPrimitiveKey, properties_of(scene.surfels.primitive).name},
+                                                {"layout", format_layout(scene)}};
+    if (!scene.blocks.empty()) metadata[kBlocksKey] = format_blocks(scene, path.parent_path());
     files::write_array_file(path, arrays, kModelFormat, kModelVersion, std::move(metadata));
 }
 
-Scene load_scene_from_model_file(const std::filesystem::path& path) {
+Scene load_model(const std::filesystem::path& path) {
     if (!does_path_exist(path)) fail("{}: no such file", path.string());
     const files::ArrayFile file(path, kModelFormat, kModelVersion);
-    const auto layout = file.metadata.find("layout"), blocks = file.metadata.find(kBlocks);
+    const auto layout = file.metadata.find("layout"), blocks = file.metadata.find(kBlocksKey);
     if (layout == file.metadata.end())
         fail("{}: the metadata has no entry \"layout\", expected a model file that relidar has written",
              file.path);
     const std::size_t n = file.find("mean", "f4", {files::kAnyLength, 3}).shape[0];
     const SurfelParameterSet parameters =
-        read_surfel_parameter_set(file.path, file.metadata, kPrimitiveKey,
-                                  [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
+        read_parameter_set(file.path, file.metadata, kPrimitiveKey,
+                           [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
     // before memory is allocated
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameters))
-        file.find(group.name, "f4", group.get_array_shape(n));
+    for (const SurfelParameterGroup& group : list_groups(parameters))
+        file.find(group.name, "f4", group.array_shape(n));
     Scene scene;
     scene.surfels.resize(n, parameters);
-    for (const SurfelParameterGroup& group : list_parameter_groups(parameters)) {
-        std::ranges::copy(find_array(file.arrays, group.name)->convert_to_floats(),
+    for (const SurfelParameterGroup& group : list_groups(parameters)) {
+        std::ranges::copy(find_array(file.arrays, group.name)->to_floats(),
                           group.mutable_values(scene.surfels).begin());
-        require_finite_surfel_parameters(group, scene.surfels, file.path);
+        check_finite_surfels(group, scene.surfels, file.path);
     }
-    parse_scene_layout_json(layout->second, file.path + ": metadata layout", scene);
-    read_sensor_drop_table(file, scene);
+    parse_layout(layout->second, file.path + ": metadata layout", scene);
+    read_drop_table(file, scene);
     if (blocks != file.metadata.end())
-        parse_blocks_json(blocks->second, file.path + ": metadata " + kBlocks, path.parent_path(), scene);
+        parse_blocks(blocks->second, file.path + ": metadata " + kBlocksKey, path.parent_path(), scene);
     return scene;
 }
 

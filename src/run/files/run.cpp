@@ -44,13 +44,13 @@ void create_folder(const fs::path& folder) {
 }
 
 /// Copies the file if the file system cannot create a hard link.
-void link_or_copy_file(const fs::path& source_file, const fs::path& target_file) {
+void link_file(const fs::path& source_file, const fs::path& target_file) {
     create_folder(target_file.parent_path());
     std::error_code failed;
     fs::remove(target_file, failed);
     fs::create_hard_link(source_file, target_file, failed);
     if (!failed) return;
-    write_file_atomically(target_file, [&](const fs::path& temporary) {
+    write_atomically(target_file, [&](const fs::path& temporary) {
         std::error_code why;
         if (!fs::copy_file(source_file, temporary, why))
             fail("cannot copy {}: {}", source_file.string(), why.message());
@@ -58,14 +58,14 @@ void link_or_copy_file(const fs::path& source_file, const fs::path& target_file)
 }
 
 /// Returns the blocks with the new file paths.
-std::vector<SceneBlock> link_or_copy_block_files(const TrainedRun& run, const fs::path& target_folder,
-                                                 bool skip_files_already_in_run_folder) {
+std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target_folder,
+                                    bool skip_files_already_in_run_folder) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
         if (!skip_files_already_in_run_folder || !fs::equivalent(blocks[i].file, run.folder / file, failed))
-            link_or_copy_file(blocks[i].file, target_folder / file);
+            link_file(blocks[i].file, target_folder / file);
         blocks[i].file = target_folder / file;
     }
     return blocks;
@@ -73,10 +73,10 @@ std::vector<SceneBlock> link_or_copy_block_files(const TrainedRun& run, const fs
 
 /// Some fields of Config are not settings, so the file cannot store them. Throws an error
 /// if such a field differs from the preset.
-void save_run_config(const TrainedRun& run, const fs::path& folder) {
+void save_run_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
-    if (load_saved_config(path) != run.config)
+    if (load_settings(path) != run.config)
         fail(
             "cannot save {}: the file can store only the preset {} and settings, but the program changed a "
             "field of Config that is not a setting; change only the settings that `relidar list settings "
@@ -84,30 +84,29 @@ void save_run_config(const TrainedRun& run, const fs::path& folder) {
             (run.folder / kConfigFile).string(), run.config.preset);
 }
 
-void save_scene(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
-    if (run.scene.blocks.empty()) return save_scene_to_model_file(folder / kModelFile, run.scene);
+void save_scene(const Run& run, const fs::path& folder, bool keep_block_files) {
+    if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
     // The scene contains only the actors, because the background surfels are in block
     // files.
     Scene scene = run.scene;
-    scene.blocks = link_or_copy_block_files(run, folder, keep_block_files);
-    save_scene_to_model_file(folder / kModelFile, scene);
+    scene.blocks = link_blocks(run, folder, keep_block_files);
+    save_model(folder / kModelFile, scene);
 }
 
-void write_run_files(const TrainedRun& run, const fs::path& folder, bool keep_block_files) {
+void write_run_files(const Run& run, const fs::path& folder, bool keep_block_files) {
     // The small text files first, so that an invalid value causes an error early.
-    write_text_file(folder / kSceneFile, files::format_scene_json(run));
+    write_text_file(folder / kSceneFile, files::format_scene(run));
     save_run_config(run, folder);
     save_scene(run, folder, keep_block_files);
-    if (!run.drop_network.empty()) save_ray_drop_network(folder / kDropNetworkFile, run.drop_network);
-    files::save_azimuth_corrections(folder / kSweepsFile, run.sequence);
+    if (!run.drop_network.empty()) save_drop_network(folder / kDropNetworkFile, run.drop_network);
+    files::save_azimuths(folder / kSweepsFile, run.sequence);
     files::save_coverage(folder / kCoverageFile, run.coverage);
     files::save_class_map(folder / kClassesFile, run.classes);
-    files::save_intensity_scatter(folder / kScatterFile, run.intensity_scatter);
+    files::save_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
 /// Error messages show the final file names, not the temporary names.
-void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_folder,
-                                 bool keep_block_files) {
+void stage_run(const Run& run, const fs::path& staging_folder, bool keep_block_files) {
     try {
         write_run_files(run, staging_folder, keep_block_files);
     } catch (const DataError& error) {
@@ -122,7 +121,7 @@ void write_run_to_staging_folder(const TrainedRun& run, const fs::path& staging_
 struct TemporaryFolder {
     fs::path path;
 
-    explicit TemporaryFolder(const fs::path& parent) : path(make_unique_temporary_path(parent / "run")) {
+    explicit TemporaryFolder(const fs::path& parent) : path(make_temp_path(parent / "run")) {
         create_folder(path);
     }
     ~TemporaryFolder() {
@@ -142,8 +141,8 @@ void rename_file(const fs::path& source, const fs::path& target) {
 
 /// Keeps the old config.toml unless it differs or `remove_old_files` is set, so that
 /// training can be resumed even if the process is killed during the move.
-void move_staged_files(const fs::path& staging_folder, const fs::path& run_folder,
-                       const std::function<void()>& remove_old_files) {
+void move_files(const fs::path& staging_folder, const fs::path& run_folder,
+                const std::function<void()>& remove_old_files) {
     const std::string config = read_file(staging_folder / kConfigFile);
     const bool same_config =
         does_path_exist(run_folder / kConfigFile) && read_file(run_folder / kConfigFile) == config;
@@ -167,75 +166,70 @@ void move_staged_files(const fs::path& staging_folder, const fs::path& run_folde
 
 }  // namespace
 
-void save_run(const TrainedRun& run) { overwrite_run(run, {}); }
+void save_run(const Run& run) { overwrite_run(run, {}); }
 
-void replace_folder_by_run_atomically(const TrainedRun& run) {
+void replace_run(const Run& run) {
     const StagedFolder staged(run.folder);
-    write_run_to_staging_folder(run, staged.path(), false);
-    staged.move_folder_and_replace_existing();
+    stage_run(run, staged.path(), false);
+    staged.replace_folder();
 }
 
-void overwrite_run(const TrainedRun& run, const std::function<void()>& remove_earlier_files) {
+void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_files) {
     if (!does_path_exist(run.folder)) {
         const StagedFolder staged(run.folder);
-        write_run_to_staging_folder(run, staged.path(), false);
-        return staged.move_folder_without_replacing_existing();
+        stage_run(run, staged.path(), false);
+        return staged.publish_folder();
     }
     create_folder(run.folder);  // throws an error with the reason if the path is a file and not a folder
     const TemporaryFolder staged(run.folder);
-    write_run_to_staging_folder(run, staged.path, !remove_earlier_files);
-    move_staged_files(staged.path, run.folder, remove_earlier_files);
+    stage_run(run, staged.path, !remove_earlier_files);
+    move_files(staged.path, run.folder, remove_earlier_files);
 }
 
-void TrainedRun::replace_driving_scene(SceneWithLog driving_scene) {
-    driving_scene = complete_moved_actors(std::move(driving_scene), sequence.boxes);
+void Run::set_driving_scene(SceneWithLog driving_scene) {
+    driving_scene = complete_actors(std::move(driving_scene), sequence.boxes);
     scene = std::move(driving_scene.scene);
     sequence = std::move(driving_scene.sequence);
 }
 
-TrainedRun load_run(const fs::path& folder) {
-    require_existing_folder(folder, "a run folder");
+Run load_run(const fs::path& folder) {
+    require_folder(folder, "a run folder");
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!does_path_exist(folder / name))
             fail("the file {} is missing, but every run folder must contain it", (folder / name).string());
     }
-    TrainedRun run;
+    Run run;
     run.folder = folder;
-    run.config = load_saved_config(folder / kConfigFile);
+    run.config = load_settings(folder / kConfigFile);
     const fs::path scene_path = folder / kSceneFile;
-    files::SceneJsonContents scene =
-        files::parse_scene_json(read_text_file(scene_path), scene_path.string());
+    files::SceneJsonContents scene = files::parse_scene(read_text_file(scene_path), scene_path.string());
     run.sequence = std::move(scene.sequence);
-    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
+    run.config = with_max_range(std::move(run.config), run.sequence);
     run.split = std::move(scene.split);
     run.edits = std::move(scene.edits);
     run.held_out_placed = scene.held_out_placed;
     run.refined_poses = std::move(scene.refined_poses);
-    run.scene = load_scene_from_model_file(folder / kModelFile);
+    run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!does_path_exist(block.file))
             fail("the file {} is missing, but this run has {} blocks with one file each", block.file.string(),
                  run.scene.blocks.size());
-    if (does_path_exist(folder / kSweepsFile))
-        files::load_azimuth_corrections(folder / kSweepsFile, run.sequence);
-    if (does_path_exist(folder / kCoverageFile))
-        run.coverage = files::load_coverage(folder / kCoverageFile);
-    if (does_path_exist(folder / kClassesFile))
-        run.classes = files::load_class_map(folder / kClassesFile);
+    if (does_path_exist(folder / kSweepsFile)) files::load_azimuths(folder / kSweepsFile, run.sequence);
+    if (does_path_exist(folder / kCoverageFile)) run.coverage = files::load_coverage(folder / kCoverageFile);
+    if (does_path_exist(folder / kClassesFile)) run.classes = files::load_class_map(folder / kClassesFile);
     if (does_path_exist(folder / kScatterFile))
-        run.intensity_scatter =
-            files::load_intensity_scatter(folder / kScatterFile, run.sequence.lidars.size());
+        run.intensity_scatter = files::load_scatter(folder / kScatterFile, run.sequence.lidars.size());
     if (does_path_exist(folder / kDropNetworkFile))
-        run.drop_network = load_ray_drop_network(folder / kDropNetworkFile);
+        run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
         fail("{}: counts.surfels is {}, but {} contains {} surfels", scene_path.string(), scene.n_surfels,
              kModelFile, run.scene.surfels.size());
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
         fail("{}: image.primitive is {}, but {} contains {}; change this setting to {}",
-             (folder / kConfigFile).string(), get_primitive_properties(run.config.image.primitive).name,
-             kModelFile, get_primitive_properties(run.scene.surfels.primitive).label,
-             get_primitive_properties(run.scene.surfels.primitive).name);
+             (folder / kConfigFile).string(), properties_of(run.config.image.primitive).name, kModelFile,
+             properties_of(run.scene.surfels.primitive).label,
+             properties_of(run.scene.surfels.primitive).name);
     return run;
 }
 
@@ -244,10 +238,10 @@ bool is_run_folder(const fs::path& path) {
     return fs::is_regular_file(path / kSceneFile, failed) || fs::is_regular_file(path / kModelFile, failed);
 }
 
-void create_folder_and_require_writable(const fs::path& folder) {
+void prepare_folder(const fs::path& folder) {
     create_folder(folder);
     // Several processes may test the same folder. If the process is killed here,
-    // remove_temporary_files() deletes the file later.
+    // remove_temp() deletes the file later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0) fail("cannot write to '{}': {}", folder.string(), std::generic_category().message(errno));

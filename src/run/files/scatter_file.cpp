@@ -13,8 +13,8 @@ constexpr const char* kScatterVersion = "1";
 
 using Node = IntensityScatterModel::DecisionTreeNode;
 
-void append_scatter_arrays(std::vector<NamedArray>& arrays, std::size_t lidar_index,
-                           const IntensityScatterModel& scatter) {
+void append_scatter(std::vector<NamedArray>& arrays, std::size_t lidar_index,
+                    const IntensityScatterModel& scatter) {
     std::vector<std::int32_t> feature, child, first, count;
     std::vector<float> at;
     for (const Node& node : scatter.nodes) {
@@ -24,7 +24,7 @@ void append_scatter_arrays(std::vector<NamedArray>& arrays, std::size_t lidar_in
         count.push_back(std::int32_t(node.count));
         at.push_back(node.at);
     }
-    const auto name = [&](const char* description) { return fmt::format("{}.{}", lidar_index, description); };
+    const auto name = [&](const char* text) { return fmt::format("{}.{}", lidar_index, text); };
     arrays.push_back(make_vector_array(name("feature"), feature));
     arrays.push_back(make_vector_array(name("child"), child));
     arrays.push_back(make_vector_array(name("first"), first));
@@ -34,7 +34,7 @@ void append_scatter_arrays(std::vector<NamedArray>& arrays, std::size_t lidar_in
     arrays.push_back(make_vector_array(name("step"), std::vector{scatter.step}));
 }
 
-IntensityScatterModel read_intensity_scatter(const ArrayFile& file, std::size_t lidar) {
+IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
     const auto read = [&](const char* suffix, const char* dtype, std::size_t count = kAnyLength) {
         return file.find_numbers(fmt::format("{}.{}", lidar, suffix), dtype, count);
     };
@@ -44,7 +44,7 @@ IntensityScatterModel read_intensity_scatter(const ArrayFile& file, std::size_t 
                               count = read("count", "i4", n), at = read("at", "f4", n);
     IntensityScatterModel result;
     result.values.assign(values.begin(), values.end());
-    const double n_features = double(count_intensity_features());
+    const double n_features = double(count_features());
     for (std::size_t i = 0; i < n; ++i) {
         const bool is_leaf = feature[i] == -1.0;
         const bool has_feature = feature[i] >= 0.0 && feature[i] < n_features;
@@ -63,30 +63,29 @@ IntensityScatterModel read_intensity_scatter(const ArrayFile& file, std::size_t 
     result.step = read("step", "f8", 1)[0];
     if (result.step < 0.0)
         fail(
-            "{0}: the array {1}.step (step between two intensities of LiDAR {1}) contains {2}, expected 0 "
-            "or a positive number",
+            "{0}: the array {1}.step (step between two intensities of LiDAR {1}) contains {2}, expected 0 or "
+            "a positive number",
             file.path, lidar, result.step);
     return result;
 }
 
 }  // namespace
 
-void save_intensity_scatter(const std::filesystem::path& path,
-                            const std::vector<IntensityScatterModel>& scatter_per_lidar) {
+void save_scatter(const std::filesystem::path& path,
+                  const std::vector<IntensityScatterModel>& scatter_per_lidar) {
     std::vector<NamedArray> arrays;
     for (std::size_t lidar = 0; lidar < scatter_per_lidar.size(); ++lidar)
-        if (!scatter_per_lidar[lidar].empty()) append_scatter_arrays(arrays, lidar, scatter_per_lidar[lidar]);
+        if (!scatter_per_lidar[lidar].empty()) append_scatter(arrays, lidar, scatter_per_lidar[lidar]);
     if (arrays.empty()) return void(std::filesystem::remove(path));
     write_array_file(path, arrays, kScatterFormat, kScatterVersion);
 }
 
-std::vector<IntensityScatterModel> load_intensity_scatter(const std::filesystem::path& path,
-                                                          std::size_t n_lidars) {
+std::vector<IntensityScatterModel> load_scatter(const std::filesystem::path& path, std::size_t n_lidars) {
     const ArrayFile file(path, kScatterFormat, kScatterVersion);
     std::vector<IntensityScatterModel> result(n_lidars);
     for (std::size_t lidar = 0; lidar < n_lidars; ++lidar)
         if (find_array(file.arrays, fmt::format("{}.feature", lidar)))
-            result[lidar] = read_intensity_scatter(file, lidar);
+            result[lidar] = read_scatter(file, lidar);
     return result;
 }
 

@@ -7,8 +7,8 @@
 
 namespace relidar {
 
-Surfels load_block_surfels(const SceneBlock& block) {
-    const Scene scene = load_scene_from_model_file(block.file);
+Surfels load_block(const SceneBlock& block) {
+    const Scene scene = load_model(block.file);
     const SurfelModel& background = scene.models.front();
     if (background.count != block.count)
         fail(
@@ -18,17 +18,17 @@ Surfels load_block_surfels(const SceneBlock& block) {
     return scene.surfels.slice(0, background.count);
 }
 
-Scene copy_scene_with_loaded_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices) {
+Scene with_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices) {
     Surfels background = scene.surfels.slice(0, scene.models.front().count);
-    for (const std::size_t i : block_indices) background.append_surfels(load_block_surfels(scene.blocks[i]));
-    return copy_scene_with_new_background(scene, background);
+    for (const std::size_t i : block_indices) background.append_surfels(load_block(scene.blocks[i]));
+    return replace_background(scene, background);
 }
 
-Scene copy_scene_with_all_blocks_loaded(const Scene& scene) {
+Scene with_all_blocks(const Scene& scene) {
     if (scene.blocks.empty()) return scene;
     std::vector<std::size_t> all(scene.blocks.size());
     std::iota(all.begin(), all.end(), std::size_t(0));
-    return copy_scene_with_loaded_blocks(scene, all);
+    return with_blocks(scene, all);
 }
 
 }  // namespace relidar

@@ -24,14 +24,14 @@ using Json = nlohmann::ordered_json;
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
 // a file with a larger length or time is damaged
-constexpr double kHuge = 1e12;
+constexpr double kMaxValue = 1e12;
 // relative to the sensor in the middle frame
-constexpr double kFarthest_m = 1e6;
+constexpr double kMaxCoordinate_m = 1e6;
 // between the origins of the scene and of the dataset's world
-constexpr double kFarthestWorld_m = 1e9;
+constexpr double kMaxWorldOffset_m = 1e9;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
-constexpr const char* kUnits = "metres, seconds, radians";
-constexpr const char* kConventions =
+constexpr const char* kUnitsText = "metres, seconds, radians";
+constexpr const char* kConventionsText =
     "Sensor and vehicle frames: x forward, y left, z up. World: the dataset's world minus world_offset_m. A "
     "pose a_from_b is translation x y z and unit quaternion w x y z: p_a = R(q) p_b + t. Box frame: x along "
     "the length, y along the width, z up, origin at the centre. Image row 0 is the highest beam, column 0 "
@@ -59,18 +59,18 @@ Json to_json(const RangeNoiseTable& noise) {
     return {{"range_m", noise.range_m}, {"cosine", noise.cosine}, {"sigma_m", noise.sigma_m}};
 }
 
-Json make_lidars_json(const LidarSequence& sequence) {
+Json lidars_json(const Log& sequence) {
     Json json = Json::array();
     for (const Lidar& lidar : sequence.lidars) {
         json.push_back({{"name", lidar.name},
                         {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)},
-                        {"sensor", Json::parse(format_sensor_json(get_nominal_sensor(lidar)))}});
+                        {"sensor", Json::parse(format_sensor_json(sensor_of(lidar)))}});
         if (!lidar.range_noise.sigma_m.empty()) json.back()["range_noise"] = to_json(lidar.range_noise);
     }
     return json;
 }
 
-Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split) {
+Json frames_json(const Log& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const auto in = [&](const std::vector<int>& positions) {
@@ -79,8 +79,8 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
         const char* part = "unused";
         if (in(split.train)) part = "train";
         else if (in(split.test)) part = "test";
-        const LidarFrame& frame = sequence.frames[i];
-        const Pose& pose = sequence.world_from_vehicle.pose[sequence.get_vehicle_pose_index_of_frame(frame)];
+        const Frame& frame = sequence.frames[i];
+        const Pose& pose = sequence.world_from_vehicle.pose[sequence.find_pose_index(frame)];
         frames.push_back({{"index", frame.index},
                           {"time_s", frame.time_s},
                           {"lidar", frame.lidar},
@@ -90,43 +90,42 @@ Json make_frames_json(const LidarSequence& sequence, const TrainTestSplit& split
     return frames;
 }
 
-void require_absolute_values_at_most(const JsonField& field, std::initializer_list<double> values,
-                                     double max_absolute_value) {
+void check_magnitude(const JsonField& field, std::initializer_list<double> values,
+                     double max_absolute_value) {
     for (const double v : values)
         if (std::abs(v) > max_absolute_value)
-            field.throw_field_error(
-                fmt::format("found {}", v),
-                fmt::format("expected an absolute value of at most {:.15g}", max_absolute_value));
+            field.reject(fmt::format("found {}", v),
+                         fmt::format("expected an absolute value of at most {:.15g}", max_absolute_value));
 }
 
 Pose read_pose(const JsonField& field) {
-    const auto v = field.get_numbers<7>();
+    const auto v = field.numbers<7>();
     const glm::dquat q(v[3], v[4], v[5], v[6]);
     const double length = glm::length(q);
     if (std::abs(length - 1.0) > 1e-6)
-        field.throw_field_error(fmt::format("found a quaternion of length {}", length),
-                                "expected a quaternion of length 1");
-    require_absolute_values_at_most(field, {v[0], v[1], v[2]}, kFarthest_m);
+        field.reject(fmt::format("found a quaternion of length {}", length),
+                     "expected a quaternion of length 1");
+    check_magnitude(field, {v[0], v[1], v[2]}, kMaxCoordinate_m);
     // Not normalised again, because rounding would change its last digits.
     return {q, {v[0], v[1], v[2]}};
 }
 
 glm::dvec3 read_vector(const JsonField& field, double max_absolute_value) {
-    const auto v = field.get_numbers<3>();
-    require_absolute_values_at_most(field, {v[0], v[1], v[2]}, max_absolute_value);
+    const auto v = field.numbers<3>();
+    check_magnitude(field, {v[0], v[1], v[2]}, max_absolute_value);
     return {v[0], v[1], v[2]};
 }
 
-RangeNoiseTable read_range_noise(const JsonField& field) {
-    const RangeNoiseTable n{field.at("range_m").get_numbers(), field.at("cosine").get_numbers(),
-                            field.at("sigma_m").get_numbers()};
+RangeNoiseTable parse_range_noise(const JsonField& field) {
+    const RangeNoiseTable n{field.at("range_m").numbers(), field.at("cosine").numbers(),
+                            field.at("sigma_m").numbers()};
     if (n.sigma_m.size() != n.range_m.size() * n.cosine.size() || n.sigma_m.empty())
-        field.at("sigma_m").throw_field_error(
+        field.at("sigma_m").reject(
             fmt::format("found {} numbers", n.sigma_m.size()),
             fmt::format("expected {} x {} numbers", n.range_m.size(), n.cosine.size()));
     if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
-        field.at("sigma_m").throw_field_error("found a value outside 0 to 1000",
-                                              "expected standard deviations in metres");
+        field.at("sigma_m").reject("found a value outside 0 to 1000",
+                                   "expected standard deviations in metres");
     return n;
 }
 
@@ -135,48 +134,48 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     std::vector<Lidar> lidars;
     for (std::size_t i = 0; i < field.size(); ++i) {
         lidars.push_back(
-            {field.at(i).at("name").get_string(), {}, read_pose(field.at(i).at("vehicle_from_sensor"))});
-        set_nominal_sensor(lidars.back(), read_sensor_json(field.at(i).at("sensor"), ""));
+            {field.at(i).at("name").text(), {}, read_pose(field.at(i).at("vehicle_from_sensor"))});
+        set_sensor(lidars.back(), read_sensor_json(field.at(i).at("sensor"), ""));
         if (field.at(i).has_member("range_noise"))
-            lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
+            lidars.back().range_noise = parse_range_noise(field.at(i).at("range_noise"));
     }
-    if (lidars.empty()) field.throw_field_error("found no LiDAR", "expected at least one LiDAR");
+    if (lidars.empty()) field.reject("found no LiDAR", "expected at least one LiDAR");
     return lidars;
 }
 
-IntensityResponse read_intensity_response(const JsonField& field) {
-    const IntensityResponse r{field.at("range_m").get_numbers(), field.at("factor").get_numbers(),
-                              field.at("incidence").get_number_in_range(0.0, 1.0)};
+IntensityResponse parse_response(const JsonField& field) {
+    const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
+                              field.at("incidence").number_in(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
-        field.at("factor").throw_field_error(
+        field.at("factor").reject(
             fmt::format("found {} factors", r.factor.size()),
             fmt::format("expected {}, one for each range in range_m", r.range_m.size()));
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
-        field.at("range_m").throw_field_error("found decreasing ranges", "expected increasing ranges");
-    if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
-        field.at("factor").throw_field_error("found a factor that is 0 or less, or too large",
-                                             fmt::format("expected factors above 0 and below {:g}", kHuge));
+        field.at("range_m").reject("found decreasing ranges", "expected increasing ranges");
+    if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kMaxValue; }))
+        field.at("factor").reject("found a factor that is 0 or less, or too large",
+                                  fmt::format("expected factors above 0 and below {:g}", kMaxValue));
     return r;
 }
 
-void read_frames_and_train_test_split(const JsonField& field, SceneJsonContents& scene) {
+void parse_frames(const JsonField& field, SceneJsonContents& scene) {
     const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
         const JsonField entry = field.at(i);
-        LidarFrame frame;
-        frame.index = static_cast<int>(entry.at("index").get_integer_in_range(0, kMaxFrame));
-        frame.time_s = entry.at("time_s").get_number_in_range(-kHuge, kHuge);
-        frame.lidar = static_cast<int>(entry.at("lidar").get_integer_in_range(0, last_lidar));
+        Frame frame;
+        frame.index = static_cast<int>(entry.at("index").integer_in(0, kMaxFrame));
+        frame.time_s = entry.at("time_s").number_in(-kMaxValue, kMaxValue);
+        frame.lidar = static_cast<int>(entry.at("lidar").integer_in(0, last_lidar));
         if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
                          std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
-            entry.at("time_s").throw_field_error(fmt::format("found {}", frame.time_s),
-                                                 "expected frames in the order of their times, and at equal "
-                                                 "times in the order of their LiDARs, without duplicates");
-        const std::string part = entry.at("split").get_string();
+            entry.at("time_s").reject(fmt::format("found {}", frame.time_s),
+                                      "expected frames in the order of their times, and at equal times in "
+                                      "the order of their LiDARs, without duplicates");
+        const std::string part = entry.at("split").text();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
         else if (part != "unused")
-            entry.at("split").throw_field_error("found \"" + part + "\"", "expected train, test or unused");
+            entry.at("split").reject("found \"" + part + "\"", "expected train, test or unused");
         const Pose pose = read_pose(entry.at("world_from_vehicle"));
         PoseTrack& track = scene.sequence.world_from_vehicle;
         if (track.time_s.empty() || track.time_s.back() != frame.time_s) {
@@ -185,48 +184,46 @@ void read_frames_and_train_test_split(const JsonField& field, SceneJsonContents&
         }
         scene.sequence.frames.push_back(std::move(frame));
     }
-    if (scene.sequence.frames.empty())
-        field.throw_field_error("found no frame", "expected at least one frame");
+    if (scene.sequence.frames.empty()) field.reject("found no frame", "expected at least one frame");
 }
 
 BoxTrack read_box_track(const JsonField& field) {
     BoxTrack box;
-    box.id = field.at("id").get_string();
-    box.category = field.at("category").get_string();
-    box.size_m = read_vector(field.at("size_m"), kFarthest_m);
+    box.id = field.at("id").text();
+    box.category = field.at("category").text();
+    box.size_m = read_vector(field.at("size_m"), kMaxCoordinate_m);
     if (!(std::min({box.size_m.x, box.size_m.y, box.size_m.z}) > 0.0))
-        field.at("size_m").throw_field_error(
+        field.at("size_m").reject(
             fmt::format("found {} x {} x {} m", box.size_m.x, box.size_m.y, box.size_m.z),
             "expected three lengths above 0");
-    box.world_from_box.time_s = field.at("time_s").get_numbers();
+    box.world_from_box.time_s = field.at("time_s").numbers();
     const JsonField poses = field.at("world_from_box");
     for (std::size_t i = 0; i < poses.size(); ++i) box.world_from_box.pose.push_back(read_pose(poses.at(i)));
     const std::size_t n = box.world_from_box.time_s.size();
-    for (const double t : box.world_from_box.time_s)
-        require_absolute_values_at_most(field.at("time_s"), {t}, kHuge);
+    for (const double t : box.world_from_box.time_s) check_magnitude(field.at("time_s"), {t}, kMaxValue);
     if (poses.size() != n)
-        poses.throw_field_error(fmt::format("found {} poses", poses.size()),
-                                fmt::format("expected {} poses, one for each time", n));
+        poses.reject(fmt::format("found {} poses", poses.size()),
+                     fmt::format("expected {} poses, one for each time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
-        field.at("time_s").throw_field_error("expected increasing times", "expected increasing times");
-    if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").get_string();
+        field.at("time_s").reject("expected increasing times", "expected increasing times");
+    if (field.has_member("size_guess")) box.size_guess = field.at("size_guess").text();
     if (field.has_member("beside_labels")) {
         const JsonField beside = field.at("beside_labels");
         const auto most = static_cast<std::int64_t>(n);
-        box.n_before = static_cast<std::size_t>(beside.at(0).get_integer_in_range(0, most));
+        box.n_before = static_cast<std::size_t>(beside.at(0).integer_in(0, most));
         box.n_after = static_cast<std::size_t>(
-            beside.at(1).get_integer_in_range(0, most - static_cast<std::int64_t>(box.n_before)));
+            beside.at(1).integer_in(0, most - static_cast<std::int64_t>(box.n_before)));
     }
     return box;
 }
 
 /// Detects entries that a manual edit or a wrong merge has removed.
-void require_counts_match_list_lengths(const JsonField& root, const SceneJsonContents& scene) {
+void check_counts(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
-        if (count.get_integer_in_range(0, kMaxInt) != static_cast<std::int64_t>(n))
-            count.throw_field_error(fmt::format("found {}", count.get_integer_in_range(0, kMaxInt)),
-                                    fmt::format("expected {}, the number of listed entries", n));
+        if (count.integer_in(0, kMaxInt) != static_cast<std::int64_t>(n))
+            count.reject(fmt::format("found {}", count.integer_in(0, kMaxInt)),
+                         fmt::format("expected {}, the number of listed entries", n));
     };
     check("frames", scene.sequence.frames.size());
     check("boxes", scene.sequence.boxes.size());
@@ -234,16 +231,16 @@ void require_counts_match_list_lengths(const JsonField& root, const SceneJsonCon
 
 }  // namespace
 
-std::string format_scene_json(const TrainedRun& run) {
-    const LidarSequence& s = run.sequence;
+std::string format_scene(const Run& run) {
+    const Log& s = run.sequence;
     Json boxes = Json::array();
     for (const BoxTrack& box : s.boxes) boxes.push_back(to_json(box));
     Json json = {
         {"format", kSceneFormat},
         {"version", kSceneVersion},
         {"relidar", RELIDAR_VERSION},
-        {"units", kUnits},
-        {"conventions", kConventions},
+        {"units", kUnitsText},
+        {"conventions", kConventionsText},
         {"name", s.name},
         {"source", s.source},
         {"source_conventions", s.conventions},
@@ -253,8 +250,8 @@ std::string format_scene_json(const TrainedRun& run) {
          {{"frames", s.frames.size()}, {"boxes", s.boxes.size()}, {"surfels", run.scene.surfels.size()}}},
         {"world_offset_m", to_json(s.world_offset_m)},
         {"rolling_shutter", s.rolling_shutter},
-        {"lidars", make_lidars_json(s)},
-        {"frames", make_frames_json(s, run.split)},
+        {"lidars", lidars_json(s)},
+        {"frames", frames_json(s, run.split)},
         {"boxes", boxes}};
     if (const IntensityResponse& r = s.intensity_response; !r.factor.empty())
         json["intensity_response"] = {
@@ -264,49 +261,45 @@ std::string format_scene_json(const TrainedRun& run) {
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
     // Rejects values that cannot be read again, for example NaN in a pose.
-    parse_scene_json(text, "writing scene.json");
+    parse_scene(text, "writing scene.json");
     return text + "\n";
 }
 
-SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name) {
+SceneJsonContents parse_scene(const std::string& json_text, const std::string& file_name) {
     const nlohmann::json json = parse_json(json_text, file_name);
     const JsonField root(json, file_name, "");
-    if (const std::string format = root.at("format").get_string(); format != kSceneFormat)
-        root.at("format").throw_field_error("found \"" + format + "\"",
-                                            fmt::format("expected \"{}\"", kSceneFormat));
-    if (const std::int64_t version = root.at("version").get_integer_in_range(0, kMaxInt);
-        version != kSceneVersion)
-        root.at("version").throw_field_error(
-            fmt::format("found {}", version),
-            fmt::format("relidar {} reads only version {}; train the run again", RELIDAR_VERSION,
-                        kSceneVersion));
+    if (const std::string format = root.at("format").text(); format != kSceneFormat)
+        root.at("format").reject("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
+    if (const std::int64_t version = root.at("version").integer_in(0, kMaxInt); version != kSceneVersion)
+        root.at("version").reject(fmt::format("found {}", version),
+                                  fmt::format("relidar {} reads only version {}; train the run again",
+                                              RELIDAR_VERSION, kSceneVersion));
     SceneJsonContents scene;
-    LidarSequence& s = scene.sequence;
-    s.name = root.at("name").get_string();
-    s.source = root.at("source").get_string();
-    s.conventions = root.at("source_conventions").get_string();
+    Log& s = scene.sequence;
+    s.name = root.at("name").text();
+    s.source = root.at("source").text();
+    s.conventions = root.at("source_conventions").text();
     if (root.has_member("start_unix_ns"))
-        s.start_unix_ns = root.at("start_unix_ns").get_integer_in_range(0, kLatestLogStart_ns);
+        s.start_unix_ns = root.at("start_unix_ns").integer_in(0, kLatestLogStart_ns);
     for (std::size_t i = 0; i < root.at("notes").size(); ++i)
-        s.notes.push_back(root.at("notes").at(i).get_string());
-    s.world_offset_m = read_vector(root.at("world_offset_m"), kFarthestWorld_m);
-    s.rolling_shutter = root.at("rolling_shutter").get_boolean();
+        s.notes.push_back(root.at("notes").at(i).text());
+    s.world_offset_m = read_vector(root.at("world_offset_m"), kMaxWorldOffset_m);
+    s.rolling_shutter = root.at("rolling_shutter").boolean();
     s.lidars = read_lidars(root);
-    read_frames_and_train_test_split(root.at("frames"), scene);
+    parse_frames(root.at("frames"), scene);
     const JsonField boxes = root.at("boxes");
     for (std::size_t i = 0; i < boxes.size(); ++i) s.boxes.push_back(read_box_track(boxes.at(i)));
     if (root.has_member("intensity_response"))
-        s.intensity_response = read_intensity_response(root.at("intensity_response"));
+        s.intensity_response = parse_response(root.at("intensity_response"));
     if (root.has_member("edits")) {
         const JsonField edits = root.at("edits");
         for (std::size_t i = 0; i < edits.size(); ++i)
-            scene.edits.push_back({edits.at(i).at("run").get_string(), edits.at(i).at("edit").get_string()});
+            scene.edits.push_back({edits.at(i).at("run").text(), edits.at(i).at("edit").text()});
     }
-    scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").get_boolean();
-    if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").get_string();
-    require_counts_match_list_lengths(root, scene);
-    scene.n_surfels =
-        static_cast<std::size_t>(root.at("counts").at("surfels").get_integer_in_range(0, 4294967295));
+    scene.held_out_placed = root.has_member("held_out_placed") && root.at("held_out_placed").boolean();
+    if (root.has_member("refined_poses")) scene.refined_poses = root.at("refined_poses").text();
+    check_counts(root, scene);
+    scene.n_surfels = static_cast<std::size_t>(root.at("counts").at("surfels").integer_in(0, 4294967295));
     return scene;
 }
 

@@ -10,18 +10,18 @@
 namespace relidar::files {
 
 /// @throws DataError if the sequence is inconsistent or not finite
-std::string format_scene_json(const TrainedRun& run);
+std::string format_scene(const Run& run);
 
 struct SceneJsonContents {
-    LidarSequence sequence;  ///< frames without scans
-    TrainTestSplit split;
+    Log sequence;  ///< frames without scans
+    Split split;
     std::vector<EditHistoryEntry> edits;
     bool held_out_placed = false;
     std::string refined_poses;
     std::size_t n_surfels = 0;
 };
-/// @param file_name  name of the file in error messages
+/// @param name  name of the file in error messages
 /// @throws DataError naming the file and the field
-SceneJsonContents parse_scene_json(const std::string& json_text, const std::string& file_name);
+SceneJsonContents parse_scene(const std::string& json_text, const std::string& name);
 
 }  // namespace relidar::files

@@ -12,8 +12,7 @@ namespace {
 constexpr const char* kSweepsFormat = "relidar sweeps";
 constexpr const char* kSweepsVersion = "1";
 
-LidarFrame& get_frame_by_array_name(const std::string& array_name, LidarSequence& sequence,
-                                    const std::string& file_name) {
+Frame& find_frame(const std::string& array_name, Log& sequence, const std::string& file_name) {
     std::size_t position = sequence.frames.size();
     const auto [end, error] =
         std::from_chars(array_name.data(), array_name.data() + array_name.size(), position);
@@ -28,7 +27,7 @@ LidarFrame& get_frame_by_array_name(const std::string& array_name, LidarSequence
 
 }  // namespace
 
-void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequence& sequence) {
+void save_azimuths(const std::filesystem::path& path, const Log& sequence) {
     std::vector<NamedArray> arrays;
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
         const std::vector<float>& shift_rad = sequence.frames[i].azimuth_shift_rad;
@@ -39,12 +38,12 @@ void save_azimuth_corrections(const std::filesystem::path& path, const LidarSequ
     write_array_file(path, arrays, kSweepsFormat, kSweepsVersion);
 }
 
-void load_azimuth_corrections(const std::filesystem::path& path, LidarSequence& sequence) {
+void load_azimuths(const std::filesystem::path& path, Log& sequence) {
     const ArrayFile file(path, kSweepsFormat, kSweepsVersion);
     for (const NamedArray& array : file.arrays) {
-        LidarFrame& frame = get_frame_by_array_name(array.name, sequence, file.path);
-        const auto columns = std::size_t(sequence.get_lidar(frame).sensor.columns);
-        frame.azimuth_shift_rad = file.find(array.name, "f4", {columns}).convert_to_floats();
+        Frame& frame = find_frame(array.name, sequence, file.path);
+        const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);
+        frame.azimuth_shift_rad = file.find(array.name, "f4", {columns}).to_floats();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
                 fail("{}: array {}: found {}, expected radians from -pi to pi", file.path, array.name, shift);

@@ -23,22 +23,22 @@ namespace {
 
 // A second track inside this margin around the box of a person or vehicle is a part of
 // the same object.
-constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
+constexpr double kPersonMargin_m = 0.5, kVehicleMargin_m = 1.0;
 // minimum number of points per frame after static points are removed
-constexpr std::size_t kFewestPoints = 5;
-constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
-constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
-constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
+constexpr std::size_t kMinMoverPoints = 5;
+constexpr double kMaxBoxLength_m = 20.0, kMaxBoxWidth_m = 3.2, kMaxBoxHeight_m = 4.5;
+constexpr double kMinSpeed_mps = 0.4, kMaxSpeed_mps = 50.0;
+constexpr double kMinVehicleLength_m = 1.2;  // objects that are at least this long are vehicles, not people
 // Minimum travel as a multiple of the longer side of the box. A static object can seem to
 // travel a shorter distance, because its visible part changes.
 constexpr double kMinTravelPerSize = 0.9;
-constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
+constexpr double kMinBoxStraightness = 0.5;  // minimum ratio of net motion to path length
 // Maximum rotation of a vehicle per metre of its path, plus a constant angle.
 constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 
 /// Returns true if the size, the speed and the motion of a box are plausible.
-bool is_plausible_moving_box(const BoxTrack& box) {
-    const std::vector<double> speeds = compute_speeds_mps(box);
+bool is_plausible(const BoxTrack& box) {
+    const std::vector<double> speeds = speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
                  longest = std::max(box.size_m.x, box.size_m.y);
     const std::vector<Pose>& poses = box.world_from_box.pose;
@@ -49,49 +49,47 @@ bool is_plausible_moving_box(const BoxTrack& box) {
     }
     const double net_m = glm::distance(poses.front().translation, poses.back().translation);
     const bool turns_on_the_spot =
-        longest > kVehicle_m && rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * path_m;
-    return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
-           fastest > kSlowest_mps && fastest < kFastest_mps && net_m > kMinTravelPerSize * longest &&
-           net_m > kStraightness * path_m && !turns_on_the_spot && box.is_moving();
+        longest > kMinVehicleLength_m && rotation_rad > kMaxExtraRotation_rad + kMaxRotationPer_m * path_m;
+    return box.size_m.x < kMaxBoxLength_m && box.size_m.y < kMaxBoxWidth_m &&
+           box.size_m.z < kMaxBoxHeight_m && fastest > kMinSpeed_mps && fastest < kMaxSpeed_mps &&
+           net_m > kMinTravelPerSize * longest && net_m > kMinBoxStraightness * path_m &&
+           !turns_on_the_spot && box.is_moving();
 }
 
 /// Fits a box to a track if other frames prove that the object moved. First removes the
 /// returns at positions that are also occupied in other frames.
-std::optional<BoxTrack> fit_box_if_motion_proven(const VisibilityChecker& visibility, MoverTrack& track) {
+std::optional<BoxTrack> fit_moved_box(const VisibilityChecker& visibility, MoverTrack& track) {
     TrackMotionEvidence sum;
-    const BoxTrack box = fit_box_to_track(track);
-    for (MoverObservation& o : track.observations)
-        sum += remove_static_returns_and_measure_motion(visibility, o.cluster, box);
-    if (!sum.is_proven_moving()) return std::nullopt;
+    const BoxTrack box = fit_box(track);
+    for (MoverObservation& o : track.observations) sum += remove_static(visibility, o.cluster, box);
+    if (!sum.is_moving()) return std::nullopt;
     std::erase_if(track.observations, [](const MoverObservation& observation) {
-        return observation.cluster.points_m.size() < kFewestPoints;
+        return observation.cluster.points_m.size() < kMinMoverPoints;
     });
     if (!is_moving_track(track)) return std::nullopt;
-    BoxTrack result = fit_box_to_track(track);
-    if (!is_plausible_moving_box(result)) return std::nullopt;
-    enlarge_box_to_typical_size(result, track);
+    BoxTrack result = fit_box(track);
+    if (!is_plausible(result)) return std::nullopt;
+    enlarge_box(result, track);
     return result;
 }
 
 /// Extends a labelled box to the times before its first and after its last label. Uses
 /// each of the two parts only if other frames prove that the object moved in it.
-std::optional<BoxTrack> extend_labelled_box_if_motion_proven(const VisibilityChecker& visibility,
-                                                             MoverTrack& track,
-                                                             const BoxTrack& labelled_box) {
-    const BoxTrack box = extend_labelled_box_in_time(track, labelled_box);
+std::optional<BoxTrack> extend_box(const VisibilityChecker& visibility, MoverTrack& track,
+                                   const BoxTrack& labelled_box) {
+    const BoxTrack box = extend_in_time(track, labelled_box);
     const double first_s = labelled_box.world_from_box.time_s.front();
     TrackMotionEvidence before, after;
     for (MoverObservation& o : track.observations)
         if (!is_labelled(o))
-            (o.frame_time_s < first_s ? before : after) +=
-                remove_static_returns_and_measure_motion(visibility, o.cluster, box);
+            (o.frame_time_s < first_s ? before : after) += remove_static(visibility, o.cluster, box);
     std::erase_if(track.observations, [&](const MoverObservation& observation) {
         return !is_labelled(observation) &&
-               (observation.cluster.points_m.size() < kFewestPoints ||
-                !(observation.frame_time_s < first_s ? before : after).is_proven_moving());
+               (observation.cluster.points_m.size() < kMinMoverPoints ||
+                !(observation.frame_time_s < first_s ? before : after).is_moving());
     });
     if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
-    return extend_labelled_box_in_time(track, labelled_box);
+    return extend_in_time(track, labelled_box);
 }
 
 /// Fixed-size data of a box, for the exchange between processes.
@@ -104,10 +102,9 @@ struct BoxRecord {
 
 /// Collects the boxes from all processes. A labelled track has the id and class of its
 /// label.
-std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
-                                                    const std::vector<MoverTrack>& tracks,
-                                                    const std::vector<std::optional<BoxTrack>>& found_boxes,
-                                                    std::size_t first_track, const LidarSequence& sequence) {
+std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
+                                   const std::vector<std::optional<BoxTrack>>& found_boxes,
+                                   std::size_t first_track, const Log& sequence) {
     std::vector<BoxRecord> heads;
     std::vector<double> times_s;
     std::vector<Pose> poses;
@@ -121,9 +118,9 @@ std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
         times_s.insert(times_s.end(), track.time_s.begin(), track.time_s.end());
         poses.insert(poses.end(), track.pose.begin(), track.pose.end());
     }
-    heads = group.gather_from_all_processes(std::move(heads));
-    times_s = group.gather_from_all_processes(std::move(times_s));
-    poses = group.gather_from_all_processes(std::move(poses));
+    heads = group.gather(std::move(heads));
+    times_s = group.gather(std::move(times_s));
+    poses = group.gather(std::move(poses));
     std::vector<BoxTrack> boxes;
     std::ptrdiff_t at = 0;
     for (const BoxRecord& head : heads) {
@@ -144,54 +141,52 @@ std::vector<BoxTrack> gather_boxes_of_all_processes(const ProcessGroup& group,
 
 /// Returns the boxes of all objects that are proven to have moved. Each process of the
 /// group checks a share of the tracks.
-std::vector<BoxTrack> fit_boxes_of_proven_moving_objects(VisibilityChecker& visibility,
-                                                         std::vector<MoverTrack>& tracks,
-                                                         const LidarSequence& sequence,
-                                                         const ProgressReporter& progress,
-                                                         const ProcessGroup& group) {
-    const ProcessGroup::PartRange share = group.get_range_of_process(tracks.size());
+std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& visibility, std::vector<MoverTrack>& tracks,
+                                      const Log& sequence, const Progress& progress,
+                                      const ProcessGroup& group) {
+    const ProcessGroup::PartRange share = group.part_range(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
-        for (const MoverObservation& o : tracks[i].observations)
-            visibility.create_range_images_for_points(o.cluster.points_m);
+        for (const MoverObservation& o : tracks[i].observations) visibility.make_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
-    parallel_for_with_progress(
-        proven_boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t index) {
-            MoverTrack& track = tracks[share.begin + index];
-            proven_boxes[index] = track.label == kNoLabel
-                                      ? fit_box_if_motion_proven(visibility, track)
-                                      : extend_labelled_box_if_motion_proven(
-                                            visibility, track, sequence.boxes[std::size_t(track.label)]);
-        });
-    return gather_boxes_of_all_processes(group, tracks, proven_boxes, share.begin, sequence);
+    progress_for(proven_boxes.size(), progress, "computing the paths of moving objects",
+                 [&](std::size_t index) {
+                     MoverTrack& track = tracks[share.begin + index];
+                     proven_boxes[index] =
+                         track.label == kNoLabel
+                             ? fit_moved_box(visibility, track)
+                             : extend_box(visibility, track, sequence.boxes[std::size_t(track.label)]);
+                 });
+    return gather_boxes(group, tracks, proven_boxes, share.begin, sequence);
 }
 
 /// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
 /// than half of the time.
-bool is_mostly_inside_box(const BoxTrack& inner_box, const BoxTrack& outer_box) {
-    const double margin =
-        std::max(outer_box.size_m.x, outer_box.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
+bool is_same_object(const BoxTrack& inner_box, const BoxTrack& outer_box) {
+    const double margin = std::max(outer_box.size_m.x, outer_box.size_m.y) < kMinVehicleLength_m
+                              ? kPersonMargin_m
+                              : kVehicleMargin_m;
     std::size_t inside = 0;
     for (std::size_t i = 0; i < inner_box.world_from_box.time_s.size(); ++i) {
         const double t_s = inner_box.world_from_box.time_s[i];
-        inside += outer_box.is_observed_at_time(t_s) &&
+        inside += outer_box.is_observed(t_s) &&
                   outer_box.contains_point(inner_box.world_from_box.pose[i].translation, t_s, margin);
     }
     return 2 * inside > inner_box.world_from_box.time_s.size();
 }
 
-bool has_id_of_labelled_object(const BoxTrack& box) { return !box.id.empty(); }
+bool has_label(const BoxTrack& box) { return !box.id.empty(); }
 
 /// Keeps one box of each object. Prefers a box with the id of a labelled object, then the
 /// box with the most observations. Boxes with different such ids are never duplicates.
-std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
+std::vector<BoxTrack> unique_boxes_of(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& first, const BoxTrack& second) {
-        return std::pair(has_id_of_labelled_object(first), first.world_from_box.time_s.size()) >
-               std::pair(has_id_of_labelled_object(second), second.world_from_box.time_s.size());
+        return std::pair(has_label(first), first.world_from_box.time_s.size()) >
+               std::pair(has_label(second), second.world_from_box.time_s.size());
     });
     std::vector<BoxTrack> unique_boxes;
     for (const BoxTrack& box : boxes)
         if (std::ranges::none_of(unique_boxes, [&](const BoxTrack& other) {
-                return has_id_of_labelled_object(box) ? box.id == other.id : is_mostly_inside_box(box, other);
+                return has_label(box) ? box.id == other.id : is_same_object(box, other);
             }))
             unique_boxes.push_back(box);
     return unique_boxes;
@@ -200,41 +195,37 @@ std::vector<BoxTrack> remove_duplicate_boxes(std::vector<BoxTrack> boxes) {
 /// Returns true if the track belongs to an unlabelled object that moves, or to a labelled
 /// object that was also observed outside the time of its labels.
 bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    return track.label == kNoLabel ? is_moving_track(track) && !is_fixed_to_vehicle(track, world_from_vehicle)
+    return track.label == kNoLabel ? is_moving_track(track) && !is_ego_part(track, world_from_vehicle)
                                    : !std::ranges::all_of(track.observations, is_labelled);
 }
 
 /// Returns the boxes of the moving objects that one LiDAR observed.
-std::vector<BoxTrack> discover_movers_of_lidar(int lidar_index, const LidarSequence& sequence,
-                                               std::vector<int> frame_indices,
-                                               const ProgressReporter& progress, const ProcessGroup& group) {
+std::vector<BoxTrack> discover_in_lidar(int lidar_index, const Log& sequence, std::vector<int> frame_indices,
+                                        const Progress& progress, const ProcessGroup& group) {
     std::erase_if(frame_indices,
                   [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar_index; });
     std::vector<double> times;
     for (const int position : frame_indices) times.push_back(sequence.frames[std::size_t(position)].time_s);
     VisibilityChecker visibility(sequence, frame_indices);
-    std::vector<MoverTrack> tracks = link_clusters_to_tracks(
-        find_mover_clusters(sequence, frame_indices, visibility, progress, group), times, sequence);
+    std::vector<MoverTrack> tracks =
+        link_clusters(find_clusters(sequence, frame_indices, visibility, progress, group), times, sequence);
     std::erase_if(
         tracks, [&](const MoverTrack& track) { return !should_fit_box(track, sequence.world_from_vehicle); });
-    merge_tracks_of_same_object(tracks);
-    return remove_duplicate_boxes(
-        fit_boxes_of_proven_moving_objects(visibility, tracks, sequence, progress, group));
+    merge_tracks(tracks);
+    return unique_boxes_of(fit_moved_boxes(visibility, tracks, sequence, progress, group));
 }
 
 /// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one
 /// with the id of a labelled object. Otherwise keeps the box in `boxes`, unless the other
 /// has more than 1.5 times as many observations.
-void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
+void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
     for (BoxTrack& other : boxes_of_other_lidar) {
         const auto is_same = [&](const BoxTrack& b) {
-            return has_id_of_labelled_object(b) && has_id_of_labelled_object(other)
-                       ? b.id == other.id
-                       : is_mostly_inside_box(other, b) || is_mostly_inside_box(b, other);
+            return has_label(b) && has_label(other) ? b.id == other.id
+                                                    : is_same_object(other, b) || is_same_object(b, other);
         };
         const auto stays = [&](const BoxTrack& b) {
-            if (has_id_of_labelled_object(b) != has_id_of_labelled_object(other))
-                return has_id_of_labelled_object(b);
+            if (has_label(b) != has_label(other)) return has_label(b);
             return 2 * other.world_from_box.time_s.size() <= 3 * b.world_from_box.time_s.size();
         };
         if (std::ranges::any_of(boxes, [&](const BoxTrack& b) { return is_same(b) && stays(b); })) continue;
@@ -245,21 +236,17 @@ void merge_boxes_of_lidars(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> b
 
 }  // namespace
 
-std::vector<BoxTrack> discover_moving_object_tracks(const LidarSequence& sequence,
-                                                    const std::vector<int>& train_frame_indices,
-                                                    const ProgressReporter& progress,
-                                                    const ProcessGroup& group) {
+std::vector<BoxTrack> discover_tracks(const Log& sequence, const std::vector<int>& train_frames,
+                                      const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
     // A joint search would add an object twice to one track if two LiDARs scanned at the
     // same time.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-        merge_boxes_of_lidars(
-            boxes, discover_movers_of_lidar(lidar, sequence, train_frame_indices, progress, group));
-    std::stable_partition(boxes.begin(), boxes.end(),
-                          [](const BoxTrack& box) { return !has_id_of_labelled_object(box); });
+        merge_boxes(boxes, discover_in_lidar(lidar, sequence, train_frames, progress, group));
+    std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !has_label(box); });
     int n = 0;
     for (BoxTrack& box : boxes)
-        if (!has_id_of_labelled_object(box)) box.id = fmt::format("mover-{}", n++);
+        if (!has_label(box)) box.id = fmt::format("mover-{}", n++);
     return boxes;
 }
 

@@ -15,38 +15,38 @@ namespace {
 
 // Number of corrections of a path. The centre of the visible points, which the first path
 // follows, shifts when other sides of the object become visible.
-constexpr int kRounds = 3;
+constexpr int kPathCorrections = 3;
 // The top of an object is its highest return within this time before and after a frame.
-constexpr double kTop_s = 1.0;
-constexpr double kMargin_m = 0.1;  // added around the points of a box
+constexpr double kTopWindow_s = 1.0;
+constexpr double kBoxMargin_m = 0.1;  // added around the points of a box
 // Boxes are extended downwards, because actors.cpp treats their lowest part as ground.
-constexpr double kGroundOfBox_m = 0.15;
-constexpr double kSpeedOver_s = 0.5;
+constexpr double kBoxGround_m = 0.15;
+constexpr double kSpeedWindow_s = 0.5;
 // Number of labels from which the offset between box and visible points is computed.
 constexpr std::size_t kLabelsPerEnd = 10;
 // If the sensor is farther than this outside a box along one axis of the box, it sees
 // only the near end of the object along this axis.
-constexpr double kBeside_m = 0.5;
+constexpr double kMinSideDistance_m = 0.5;
 
 /// Position and heading of an object on the ground. They define the frame of the object.
 struct GroundPose {
     glm::dvec3 position_m{0.0};
     double yaw = 0.0;
-    glm::dvec3 get_forward_axis() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
-    glm::dvec3 get_lateral_axis() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
-    glm::dquat get_rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
+    glm::dvec3 forward_axis() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
+    glm::dvec3 lateral_axis() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
+    glm::dquat orientation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
     /// x along the heading, y to the left
-    glm::dvec3 transform_to_object_frame(const glm::dvec3& world_point_m) const {
+    glm::dvec3 to_object(const glm::dvec3& world_point_m) const {
         const glm::dvec3 d = world_point_m - position_m;
-        return {glm::dot(get_forward_axis(), d), glm::dot(get_lateral_axis(), d), d.z};
+        return {glm::dot(forward_axis(), d), glm::dot(lateral_axis(), d), d.z};
     }
-    glm::dvec3 transform_to_world_frame(const glm::dvec3& local_point_m) const {
-        return position_m + local_point_m.x * get_forward_axis() + local_point_m.y * get_lateral_axis() +
+    glm::dvec3 to_world(const glm::dvec3& local_point_m) const {
+        return position_m + local_point_m.x * forward_axis() + local_point_m.y * lateral_axis() +
                glm::dvec3(0.0, 0.0, local_point_m.z);
     }
 };
 
-double get_yaw(const Pose& pose) {
+double yaw_of(const Pose& pose) {
     const glm::dvec3 forward = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
     return std::atan2(forward.y, forward.x);
 }
@@ -57,10 +57,10 @@ std::vector<GroundPose> compute_ground_poses(const std::vector<KinematicState>& 
                                              bool at_frames = false) {
     std::vector<glm::dvec3> positions;
     for (std::size_t k = 0; k < path.size(); ++k)
-        positions.push_back(at_frames ? path[k].predict_position_after(track.observations[k].frame_time_s -
-                                                                       track.observations[k].cluster.time_s)
+        positions.push_back(at_frames ? path[k].position_after(track.observations[k].frame_time_s -
+                                                               track.observations[k].cluster.time_s)
                                       : path[k].position_m);
-    const std::vector<double> yaw = compute_path_headings_rad(positions);
+    const std::vector<double> yaw = path_headings_rad(positions);
     std::vector<GroundPose> placed;
     for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({positions[k], yaw[k]});
     return placed;
@@ -68,8 +68,7 @@ std::vector<GroundPose> compute_ground_poses(const std::vector<KinematicState>& 
 
 /// Returns the interval that the points of an observation cover along an axis, without
 /// the outermost 0.5 % of the points at each end.
-std::pair<double, double> compute_cluster_extent_along_axis(const MoverCluster& cluster,
-                                                            const glm::dvec3& axis) {
+std::pair<double, double> extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
     std::vector<double> values;
     for (const glm::dvec3& p : cluster.points_m) values.push_back(glm::dot(axis, p));
     std::sort(values.begin(), values.end());
@@ -80,13 +79,12 @@ std::pair<double, double> compute_cluster_extent_along_axis(const MoverCluster& 
 /// Returns the position of an object's centre along an axis, for each observation. The
 /// visible end faces the sensor. The centre is half the object's size behind this end.
 /// @param size_m size along the axis; if empty, the 90th percentile of the visible sizes
-std::vector<double> compute_object_centres_along_axes(const MoverTrack& track,
-                                                      const std::vector<glm::dvec3>& axes,
-                                                      std::optional<double> size_m) {
+std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes,
+                                  std::optional<double> size_m) {
     std::vector<std::pair<double, double>> extents;
     std::vector<double> lengths, centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
-        extents.push_back(compute_cluster_extent_along_axis(track.observations[k].cluster, axes[k]));
+        extents.push_back(extent_along(track.observations[k].cluster, axes[k]));
         lengths.push_back(extents[k].second - extents[k].first);
     }
     std::sort(lengths.begin(), lengths.end());
@@ -104,14 +102,14 @@ std::vector<double> compute_object_centres_along_axes(const MoverTrack& track,
 
 /// Returns the height of the object's top for each observation. Beams can miss the top of
 /// a distant object, so neighbouring observations count too.
-std::vector<double> compute_top_heights_m(const MoverTrack& track) {
+std::vector<double> top_heights_m(const MoverTrack& track) {
     std::vector<double> observed_tops_m, result;
     for (const MoverObservation& o : track.observations)
-        observed_tops_m.push_back(compute_cluster_extent_along_axis(o.cluster, {0.0, 0.0, 1.0}).second);
+        observed_tops_m.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).second);
     for (const MoverObservation& o : track.observations) {
         double top = -1e30;
         for (std::size_t j = 0; j < observed_tops_m.size(); ++j)
-            if (std::abs(track.observations[j].cluster.time_s - o.cluster.time_s) < kTop_s)
+            if (std::abs(track.observations[j].cluster.time_s - o.cluster.time_s) < kTopWindow_s)
                 top = std::max(top, observed_tops_m[j]);
         result.push_back(top);
     }
@@ -121,18 +119,17 @@ std::vector<double> compute_top_heights_m(const MoverTrack& track) {
 /// Returns the position of the object in each observation: its centre in x and y, and its
 /// top in z.
 /// @param size_m length and width; if empty, the visible size is used
-std::vector<glm::dvec3> estimate_positions_from_visible_sides(const MoverTrack& track,
-                                                              const std::vector<GroundPose>& ground_poses,
-                                                              std::optional<glm::dvec2> size_m = {}) {
+std::vector<glm::dvec3> place_object(const MoverTrack& track, const std::vector<GroundPose>& ground_poses,
+                                     std::optional<glm::dvec2> size_m = {}) {
     std::vector<glm::dvec3> along, across, positions_m;
     for (const GroundPose& p : ground_poses) {
-        along.push_back(p.get_forward_axis());
-        across.push_back(p.get_lateral_axis());
+        along.push_back(p.forward_axis());
+        across.push_back(p.lateral_axis());
     }
     const auto size_of = [&](int axis) { return size_m ? std::optional((*size_m)[axis]) : std::nullopt; };
-    const std::vector<double> x = compute_object_centres_along_axes(track, along, size_of(0)),
-                              y = compute_object_centres_along_axes(track, across, size_of(1));
-    const std::vector<double> top = compute_top_heights_m(track);
+    const std::vector<double> x = centres_along(track, along, size_of(0)),
+                              y = centres_along(track, across, size_of(1));
+    const std::vector<double> top = top_heights_m(track);
     for (std::size_t k = 0; k < ground_poses.size(); ++k)
         positions_m.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
     return positions_m;
@@ -140,22 +137,22 @@ std::vector<glm::dvec3> estimate_positions_from_visible_sides(const MoverTrack& 
 
 /// Returns the low and high corner of the box around all returns of a track, in the frame
 /// of the object. Ignores the outermost 1 % of the points at each end, and adds a margin.
-std::pair<glm::dvec3, glm::dvec3> compute_bounding_corners(const MoverTrack& track,
-                                                           const std::vector<GroundPose>& ground_poses) {
+std::pair<glm::dvec3, glm::dvec3> bounding_corners(const MoverTrack& track,
+                                                   const std::vector<GroundPose>& ground_poses) {
     std::vector<double> along[3];
     for (std::size_t k = 0; k < track.observations.size(); ++k)
         for (const glm::dvec3& p : track.observations[k].cluster.points_m) {
-            const glm::dvec3 local = ground_poses[k].transform_to_object_frame(p);
+            const glm::dvec3 local = ground_poses[k].to_object(p);
             for (int axis = 0; axis < 3; ++axis) along[axis].push_back(local[axis]);
         }
     glm::dvec3 low, high;
     for (int axis = 0; axis < 3; ++axis) {
         std::sort(along[axis].begin(), along[axis].end());
         const std::size_t cut = along[axis].size() / 100;
-        low[axis] = along[axis][cut] - kMargin_m;
-        high[axis] = along[axis][along[axis].size() - 1 - cut] + kMargin_m;
+        low[axis] = along[axis][cut] - kBoxMargin_m;
+        high[axis] = along[axis][along[axis].size() - 1 - cut] + kBoxMargin_m;
     }
-    low.z -= kGroundOfBox_m;
+    low.z -= kBoxGround_m;
     return {low, high};
 }
 
@@ -172,18 +169,19 @@ struct TypicalObjectSize {
 constexpr TypicalObjectSize kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
 // Slower objects can be pedestrians, who look like a car if they walk side by side.
-constexpr double kDrives_mps = 2.5;
-constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
+constexpr double kMinCarSpeed_mps = 2.5;
+constexpr double kMinTruckHeight_m = 2.5;  // objects taller than this are trucks
 // Maximum width and minimum height of an object that counts as a cyclist.
 constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
 /// Returns the side of a box on which the sensor was in more than three quarters of the
 /// observations, along one axis: -1 or 1. Returns 0 if no side has so many observations.
-double compute_sign_of_side_facing_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
+double facing_side(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.observations.size(); ++k) {
         const double at = (inverse(box.world_from_box.pose[k]) * track.observations[k].sensor_m)[axis];
-        low += at<-0.5 * box.size_m[axis] - kBeside_m, high += at> 0.5 * box.size_m[axis] + kBeside_m;
+        low += at<-0.5 * box.size_m[axis] - kMinSideDistance_m, high += at> 0.5 * box.size_m[axis] +
+               kMinSideDistance_m;
     }
     const auto most = std::ptrdiff_t(track.observations.size() * 3 / 4);
     if (low > most) return -1.0;
@@ -197,33 +195,29 @@ double median(std::vector<double> values) {
 
 /// Returns the median pose of a labelled box in the frame of the visible points.
 /// @param observation_indices indices of the labelled observations to use
-GroundPose estimate_median_label_box_offset(const MoverTrack& track,
-                                            const std::vector<std::size_t>& observation_indices,
-                                            const std::vector<GroundPose>& ground_poses,
-                                            const std::vector<glm::dvec3>& positions_m,
-                                            const BoxTrack& labelled_box) {
+GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& observation_indices,
+                         const std::vector<GroundPose>& ground_poses,
+                         const std::vector<glm::dvec3>& positions_m, const BoxTrack& labelled_box) {
     std::vector<double> values[4];
     for (const std::size_t k : observation_indices) {
-        const Pose pose = labelled_box.world_from_box.interpolate_pose(track.observations[k].cluster.time_s);
-        const glm::dvec3 local =
-            GroundPose{positions_m[k], ground_poses[k].yaw}.transform_to_object_frame(pose.translation);
+        const Pose pose = labelled_box.world_from_box.pose_at(track.observations[k].cluster.time_s);
+        const glm::dvec3 local = GroundPose{positions_m[k], ground_poses[k].yaw}.to_object(pose.translation);
         for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
-        values[3].push_back(std::remainder(get_yaw(pose) - ground_poses[k].yaw, 2.0 * kPi));
+        values[3].push_back(std::remainder(yaw_of(pose) - ground_poses[k].yaw, 2.0 * kPi));
     }
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
 
 }  // namespace
 
-BoxTrack fit_box_to_track(const MoverTrack& track) {
-    const std::vector<double> times = track.get_observation_times();
+BoxTrack fit_box(const MoverTrack& track) {
+    const std::vector<double> times = track.times_s();
     std::vector<glm::dvec3> positions_m;
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     std::vector<KinematicState> path = smooth_path(times, positions_m);
-    for (int round = 0; round < kRounds; ++round)
-        path = smooth_path(times,
-                           estimate_positions_from_visible_sides(track, compute_ground_poses(path, track)));
-    const auto [low, high] = compute_bounding_corners(track, compute_ground_poses(path, track));
+    for (int round = 0; round < kPathCorrections; ++round)
+        path = smooth_path(times, place_object(track, compute_ground_poses(path, track)));
+    const auto [low, high] = bounding_corners(track, compute_ground_poses(path, track));
     const std::vector<GroundPose> at_frames = compute_ground_poses(path, track, true);
     BoxTrack box;
     box.category = kDiscoveredCategory;
@@ -231,18 +225,18 @@ BoxTrack fit_box_to_track(const MoverTrack& track) {
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         box.world_from_box.time_s.push_back(track.observations[k].frame_time_s);
         box.world_from_box.pose.push_back(
-            {at_frames[k].get_rotation(), at_frames[k].transform_to_world_frame(0.5 * (low + high))});
+            {at_frames[k].orientation(), at_frames[k].to_world(0.5 * (low + high))});
     }
     return box;
 }
 
-void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track) {
-    const std::vector<double> speeds = compute_speeds_mps(box);
+void enlarge_box(BoxTrack& box, const MoverTrack& track) {
+    const std::vector<double> speeds = speeds_mps(box);
     // Slow objects keep their size, because they can be pedestrians.
-    if (speeds.empty() || median(speeds) < kDrives_mps) return;
+    if (speeds.empty() || median(speeds) < kMinCarSpeed_mps) return;
     const bool cyclist =
         box.size_m.y < kCyclistWidth_m && box.size_m.z > kCyclistTop_m && box.size_m.x < kCar.least_length_m;
-    const TypicalObjectSize* kind = box.size_m.z > kTruck_m ? &kTruck : &kCar;
+    const TypicalObjectSize* kind = box.size_m.z > kMinTruckHeight_m ? &kTruck : &kCar;
     if (cyclist) kind = &kCyclist;
     // An object keeps its size if it is both too short and too narrow for its `kind`.
     if (box.size_m.x < kind->least_length_m && box.size_m.y < kind->least_width_m) return;
@@ -251,15 +245,14 @@ void enlarge_box_to_typical_size(BoxTrack& box, const MoverTrack& track) {
     if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
     if (grown == box.size_m) return;
     for (int axis = 0; axis < 2; ++axis)
-        shift[axis] =
-            -0.5 * compute_sign_of_side_facing_sensor(box, track, axis) * (grown[axis] - box.size_m[axis]);
+        shift[axis] = -0.5 * facing_side(box, track, axis) * (grown[axis] - box.size_m[axis]);
     box.size_m = grown;
     box.size_guess = kind->name;
     for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
 }
 
-BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& labelled_box) {
-    const std::vector<double> times = track.get_observation_times();
+BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& labelled_box) {
+    const std::vector<double> times = track.times_s();
     std::vector<std::size_t> labels;  // indices of the labelled observations
     for (std::size_t k = 0; k < track.observations.size(); ++k)
         if (is_labelled(track.observations[k])) labels.push_back(k);
@@ -271,17 +264,15 @@ BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& la
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
     std::vector<KinematicState> path = smooth_path(times, positions_m);
     GroundPose before, after;
-    for (int round = 0; round < kRounds; ++round) {
+    for (int round = 0; round < kPathCorrections; ++round) {
         const std::vector<GroundPose> ground_poses = compute_ground_poses(path, track);
-        positions_m =
-            estimate_positions_from_visible_sides(track, ground_poses, glm::dvec2(labelled_box.size_m));
-        before =
-            estimate_median_label_box_offset(track, first_labels, ground_poses, positions_m, labelled_box);
-        after = estimate_median_label_box_offset(track, last_labels, ground_poses, positions_m, labelled_box);
+        positions_m = place_object(track, ground_poses, glm::dvec2(labelled_box.size_m));
+        before = median_offset(track, first_labels, ground_poses, positions_m, labelled_box);
+        after = median_offset(track, last_labels, ground_poses, positions_m, labelled_box);
         for (std::size_t k = 0; k < positions_m.size(); ++k)
             positions_m[k] = is_labelled(track.observations[k])
-                                 ? labelled_box.world_from_box.interpolate_pose(times[k]).translation
-                                 : GroundPose{positions_m[k], ground_poses[k].yaw}.transform_to_world_frame(
+                                 ? labelled_box.world_from_box.pose_at(times[k]).translation
+                                 : GroundPose{positions_m[k], ground_poses[k].yaw}.to_world(
                                        (is_before(k) ? before : after).position_m);
         path = smooth_path(times, positions_m);
     }
@@ -293,7 +284,7 @@ BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& la
         PoseTrack& side = poses[is_before(k) ? 0 : 1];
         side.time_s.push_back(track.observations[k].frame_time_s);
         side.pose.push_back(
-            {GroundPose{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.get_rotation(),
+            {GroundPose{{}, at_frames[k].yaw + (is_before(k) ? before : after).yaw}.orientation(),
              at_frames[k].position_m});
     }
     box.n_before = poses[0].pose.size();
@@ -306,13 +297,13 @@ BoxTrack extend_labelled_box_in_time(const MoverTrack& track, const BoxTrack& la
     return box;
 }
 
-std::vector<double> compute_speeds_mps(const BoxTrack& box) {
+std::vector<double> speeds_mps(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     std::vector<double> speeds;
     for (std::size_t i = 0, j = 0; j < track.pose.size(); ++j) {
-        while (track.time_s[j] - track.time_s[i + 1 < j ? i + 1 : i] >= kSpeedOver_s) ++i;
+        while (track.time_s[j] - track.time_s[i + 1 < j ? i + 1 : i] >= kSpeedWindow_s) ++i;
         const double seconds = track.time_s[j] - track.time_s[i];
-        if (seconds >= kSpeedOver_s)
+        if (seconds >= kSpeedWindow_s)
             speeds.push_back(glm::distance(track.pose[j].translation, track.pose[i].translation) / seconds);
     }
     return speeds;

@@ -18,12 +18,12 @@ namespace {
 
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
 // Edge length of the cells for which the program decides whether their returns moved.
-constexpr double kCell_m = 0.2;
+constexpr double kEvidenceCell_m = 0.2;
 // Edge length of a square on the ground.
-constexpr double kSquare_m = 0.3;
+constexpr double kClusterSquare_m = 0.3;
 // Two returns belong to the same object if their squares are at most this many squares
 // apart along x and along y.
-constexpr int kReach = 2;
+constexpr int kReach_squares = 2;
 constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
 // Minimum ratio (frames that find a cell empty) / (frames with a return in it) of a moved
@@ -39,7 +39,7 @@ constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
 // Minimum number of consecutive frames in a group. Cells at the border between two groups
 // are computed twice.
-constexpr std::size_t kStretch = 200;
+constexpr std::size_t kFramesPerGroup = 200;
 
 /// `moved`: other frames find the cell empty. `rarely_observed`: too few frames observe
 /// the cell. It becomes part of an object only if it is next to a `moved` cell.
@@ -61,20 +61,19 @@ struct LabelledBox {
 
 /// Returns the labelled boxes at a given time: a moving box only during the time of its
 /// labels, a static box at all times, because the object was probably parked there.
-std::vector<LabelledBox> find_labelled_boxes_at(const LidarSequence& sequence, double time_s) {
+std::vector<LabelledBox> labelled_boxes_at(const Log& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
         const BoxTrack& box = sequence.boxes[i];
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
         if (box.is_moving()) {
-            if (box.is_observed_at_time(time_s)) boxes.push_back({box, static_cast<int>(i)});
+            if (box.is_observed(time_s)) boxes.push_back({box, static_cast<int>(i)});
             continue;
         }
         BoxTrack& still = boxes.emplace_back(LabelledBox{box, kNoLabel}).box;
         still.world_from_box = {
-            {time_s},
-            {track.interpolate_pose(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
+            {time_s}, {track.pose_at(std::clamp(time_s, track.time_s.front(), track.time_s.back()))}};
     }
     return boxes;
 }
@@ -88,19 +87,19 @@ struct FrameMoverReturns {
 };
 
 /// Converts sums over the points of a cluster, time and centre, to means.
-MoverCluster divide_sums_by_point_count(MoverCluster cluster_sums) {
+MoverCluster mean_of_sums(MoverCluster cluster_sums) {
     cluster_sums.time_s /= double(cluster_sums.points_m.size());
     cluster_sums.centre_m /= double(cluster_sums.points_m.size());
     return cluster_sums;
 }
 
-FrameMoverReturns split_returns_by_labelled_boxes(const LidarSequence& sequence, const LidarFrame& frame) {
-    const std::vector<LabelledBox> labelled = find_labelled_boxes_at(sequence, frame.time_s);
+FrameMoverReturns split_by_boxes(const Log& sequence, const Frame& frame) {
+    const std::vector<LabelledBox> labelled = labelled_boxes_at(sequence, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
     FrameMoverReturns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
-        const WorldReturn w = compute_world_return(sequence, frame, ray);
+        const WorldReturn w = locate_return(sequence, frame, ray);
         const auto in = std::ranges::find_if(labelled, [&](const LabelledBox& l) {
             return l.box.contains_point(w.point_m, w.time_s, kMoverMargin_m);
         });
@@ -116,27 +115,26 @@ FrameMoverReturns split_returns_by_labelled_boxes(const LidarSequence& sequence,
         }
     }
     for (MoverCluster& cluster : of_boxes)
-        if (!cluster.points_m.empty())
-            result.of_labels.push_back(divide_sums_by_point_count(std::move(cluster)));
+        if (!cluster.points_m.empty()) result.of_labels.push_back(mean_of_sums(std::move(cluster)));
     return result;
 }
 
 /// Assigns each return to a cell of a world grid.
 /// @return [cells] mean position of the returns in each cell
-std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMoverReturns>& frames) {
+std::vector<glm::vec3> assign_cells(std::vector<FrameMoverReturns>& frames) {
     std::vector<MoverReturn*> all;
     for (FrameMoverReturns& frame : frames)
         for (MoverReturn& r : frame.others) all.push_back(&r);
-    const ItemCellIndices numbers = number_cells_and_assign_items(all.size(), [&](std::size_t index) {
-        return compute_grid_cell_key(glm::dvec3(all[index]->point_m), kCell_m);
+    const ItemCellIndices numbers = number_cells(all.size(), [&](std::size_t index) {
+        return grid_key(glm::dvec3(all[index]->point_m), kEvidenceCell_m);
     });
     const CellItemLists items(numbers);
-    parallel_for_in_blocks(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
+    parallel_blocks(all.size(), [&](std::size_t index) { all[index]->cell = numbers.of[index]; });
     std::vector<glm::vec3> means(items.size());
-    parallel_for_in_blocks(items.size(), [&](std::size_t cell) {
+    parallel_blocks(items.size(), [&](std::size_t cell) {
         glm::dvec3 sum(0.0);
-        for (const std::uint32_t i : items.get_item_indices_of_cell(cell)) sum += glm::dvec3(all[i]->point_m);
-        means[cell] = glm::vec3(sum / double(items.get_item_indices_of_cell(cell).size()));
+        for (const std::uint32_t i : items.items_of(cell)) sum += glm::dvec3(all[i]->point_m);
+        means[cell] = glm::vec3(sum / double(items.items_of(cell).size()));
     });
     return means;
 }
@@ -144,7 +142,7 @@ std::vector<glm::vec3> assign_grid_cells_and_get_mean_points(std::vector<FrameMo
 /// Returns the lower and the upper limit of an object above the ground. Splits the
 /// heights of its moved returns at large gaps, for example between a car and a tree above
 /// it. Uses the part with the most heights, and adds a margin.
-std::pair<double, double> find_object_height_range(std::vector<double> heights_m) {
+std::pair<double, double> find_height_range(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
     for (std::size_t first = 0, end; first < heights_m.size(); first = end) {
@@ -160,10 +158,10 @@ std::pair<double, double> find_object_height_range(std::vector<double> heights_m
 
 /// Groups returns that are close to each other in the view from above. A return whose
 /// motion is unknown joins a group only if it is next to a moved return.
-std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& returns) {
+std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& point) {
-        return compute_grid_cell_key({point.x, point.y, 0.0}, kSquare_m);
+        return grid_key({point.x, point.y, 0.0}, kClusterSquare_m);
     };
     for (std::uint32_t i = 0; i < returns.size(); ++i)
         squares[square_of(glm::dvec3(returns[i].point_m))].push_back(i);
@@ -182,17 +180,17 @@ std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& 
             open.pop_back();
             if (here.motion != CellMotionState::moved) continue;
             moved_at_m.push_back(p.z);
-            for (int dx = -kReach; dx <= kReach; ++dx)
-                for (int dy = -kReach; dy <= kReach; ++dy) {
+            for (int dx = -kReach_squares; dx <= kReach_squares; ++dx)
+                for (int dy = -kReach_squares; dy <= kReach_squares; ++dy) {
                     const auto neighbour_square =
-                        squares.find(square_of(p + kSquare_m * glm::dvec3(dx, dy, 0.0)));
+                        squares.find(square_of(p + kClusterSquare_m * glm::dvec3(dx, dy, 0.0)));
                     if (neighbour_square == squares.end()) continue;
                     for (const std::uint32_t j : neighbour_square->second)
                         if (!std::exchange(is_grouped[j], 1)) open.push_back(j);
                     neighbour_square->second.clear();  // all returns of this square have been added
                 }
         }
-        const auto [bottom_m, top_m] = find_object_height_range(std::move(moved_at_m));
+        const auto [bottom_m, top_m] = find_height_range(std::move(moved_at_m));
         glm::dvec3 low(1e30), high(-1e30);
         double n_moved = 0.0;
         for (const std::uint32_t member : members) {
@@ -207,7 +205,7 @@ std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& 
         }
         if (n_moved >= kMinPoints && n_moved >= kMovedShare * double(cluster.points_m.size()) &&
             glm::length(glm::dvec2(high - low)) < kMaxLength_m)
-            clusters.push_back(divide_sums_by_point_count(std::move(cluster)));
+            clusters.push_back(mean_of_sums(std::move(cluster)));
     }
     return clusters;
 }
@@ -215,18 +213,18 @@ std::vector<MoverCluster> cluster_moved_returns(const std::vector<MoverReturn>& 
 using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
 
 /// Returns the clusters of points on moving objects in consecutive frames.
-ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span<const int> frame_indices,
-                                        VisibilityChecker& visibility) {
+ClustersByFrame cluster_frames(const Log& sequence, std::span<const int> frame_indices,
+                               VisibilityChecker& visibility) {
     std::vector<FrameMoverReturns> frames(frame_indices.size());
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
-        frames[std::size_t(index)] = split_returns_by_labelled_boxes(
-            sequence, sequence.frames[std::size_t(frame_indices[std::size_t(index)])]);
+        frames[std::size_t(index)] =
+            split_by_boxes(sequence, sequence.frames[std::size_t(frame_indices[std::size_t(index)])]);
     });
-    const std::vector<glm::vec3> cells = assign_grid_cells_and_get_mean_points(frames);
-    visibility.create_range_images_for_points(cells);
+    const std::vector<glm::vec3> cells = assign_cells(frames);
+    visibility.make_images(cells);
     std::vector<CellMotionState> motion(cells.size());
-    parallel_for_in_blocks(cells.size(), [&](std::size_t index) {
-        const VisibilityChecker::VisibilityVotes votes = visibility.count_visibility_votes(cells[index]);
+    parallel_blocks(cells.size(), [&](std::size_t index) {
+        const VisibilityChecker::VisibilityVotes votes = visibility.count_votes(cells[index]);
         if (votes.is_empty_space(kMinEmptyShare)) motion[index] = CellMotionState::moved;
         else if (votes.n_occupied <= kTooFewFrames) motion[index] = CellMotionState::rarely_observed;
         else motion[index] = CellMotionState::rests;
@@ -236,14 +234,13 @@ ClustersByFrame find_clusters_in_frames(const LidarSequence& sequence, std::span
         FrameMoverReturns& frame = frames[std::size_t(index)];
         for (MoverReturn& r : frame.others) r.motion = motion[r.cell];
         std::erase_if(frame.others, [](const MoverReturn& r) { return r.motion == CellMotionState::rests; });
-        clusters[std::size_t(index)] = cluster_moved_returns(frame.others);
+        clusters[std::size_t(index)] = cluster_returns(frame.others);
         std::ranges::move(frame.of_labels, std::back_inserter(clusters[std::size_t(index)]));
     });
     return clusters;
 }
 
-ClustersByFrame gather_clusters_of_all_processes(const ProcessGroup& group,
-                                                 const ClustersByFrame& local_clusters) {
+ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame& local_clusters) {
     if (group.size == 1) return local_clusters;
     struct ClusterRecord {
         double time_s;
@@ -261,9 +258,9 @@ ClustersByFrame gather_clusters_of_all_processes(const ProcessGroup& group,
             points.insert(points.end(), cluster.points_m.begin(), cluster.points_m.end());
         }
     }
-    n_clusters = group.gather_from_all_processes(std::move(n_clusters));
-    heads = group.gather_from_all_processes(std::move(heads));
-    points = group.gather_from_all_processes(std::move(points));
+    n_clusters = group.gather(std::move(n_clusters));
+    heads = group.gather(std::move(heads));
+    points = group.gather(std::move(points));
     ClustersByFrame all;
     auto head = heads.begin();
     auto point = points.begin();
@@ -287,24 +284,23 @@ void MoverCluster::merge_cluster(const MoverCluster& other_cluster) {
     points_m.insert(points_m.end(), other_cluster.points_m.begin(), other_cluster.points_m.end());
 }
 
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
-                                                           const std::vector<int>& frame_indices,
-                                                           VisibilityChecker& visibility,
-                                                           const ProgressReporter& progress,
-                                                           const ProcessGroup& group) {
-    const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kStretch);
+std::vector<std::vector<MoverCluster>> find_clusters(const Log& sequence,
+                                                     const std::vector<int>& frame_indices,
+                                                     VisibilityChecker& visibility, const Progress& progress,
+                                                     const ProcessGroup& group) {
+    const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kFramesPerGroup);
     const auto first_of = [&](std::size_t stretch) { return frame_indices.size() * stretch / n_stretches; };
-    const ProcessGroup::PartRange share = group.get_range_of_process(n_stretches);
+    const ProcessGroup::PartRange share = group.part_range(n_stretches);
     ClustersByFrame process_clusters;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress)
             progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
             std::span(frame_indices).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        ClustersByFrame section_clusters = find_clusters_in_frames(sequence, stretch, visibility);
+        ClustersByFrame section_clusters = cluster_frames(sequence, stretch, visibility);
         std::move(section_clusters.begin(), section_clusters.end(), std::back_inserter(process_clusters));
     }
-    return gather_clusters_of_all_processes(group, process_clusters);
+    return gather_clusters(group, process_clusters);
 }
 
 }  // namespace relidar

@@ -19,7 +19,7 @@ struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world
     std::vector<glm::dvec3> points_m;  ///< positions of its returns, world
-    int label = kNoLabel;              ///< index in LidarSequence::boxes, or kNoLabel
+    int label = kNoLabel;              ///< index in Log::boxes, or kNoLabel
 
     /// Adds the returns of another cluster of the same frame.
     void merge_cluster(const MoverCluster& other_cluster);
@@ -28,10 +28,8 @@ struct MoverCluster {
 /// Finds the clusters of points on moving objects in the given frames (ascending). The
 /// processes of the group share a long log.
 /// @return [frames] clusters of each frame, identical in all processes
-std::vector<std::vector<MoverCluster>> find_mover_clusters(const LidarSequence& sequence,
-                                                           const std::vector<int>& frame_indices,
-                                                           VisibilityChecker& visibility,
-                                                           const ProgressReporter& progress,
-                                                           const ProcessGroup& group);
+std::vector<std::vector<MoverCluster>> find_clusters(const Log& sequence, const std::vector<int>& frames,
+                                                     VisibilityChecker& visibility, const Progress& progress,
+                                                     const ProcessGroup& group);
 
 }  // namespace relidar

@@ -13,7 +13,7 @@ namespace {
 // Closer returns can belong to the same static object, because poses have errors.
 constexpr double kSamePosition_m = 0.2;
 // Margin around the tracked box, because the tracked object may still be there.
-constexpr double kClear_m = 0.4;
+constexpr double kTrackedBoxMargin_m = 0.4;
 // At least this share of the returns of a track must be proven to lie on a moving object.
 constexpr double kMinMovedReturnShare = 0.25;
 // Minimum n_moved_returns / n_decided_returns of a track.
@@ -23,16 +23,16 @@ constexpr double kMinMovedFrameShare =
 
 }  // namespace
 
-MotionEvidence count_occupied_and_empty_frames_at_point(const VisibilityChecker& visibility,
-                                                        const glm::dvec3& point_m, const BoxTrack& box) {
+MotionEvidence weigh_point(const VisibilityChecker& visibility, const glm::dvec3& point_m,
+                           const BoxTrack& box) {
     const std::vector<double>& times = box.world_from_box.time_s;
     MotionEvidence evidence;
     for (const std::uint32_t view : visibility.find_views_near(point_m)) {
-        if (box.contains_point(
-                point_m, std::clamp(visibility.get_view_time_s(view), times.front(), times.back()), kClear_m))
+        if (box.contains_point(point_m, std::clamp(visibility.view_time_s(view), times.front(), times.back()),
+                               kTrackedBoxMargin_m))
             continue;
         if (visibility.has_return_at(view, point_m, kSamePosition_m)) ++evidence.n_occupied_frames;
-        else if (visibility.classify_point_in_view(view, point_m) == PointVisibility::empty)
+        else if (visibility.classify_point(view, point_m) == PointVisibility::empty)
             ++evidence.n_empty_frames;
     }
     return evidence;
@@ -47,27 +47,27 @@ void TrackMotionEvidence::operator+=(const TrackMotionEvidence& other) {
     n_moved_frames += other.n_moved_frames;
 }
 
-bool TrackMotionEvidence::is_proven_moving() const {
-    return frame_evidence.is_proven_moving() &&
+bool TrackMotionEvidence::is_moving() const {
+    return frame_evidence.is_moving() &&
            double(n_moved_returns) >= kMinMovedReturnShare * double(n_returns) &&
            double(n_moved_returns) >= kMinConfirmedShare * double(n_decided_returns) &&
            double(n_moved_frames) >= kMinMovedFrameShare * double(n_frames);
 }
 
-TrackMotionEvidence remove_static_returns_and_measure_motion(const VisibilityChecker& visibility,
-                                                             MoverCluster& cluster, const BoxTrack& box) {
+TrackMotionEvidence remove_static(const VisibilityChecker& visibility, MoverCluster& cluster,
+                                  const BoxTrack& box) {
     TrackMotionEvidence sum;
     std::vector<glm::dvec3> remaining_points_m;
     for (const glm::dvec3& p : cluster.points_m) {
-        const MotionEvidence evidence = count_occupied_and_empty_frames_at_point(visibility, p, box);
+        const MotionEvidence evidence = weigh_point(visibility, p, box);
         sum.frame_evidence += evidence;
-        sum.n_decided_returns += evidence.has_observations();
-        sum.n_moved_returns += evidence.is_proven_moving();
-        if (!evidence.is_proven_static()) remaining_points_m.push_back(p);
+        sum.n_decided_returns += evidence.is_observed();
+        sum.n_moved_returns += evidence.is_moving();
+        if (!evidence.is_static()) remaining_points_m.push_back(p);
     }
     sum.n_returns = cluster.points_m.size();
     sum.n_frames = 1;
-    sum.n_moved_frames = sum.frame_evidence.is_proven_moving();
+    sum.n_moved_frames = sum.frame_evidence.is_moving();
     cluster.points_m = std::move(remaining_points_m);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());

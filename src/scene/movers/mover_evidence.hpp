@@ -20,9 +20,9 @@ struct MotionEvidence {
         n_occupied_frames += other.n_occupied_frames;
         n_empty_frames += other.n_empty_frames;
     }
-    bool has_observations() const { return n_occupied_frames + n_empty_frames > 0; }
-    bool is_proven_static() const { return n_occupied_frames > 0 && n_occupied_frames >= n_empty_frames; }
-    bool is_proven_moving() const { return n_empty_frames > kMuchMore * n_occupied_frames; }
+    bool is_observed() const { return n_occupied_frames + n_empty_frames > 0; }
+    bool is_static() const { return n_occupied_frames > 0 && n_occupied_frames >= n_empty_frames; }
+    bool is_moving() const { return n_empty_frames > kMuchMore * n_occupied_frames; }
     /// Other objects that pass behind or near a moving object occupy its positions.
     static constexpr std::size_t kMuchMore = 3;
 };
@@ -39,18 +39,18 @@ struct TrackMotionEvidence {
     /// Returns true if the counts prove that the object moves. Other frames observe empty
     /// space at nearly all positions of a moving object, and only at the edges of a
     /// static object. The counts prove little if the box hardly moves.
-    bool is_proven_moving() const;
+    bool is_moving() const;
 };
 
 /// Counts the frames that show whether the object at a point (world) moved. Skips frames
 /// in which the box of the track contains the point. The box stays at its first pose
 /// before the track, and at its last pose after it.
-MotionEvidence count_occupied_and_empty_frames_at_point(const VisibilityChecker& visibility,
-                                                        const glm::dvec3& point_m, const BoxTrack& box);
+MotionEvidence weigh_point(const VisibilityChecker& visibility, const glm::dvec3& point_m,
+                           const BoxTrack& box);
 
 /// Removes the returns of a cluster that other frames prove to be static.
 /// @return evidence of motion, summed over all returns of the cluster before the removal
-TrackMotionEvidence remove_static_returns_and_measure_motion(const VisibilityChecker& visibility,
-                                                             MoverCluster& cluster, const BoxTrack& box);
+TrackMotionEvidence remove_static(const VisibilityChecker& visibility, MoverCluster& cluster,
+                                  const BoxTrack& box);
 
 }  // namespace relidar

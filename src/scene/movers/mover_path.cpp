@@ -17,35 +17,33 @@ namespace {
 constexpr double kPositionNoise_m = 0.1;
 // Spectral density q of the white noise on the jerk, m^2/s^5. With a position every 0.1
 // s, the path follows motions that take longer than 0.4 s and smooths shorter motions.
-constexpr double kJerk = 0.2;
+constexpr double kJerkDensity = 0.2;
 // A position at this distance from the path has half the weight of one on the path.
 constexpr double kFarFromPath_m = 0.3;
 constexpr int kPathRounds = 3;
 // The heading at a position is the direction of a chord of the path. The chord begins at
 // this distance before the position and ends at this distance after it.
-constexpr double kChord_m = 1.5;
+constexpr double kHeadingChord_m = 1.5;
 // A path through a, p and b turns back at p if |ab| / max(|ap|, |pb|) is below this
 // ratio. The heading at p is then the direction from a to p instead of from a to b.
-constexpr double kTurnsBack = 0.3;
+constexpr double kMinChordRatio = 0.3;
 
 /// Each column of `state` is a world axis. The rows are position, velocity, acceleration.
 struct KalmanState {
     glm::dmat3 state{0.0}, covariance{0.0};
 };
 
-glm::dmat3 make_transition_matrix(double dt_s) {
-    return {1.0, 0.0, 0.0, dt_s, 1.0, 0.0, 0.5 * dt_s * dt_s, dt_s, 1.0};
-}
+glm::dmat3 transition(double dt_s) { return {1.0, 0.0, 0.0, dt_s, 1.0, 0.0, 0.5 * dt_s * dt_s, dt_s, 1.0}; }
 
-glm::dmat3 make_process_noise_covariance(double dt_s) {
+glm::dmat3 process_noise(double dt_s) {
     const double d2 = dt_s * dt_s, d3 = d2 * dt_s, d4 = d3 * dt_s;
-    return kJerk * glm::dmat3(d4 * dt_s / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0, d3 / 6.0,
-                              d2 / 2.0, dt_s);
+    return kJerkDensity * glm::dmat3(d4 * dt_s / 20.0, d4 / 8.0, d3 / 6.0, d4 / 8.0, d3 / 3.0, d2 / 2.0,
+                                     d3 / 6.0, d2 / 2.0, dt_s);
 }
 
-std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times_s,
-                                                const std::vector<glm::dvec3>& positions_m,
-                                                const std::vector<double>& weights) {
+std::vector<KinematicState> run_smoother(const std::vector<double>& times_s,
+                                         const std::vector<glm::dvec3>& positions_m,
+                                         const std::vector<double>& weights) {
     const std::size_t n = times_s.size();
     std::vector<KalmanState> filtered(n), before(n);
     before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
@@ -54,9 +52,9 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
         if (k > 0) {
             const KalmanState& previous = filtered[k - 1];
             const double dt_s = times_s[k] - times_s[k - 1];
-            const glm::dmat3 f = make_transition_matrix(dt_s);
+            const glm::dmat3 f = transition(dt_s);
             before[k] = {f * previous.state,
-                         f * previous.covariance * glm::transpose(f) + make_process_noise_covariance(dt_s)};
+                         f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
         }
         filtered[k] = before[k];
         const glm::dvec3 column = before[k].covariance[0];
@@ -70,7 +68,7 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     for (std::size_t k = n; k-- > 0;) {
         if (k + 1 < n) {
             const glm::dmat3 back = filtered[k].covariance *
-                                    glm::transpose(make_transition_matrix(times_s[k + 1] - times_s[k])) *
+                                    glm::transpose(transition(times_s[k + 1] - times_s[k])) *
                                     glm::inverse(before[k + 1].covariance);
             state = filtered[k].state + back * (state - before[k + 1].state);
         }
@@ -80,19 +78,19 @@ std::vector<KinematicState> run_kalman_smoother(const std::vector<double>& times
     return path;
 }
 
-/// Returns the first point of the path at the distance kChord_m from one of its
+/// Returns the first point of the path at the distance kHeadingChord_m from one of its
 /// positions, or the end of the path.
-glm::dvec2 find_path_point_at_chord_length(const std::vector<glm::dvec3>& path_m, std::size_t start_index,
-                                           int index_step) {
+glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t start_index, int index_step) {
     const glm::dvec2 here(path_m[start_index]);
     glm::dvec2 last = here;
     for (auto k = std::ptrdiff_t(start_index) + index_step; k >= 0 && k < std::ptrdiff_t(path_m.size());
          k += index_step) {
         const glm::dvec2 next(path_m[std::size_t(k)]);
         const double last_distance_m = glm::distance(here, last), next_distance_m = glm::distance(here, next);
-        if (next_distance_m >= kChord_m)
-            return glm::mix(last, next,
-                            (kChord_m - last_distance_m) / std::max(next_distance_m - last_distance_m, 1e-9));
+        if (next_distance_m >= kHeadingChord_m)
+            return glm::mix(
+                last, next,
+                (kHeadingChord_m - last_distance_m) / std::max(next_distance_m - last_distance_m, 1e-9));
         last = next;
     }
     return last;
@@ -105,7 +103,7 @@ std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
     std::vector<double> weights(times_s.size(), 1.0);
     std::vector<KinematicState> path;
     for (int round = 0; round < kPathRounds; ++round) {
-        path = run_kalman_smoother(times_s, positions_m, weights);
+        path = run_smoother(times_s, positions_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {
             const double off = glm::length(glm::dvec2(positions_m[k] - path[k].position_m)) / kFarFromPath_m;
             weights[k] = 1.0 / (1.0 + off * off);
@@ -114,13 +112,13 @@ std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
     return path;
 }
 
-std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m) {
+std::vector<double> path_headings_rad(const std::vector<glm::dvec3>& path_m) {
     std::vector<double> result;
     for (std::size_t k = 0; k < path_m.size(); ++k) {
-        const glm::dvec2 from = find_path_point_at_chord_length(path_m, k, -1), here(path_m[k]);
-        glm::dvec2 to = find_path_point_at_chord_length(path_m, k, 1);
+        const glm::dvec2 from = find_chord_end(path_m, k, -1), here(path_m[k]);
+        glm::dvec2 to = find_chord_end(path_m, k, 1);
         if (glm::distance(from, to) <
-            kTurnsBack * std::max(glm::distance(from, here), glm::distance(here, to)))
+            kMinChordRatio * std::max(glm::distance(from, here), glm::distance(here, to)))
             to = here;
         result.push_back(std::atan2(to.y - from.y, to.x - from.x));
     }

@@ -12,7 +12,7 @@ namespace relidar {
 /// Position and motion of an object at one time.
 struct KinematicState {
     glm::dvec3 position_m, velocity_mps, acceleration_mps2;
-    glm::dvec3 predict_position_after(double seconds) const {
+    glm::dvec3 position_after(double seconds) const {
         return position_m + seconds * (velocity_mps + 0.5 * seconds * acceleration_mps2);
     }
 };
@@ -26,6 +26,6 @@ std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
 /// Returns the heading in radians at each position of a path on the ground: the direction
 /// from the point 1.5 m earlier on the path to the point 1.5 m later. An object that
 /// stops therefore keeps its last heading.
-std::vector<double> compute_path_headings_rad(const std::vector<glm::dvec3>& path_m);
+std::vector<double> path_headings_rad(const std::vector<glm::dvec3>& path_m);
 
 }  // namespace relidar

@@ -19,17 +19,17 @@ constexpr double kMaxGap_s = 0.35;
 constexpr double kLongestGap_s = 1.5;  // maximum gap across which two parts of a track are joined
 constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
 // Maximum number of observations from which a velocity is estimated, for the prediction
-// of the next frame (kNext) and across a gap in time (kFar).
-constexpr std::size_t kNext = 4, kFar = 10;
+// of the next frame (kNextFrameVelocity) and across a gap in time (kGapVelocity).
+constexpr std::size_t kNextFrameVelocity = 4, kGapVelocity = 10;
 constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
-// Maximum distance between an object and its predicted position: kAcceleration_m plus
-// kAcceleration_mps for each second since its last observation.
-constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
+// Maximum distance between an object and its predicted position: kMaxPrediction_m plus
+// kMaxPrediction_mps for each second since its last observation.
+constexpr double kMaxPrediction_m = 0.7, kMaxPrediction_mps = 4.0;
 // The velocities before and after a gap must both predict the motion across the gap. The
-// maximum error is kAcceleration_m plus this many metres for each second of the gap.
-constexpr double kOverGap_mps = 0.8;
+// maximum error is kMaxPrediction_m plus this many metres for each second of the gap.
+constexpr double kMaxGapError_mps = 0.8;
 // maximum difference between the speeds before and after a gap
-constexpr double kOtherSpeed_mps = 2.0;
+constexpr double kMaxSpeedChange_mps = 2.0;
 // Maximum factor by which the number of returns of an object may change between two
 // frames.
 constexpr double kMaxRatio = 8.0;
@@ -40,25 +40,25 @@ constexpr double kMinStraightness = 0.5;
 constexpr double kEgoVehicleRadius_m = 4.0, kMaxRelativeMotion_m = 0.3;
 // Smaller parts are not joined to one vehicle, because they can be people.
 constexpr double kVehiclePart_m = 1.2;
-constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
+constexpr double kMaxPartDistance_m = 1.5;  // maximum distance between the parts of one vehicle
 // Maximum standard deviation of the offset between two parts of one vehicle. The offset
 // varies with the visible side.
-constexpr double kRigid_m = 0.5;
+constexpr double kMaxOffsetSigma_m = 0.5;
 
 // How badly two things match, and the indices of both. Sorted from the best match.
 using Match = std::tuple<double, std::size_t, std::size_t>;
 
-glm::dvec3 compute_velocity_between(const MoverCluster& first, const MoverCluster& second) {
+glm::dvec3 velocity_between(const MoverCluster& first, const MoverCluster& second) {
     return (second.centre_m - first.centre_m) / std::max(second.time_s - first.time_s, 1e-3);
 }
-glm::dvec3 estimate_last_velocity(const MoverTrack& track, std::size_t max_observations) {
-    return compute_velocity_between(
+glm::dvec3 last_velocity(const MoverTrack& track, std::size_t max_observations) {
+    return velocity_between(
         track.observations[track.observations.size() - std::min(track.observations.size(), max_observations)]
             .cluster,
-        track.get_last_cluster());
+        track.last_cluster());
 }
-glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_observations) {
-    return compute_velocity_between(
+glm::dvec3 first_velocity(const MoverTrack& track, std::size_t max_observations) {
+    return velocity_between(
         track.observations.front().cluster,
         track.observations[std::min(track.observations.size(), max_observations) - 1].cluster);
 }
@@ -66,21 +66,21 @@ glm::dvec3 estimate_first_velocity(const MoverTrack& track, std::size_t max_obse
 /// Returns the distance between a cluster and the predicted position of a track, divided
 /// by the largest allowed distance. A value above 1 means that the cluster is another
 /// object. While the tracked object has a label, only clusters with this label match.
-double compute_track_cluster_match_cost(const MoverTrack& track, const MoverCluster& cluster,
-                                        double frame_time_s, const LidarSequence& sequence) {
+double match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
+                  const Log& sequence) {
     if (track.label != kNoLabel) {
         if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
         if (sequence.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)) return 2.0;
     }
-    const MoverCluster& last = track.get_last_cluster();
+    const MoverCluster& last = track.last_cluster();
     const double dt = cluster.time_s - last.time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
     const double ratio = double(cluster.points_m.size()) / double(last.points_m.size());
     if (ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) return 2.0;
     const double gate =
-        kAcceleration_m + (track.observations.size() < 2 ? kFirstSpeed_mps : kAcceleration_mps) * dt;
+        kMaxPrediction_m + (track.observations.size() < 2 ? kFirstSpeed_mps : kMaxPrediction_mps) * dt;
     return glm::length(
-               glm::dvec2(cluster.centre_m - last.centre_m - dt * estimate_last_velocity(track, kNext))) /
+               glm::dvec2(cluster.centre_m - last.centre_m - dt * last_velocity(track, kNextFrameVelocity))) /
            gate;
 }
 
@@ -88,9 +88,9 @@ double compute_track_cluster_match_cost(const MoverTrack& track, const MoverClus
 /// still continue it.
 class OpenTrackSet {
 public:
-    explicit OpenTrackSet(const LidarSequence& sequence) : sequence_(sequence) {}
+    explicit OpenTrackSet(const Log& sequence) : sequence_(sequence) {}
 
-    void link_frame_clusters_to_tracks(double frame_time_s, const std::vector<MoverCluster>& clusters) {
+    void link_frame(double frame_time_s, const std::vector<MoverCluster>& clusters) {
         std::erase_if(open_, [&](std::size_t t) {  // tracks that have ended
             const MoverTrack& track = tracks_[t];
             if (track.label != kNoLabel &&
@@ -99,47 +99,43 @@ public:
             return frame_time_s - track.observations.back().frame_time_s > 2.0 * kMaxGap_s;
         });
         std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
-        for (const auto& [mismatch, track, cluster] : list_possible_matches(frame_time_s, clusters)) {
+        for (const auto& [mismatch, track, cluster] : list_matches(frame_time_s, clusters)) {
             if (track_is_used[track] || cluster_is_used[cluster]) continue;
             track_is_used[track] = cluster_is_used[cluster] = 1;
-            append_observation(tracks_[track], frame_time_s, clusters[cluster]);
+            append(tracks_[track], frame_time_s, clusters[cluster]);
         }
         for (std::size_t c = 0; c < clusters.size(); ++c) {
             if (cluster_is_used[c]) continue;
             open_.push_back(tracks_.size());
-            append_observation(tracks_.emplace_back(), frame_time_s, clusters[c]);
+            append(tracks_.emplace_back(), frame_time_s, clusters[c]);
         }
     }
 
     std::vector<MoverTrack> release_tracks() && { return std::move(tracks_); }
 
 private:
-    const LidarSequence& sequence_;
+    const Log& sequence_;
     std::vector<MoverTrack> tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    std::vector<Match> list_possible_matches(double frame_time_s,
-                                             const std::vector<MoverCluster>& clusters) const {
+    std::vector<Match> list_matches(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Match> result;
         for (const std::size_t t : open_)
             for (std::size_t c = 0; c < clusters.size(); ++c)
-                if (const double m =
-                        compute_track_cluster_match_cost(tracks_[t], clusters[c], frame_time_s, sequence_);
-                    m < 1.0)
+                if (const double m = match_cost(tracks_[t], clusters[c], frame_time_s, sequence_); m < 1.0)
                     result.push_back({m, t, c});
         std::ranges::sort(result);
         return result;
     }
-    void append_observation(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
+    void append(MoverTrack& track, double frame_time_s, const MoverCluster& cluster) const {
         track.observations.push_back(
-            {frame_time_s, sequence_.world_from_vehicle.interpolate_pose(cluster.time_s).translation,
-             cluster});
+            {frame_time_s, sequence_.world_from_vehicle.pose_at(cluster.time_s).translation, cluster});
         if (cluster.label != kNoLabel) track.label = cluster.label;
     }
 };
 
 /// Returns the longer side of the rectangle around a cluster, in the view from above.
-double compute_visible_width_m(const MoverCluster& cluster) {
+double visible_width_m(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m) {
         low = glm::min(low, glm::dvec2(p));
@@ -149,8 +145,8 @@ double compute_visible_width_m(const MoverCluster& cluster) {
 }
 
 /// Returns pairs of indices of the observations of two tracks in the same frame.
-std::vector<std::pair<std::size_t, std::size_t>> list_observation_pairs_in_same_frame(
-    const MoverTrack& first, const MoverTrack& second) {
+std::vector<std::pair<std::size_t, std::size_t>> list_pairs(const MoverTrack& first,
+                                                            const MoverTrack& second) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     for (std::size_t i = 0, j = 0; i < first.observations.size() && j < second.observations.size();) {
         if (first.observations[i].frame_time_s < second.observations[j].frame_time_s) ++i;
@@ -162,20 +158,19 @@ std::vector<std::pair<std::size_t, std::size_t>> list_observation_pairs_in_same_
 
 /// Returns true if two tracks are parts of one vehicle. Example: if the beams miss the
 /// roof of a van, its tail and its cabin form separate clusters.
-bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
+bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
     if (other_track.label != kNoLabel) return false;
-    const auto common = list_observation_pairs_in_same_frame(track, other_track);
+    const auto common = list_pairs(track, other_track);
     if (2 * common.size() < other_track.observations.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
     const MoverCluster& cluster = track.observations[i].cluster;
     const MoverCluster& other_cluster = other_track.observations[j].cluster;
-    if (std::min(compute_visible_width_m(cluster), compute_visible_width_m(other_cluster)) < kVehiclePart_m)
-        return false;
+    if (std::min(visible_width_m(cluster), visible_width_m(other_cluster)) < kVehiclePart_m) return false;
     double horizontal_gap_m = 1e30;
     for (const glm::dvec3& p : cluster.points_m)
         for (const glm::dvec3& q : other_cluster.points_m)
             horizontal_gap_m = std::min(horizontal_gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
-    if (horizontal_gap_m > kBesides_m) return false;
+    if (horizontal_gap_m > kMaxPartDistance_m) return false;
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
         const glm::dvec3 apart =
@@ -185,31 +180,30 @@ bool are_tracks_of_same_vehicle(const MoverTrack& track, const MoverTrack& other
     }
     const double n = double(common.size());
     const glm::dvec3 variance = squares / n - sum / n * (sum / n);
-    return variance.x + variance.y < kRigid_m * kRigid_m;
+    return variance.x + variance.y < kMaxOffsetSigma_m * kMaxOffsetSigma_m;
 }
 
 /// Returns how badly a later track continues an earlier track after a gap. A value above
 /// 1 means that the tracks belong to different objects.
-double compute_match_cost_over_gap(const MoverTrack& earlier_track, const MoverTrack& later_track) {
+double gap_cost(const MoverTrack& earlier_track, const MoverTrack& later_track) {
     if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
     if (std::min(earlier_track.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
-    const double dt =
-        later_track.observations.front().cluster.time_s - earlier_track.get_last_cluster().time_s;
+    const double dt = later_track.observations.front().cluster.time_s - earlier_track.last_cluster().time_s;
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
-    const glm::dvec3 from_velocity = estimate_last_velocity(earlier_track, kFar),
-                     to_velocity = estimate_first_velocity(later_track, kFar);
+    const glm::dvec3 from_velocity = last_velocity(earlier_track, kGapVelocity),
+                     to_velocity = first_velocity(later_track, kGapVelocity);
     const glm::dvec3 displacement_m =
-        later_track.observations.front().cluster.centre_m - earlier_track.get_last_cluster().centre_m;
+        later_track.observations.front().cluster.centre_m - earlier_track.last_cluster().centre_m;
     const double off = std::max(glm::length(glm::dvec2(displacement_m - dt * from_velocity)),
                                 glm::length(glm::dvec2(displacement_m - dt * to_velocity)));
-    return std::max(off / (kAcceleration_m + kOverGap_mps * dt),
-                    glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
+    return std::max(off / (kMaxPrediction_m + kMaxGapError_mps * dt),
+                    glm::length(glm::dvec2(from_velocity - to_velocity)) / kMaxSpeedChange_mps);
 }
 
 /// Returns the pairs of tracks that may be parts of the same object, with a gap in time
 /// between them. The second track begins after the end of the first.
 /// @param tracks sorted by their first frames
-std::vector<Match> find_track_pairs_over_gaps(const std::vector<MoverTrack>& tracks) {
+std::vector<Match> find_gap_pairs(const std::vector<MoverTrack>& tracks) {
     std::vector<Match> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].observations.front().frame_time_s; };
     std::vector<std::size_t> all(tracks.size());
@@ -218,18 +212,17 @@ std::vector<Match> find_track_pairs_over_gaps(const std::vector<MoverTrack>& tra
         const double end_s = tracks[a].observations.back().frame_time_s;
         for (auto b = std::ranges::upper_bound(all, end_s, {}, starts_s);
              b != all.end() && starts_s(*b) < end_s + kLongestGap_s; ++b)
-            if (const double m = compute_match_cost_over_gap(tracks[a], tracks[*b]); m < 1.0)
-                fits.push_back({m, a, *b});
+            if (const double m = gap_cost(tracks[a], tracks[*b]); m < 1.0) fits.push_back({m, a, *b});
     }
     std::ranges::sort(fits);
     return fits;
 }
 
 /// Joins tracks of the same object across gaps, unless their labels differ.
-std::vector<MoverTrack> join_tracks_across_gaps(std::vector<MoverTrack> tracks) {
+std::vector<MoverTrack> join_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
-    for (const auto& [mismatch, before, after] : find_track_pairs_over_gaps(tracks))
+    for (const auto& [mismatch, before, after] : find_gap_pairs(tracks))
         if (next[before] == tracks.size() && !follows[after]) {
             next[before] = after;
             follows[after] = 1;
@@ -253,19 +246,18 @@ std::vector<MoverTrack> join_tracks_across_gaps(std::vector<MoverTrack> tracks) 
 
 }  // namespace
 
-std::vector<double> MoverTrack::get_observation_times() const {
+std::vector<double> MoverTrack::times_s() const {
     std::vector<double> times;
     for (const MoverObservation& o : observations) times.push_back(o.cluster.time_s);
     return times;
 }
 
-std::vector<MoverTrack> link_clusters_to_tracks(
-    const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
-    const std::vector<double>& frame_times_s, const LidarSequence& sequence) {
+std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
+                                      const std::vector<double>& frame_times_s, const Log& sequence) {
     OpenTrackSet open(sequence);
     for (std::size_t f = 0; f < clusters_per_frame.size(); ++f)
-        open.link_frame_clusters_to_tracks(frame_times_s[f], clusters_per_frame[f]);
-    return join_tracks_across_gaps(std::move(open).release_tracks());
+        open.link_frame(frame_times_s[f], clusters_per_frame[f]);
+    return join_gaps(std::move(open).release_tracks());
 }
 
 bool is_moving_track(const MoverTrack& track) {
@@ -273,7 +265,7 @@ bool is_moving_track(const MoverTrack& track) {
     std::vector<glm::dvec3> centres;
     for (const MoverObservation& o : track.observations)
         centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
-    const std::vector<KinematicState> path = smooth_path(track.get_observation_times(), centres);
+    const std::vector<KinematicState> path = smooth_path(track.times_s(), centres);
     double length = 0.0;
     for (std::size_t i = 1; i < path.size(); ++i)
         length += glm::distance(path[i - 1].position_m, path[i].position_m);
@@ -281,10 +273,10 @@ bool is_moving_track(const MoverTrack& track) {
     return net > kMinPath_m && net > kMinStraightness * length;
 }
 
-bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
+bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     std::vector<glm::dvec3> positions_in_vehicle_m;
     for (const MoverObservation& o : track.observations)
-        positions_in_vehicle_m.push_back(inverse(world_from_vehicle.interpolate_pose(o.cluster.time_s)) *
+        positions_in_vehicle_m.push_back(inverse(world_from_vehicle.pose_at(o.cluster.time_s)) *
                                          o.cluster.centre_m);
     const auto is_near_middle_position = [&](const glm::dvec3& point) {
         return glm::distance(point, positions_in_vehicle_m[positions_in_vehicle_m.size() / 2]) <
@@ -295,14 +287,14 @@ bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_ve
                          is_near_middle_position) > std::ptrdiff_t(positions_in_vehicle_m.size() * 3 / 4);
 }
 
-void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks) {
+void merge_tracks(std::vector<MoverTrack>& tracks) {
     std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& first, const MoverTrack& second) {
         return first.observations.size() > second.observations.size();
     });
     for (std::size_t a = 0; a < tracks.size(); ++a)
         for (std::size_t b = a + 1; b < tracks.size(); ++b) {
-            if (!are_tracks_of_same_vehicle(tracks[a], tracks[b])) continue;
-            for (const auto& [i, j] : list_observation_pairs_in_same_frame(tracks[a], tracks[b]))
+            if (!is_same_vehicle(tracks[a], tracks[b])) continue;
+            for (const auto& [i, j] : list_pairs(tracks[a], tracks[b]))
                 tracks[a].observations[i].cluster.merge_cluster(tracks[b].observations[j].cluster);
             tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
         }

@@ -22,11 +22,11 @@ inline bool is_labelled(const MoverObservation& observation) { return observatio
 /// before and after the labels of the object.
 struct MoverTrack {
     std::vector<MoverObservation> observations;
-    int label = kNoLabel;  ///< index in LidarSequence::boxes, or kNoLabel
+    int label = kNoLabel;  ///< index in Log::boxes, or kNoLabel
 
-    const MoverCluster& get_last_cluster() const { return observations.back().cluster; }
+    const MoverCluster& last_cluster() const { return observations.back().cluster; }
     /// Returns the time of each observation.
-    std::vector<double> get_observation_times() const;
+    std::vector<double> times_s() const;
 };
 
 /// Links clusters of points in successive frames to tracks of objects. In each frame,
@@ -34,18 +34,17 @@ struct MoverTrack {
 /// position of the object. In frames with a label for the object, the cluster must have
 /// this label instead.
 /// @param clusters_per_frame [frames]
-std::vector<MoverTrack> link_clusters_to_tracks(
-    const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
-    const std::vector<double>& frame_times_s, const LidarSequence& sequence);
+std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
+                                      const std::vector<double>& frame_times_s, const Log& sequence);
 
 /// Returns true if a track has enough observations, moves far enough, and is straight.
 bool is_moving_track(const MoverTrack& track);
 
 /// Returns true if a track stays near the recording vehicle at a fixed position relative
 /// to it. Such a track is a part of the vehicle.
-bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle);
+bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle);
 
 /// Merges tracks that are parts of one object into the longest of them.
-void merge_tracks_of_same_object(std::vector<MoverTrack>& tracks);
+void merge_tracks(std::vector<MoverTrack>& tracks);
 
 }  // namespace relidar

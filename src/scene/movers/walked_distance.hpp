@@ -16,7 +16,7 @@ public:
     explicit WalkedDistanceTrack(const PoseTrack& world_from_box);
     /// Returns the distance walked since the first pose, in metres. Before and after the
     /// track, extrapolates with the speed at that end of the track.
-    double compute_walked_distance_m(double t_s) const;
+    double walked_m(double t_s) const;
 
 private:
     std::vector<double> time_s_, walked_m_;

@@ -13,52 +13,50 @@
 namespace relidar {
 namespace {
 
-constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
+constexpr double kBoxMargin_m = 0.1, kSilhouetteMargin_m = 0.3;
 // Lower points belong to the ground.
-constexpr double kFloor_m = 0.15;
+constexpr double kGroundHeight_m = 0.15;
 constexpr double kInlierDistance_m = 0.03, kLargeError_m = 0.3;
-constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
+constexpr double kMaxMotionPerSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
 // Persons with fewer real points are not scored.
-constexpr std::size_t kFewest = 10;
+constexpr std::size_t kMinPersonPoints = 10;
 
 /// Converts points to the frame of the box at the time when the LiDAR measured them.
 struct BoxInScan {
-    const LidarSequence& sequence;
+    const Log& sequence;
     const SweepTiming& sweep_timing;
     const BoxTrack& box;
     glm::dvec3 centre_m;  ///< centre of the box at the scan's time, sensor frame
 
-    BoxInScan(const LidarSequence& s, const SweepTiming& at, const BoxTrack& b)
+    BoxInScan(const Log& s, const SweepTiming& at, const BoxTrack& b)
         : sequence(s),
           sweep_timing(at),
           box(b),
-          centre_m(inverse(get_world_from_sensor(at.time_s)) *
-                   b.world_from_box.interpolate_pose(at.time_s).translation) {}
+          centre_m(inverse(world_from_sensor(at.time_s)) * b.world_from_box.pose_at(at.time_s).translation) {}
 
-    Pose get_world_from_sensor(double t_s) const {
-        return sequence.world_from_vehicle.interpolate_mounted_pose(
+    Pose world_from_sensor(double t_s) const {
+        return sequence.world_from_vehicle.mounted_pose_at(
             t_s, sequence.lidars[std::size_t(sweep_timing.lidar)].vehicle_from_sensor);
     }
     /// At the time when the LiDAR's head faces the point. Nothing if the point is far
     /// away.
-    std::optional<glm::dvec3> transform_to_box_frame(const glm::dvec3& sensor_point_m) const {
+    std::optional<glm::dvec3> to_box(const glm::dvec3& sensor_point_m) const {
         if (glm::distance(sensor_point_m, centre_m) >
-            0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
+            0.5 * glm::length(box.size_m) + kSilhouetteMargin_m + kMaxMotionPerSweep_m)
             return std::nullopt;
-        const double t_s = compute_time_when_lidar_faces_point_s(sequence, sensor_point_m, sweep_timing);
-        return inverse(box.world_from_box.interpolate_pose(t_s)) *
-               (get_world_from_sensor(t_s) * sensor_point_m);
+        const double t_s = facing_time_s(sequence, sensor_point_m, sweep_timing);
+        return inverse(box.world_from_box.pose_at(t_s)) * (world_from_sensor(t_s) * sensor_point_m);
     }
     bool is_point_in_box(const std::optional<glm::dvec3>& box_point_m, double margin_m) const {
         const glm::dvec3 half = 0.5 * box.size_m;
         return box_point_m && std::abs(box_point_m->x) <= half.x + margin_m &&
                std::abs(box_point_m->y) <= half.y + margin_m && box_point_m->z <= half.z + margin_m &&
-               box_point_m->z >= kFloor_m - half.z;
+               box_point_m->z >= kGroundHeight_m - half.z;
     }
 };
 
-glm::dvec3 compute_ray_end_point(const RangeImage& image, std::size_t ray_index, float range_m) {
-    return glm::dvec3(image.origin[ray_index] + range_m * image.direction[ray_index]);
+glm::dvec3 ray_end_point(const RangeImage& image, std::size_t ray, float range_m) {
+    return glm::dvec3(image.origin[ray] + range_m * image.direction[ray]);
 }
 
 double compute_mean(const std::vector<double>& values) {
@@ -68,8 +66,8 @@ double compute_mean(const std::vector<double>& values) {
 }
 
 /// Median, bias and fraction of large errors. Nothing if there are no errors.
-void add_range_error_metrics(MetricValues& row, const std::string& name_prefix,
-                             const std::vector<double>& range_errors_m) {
+void add_range_errors(MetricValues& row, const std::string& name_prefix,
+                      const std::vector<double>& range_errors_m) {
     if (range_errors_m.empty()) return;
     std::vector<double> absolute_m, large;
     for (const double error : range_errors_m) {
@@ -86,18 +84,18 @@ struct BoxGroupErrors {
     std::vector<double> range_error_m, chamfer_m, inlier_flags;
     double both = 0.0, either = 0.0;
 
-    void accumulate_errors_of_box(const MovingBoxPoints& points) {
+    void add_box(const MovingBoxPoints& points) {
         range_error_m.insert(range_error_m.end(), points.range_error_m.begin(), points.range_error_m.end());
         both += double(points.n_both);
         either += double(points.n_both) + 0.5 * double(points.n_missed + points.n_false);
         if (points.simulated_m.empty()) return;  // without simulated points, only F1 can be computed
-        const std::vector<double> to_real = compute_nearest_distances(points.simulated_m, points.real_m);
+        const std::vector<double> to_real = nearest_distances_m(points.simulated_m, points.real_m);
         chamfer_m.push_back(compute_mean(to_real) +
-                            compute_mean(compute_nearest_distances(points.real_m, points.simulated_m)));
+                            compute_mean(nearest_distances_m(points.real_m, points.simulated_m)));
         for (const double d : to_real) inlier_flags.push_back(d <= kInlierDistance_m ? 1.0 : 0.0);
     }
-    void add_scores_to_row(MetricValues& row, const std::string& name_prefix) const {
-        add_range_error_metrics(row, name_prefix, range_error_m);
+    void add_to_row(MetricValues& row, const std::string& name_prefix) const {
+        add_range_errors(row, name_prefix, range_error_m);
         if (either > 0.0) row[name_prefix + "f1"] = both / either;
         if (chamfer_m.empty()) return;
         row[name_prefix + "cd_m"] = compute_mean(chamfer_m);
@@ -107,25 +105,23 @@ struct BoxGroupErrors {
 
 }  // namespace
 
-MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                                      const RangeImage& real, const LidarSequence& sequence,
-                                      const SweepTiming& sweep, const BoxTrack& box) {
+MovingBoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep,
+                              const BoxTrack& box) {
     const BoxInScan in_scan(sequence, sweep, box);
     MovingBoxPoints result;
     for (std::size_t i = 0; i < point_ranges_m.size(); ++i) {
         std::optional<glm::dvec3> measured, simulated;
         const bool returns = is_ray_returned(rendered.drop_prob[i], point_ranges_m[i]);
-        if (real.range_m[i] > 0.0f)
-            measured = in_scan.transform_to_box_frame(compute_ray_end_point(real, i, real.range_m[i]));
-        if (returns)
-            simulated = in_scan.transform_to_box_frame(compute_ray_end_point(rendered, i, point_ranges_m[i]));
-        if (in_scan.is_point_in_box(measured, kMargin_m)) {
+        if (real.range_m[i] > 0.0f) measured = in_scan.to_box(ray_end_point(real, i, real.range_m[i]));
+        if (returns) simulated = in_scan.to_box(ray_end_point(rendered, i, point_ranges_m[i]));
+        if (in_scan.is_point_in_box(measured, kBoxMargin_m)) {
             result.real_m.push_back(*measured);
             if (returns) result.range_error_m.push_back(double(point_ranges_m[i]) - double(real.range_m[i]));
         }
-        if (in_scan.is_point_in_box(simulated, kMargin_m)) result.simulated_m.push_back(*simulated);
-        const bool in_real = in_scan.is_point_in_box(measured, kSilhouette_m),
-                   in_simulated = in_scan.is_point_in_box(simulated, kSilhouette_m);
+        if (in_scan.is_point_in_box(simulated, kBoxMargin_m)) result.simulated_m.push_back(*simulated);
+        const bool in_real = in_scan.is_point_in_box(measured, kSilhouetteMargin_m),
+                   in_simulated = in_scan.is_point_in_box(simulated, kSilhouetteMargin_m);
         result.n_both += in_real && in_simulated;
         result.n_missed += in_real && !in_simulated;
         result.n_false += in_simulated && !in_real;
@@ -133,12 +129,11 @@ MovingBoxPoints collect_points_in_box(const RangeImage& rendered, const std::vec
     return result;
 }
 
-FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                                      const RangeImage& real, const LidarSequence& sequence,
-                                      const SweepTiming& sweep) {
+FrameActorScores score_actors(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep) {
     FrameActorScores scores;
-    const CometTailStatistics tails = count_comet_tail_points(rendered, point_ranges_m, sequence, sweep),
-                              real_tails = count_comet_tail_points(real, real.range_m, sequence, sweep);
+    const CometTailStatistics tails = count_tail_points(rendered, point_ranges_m, sequence, sweep),
+                              real_tails = count_tail_points(real, real.range_m, sequence, sweep);
     if (tails.n_of_box.empty()) return scores;
     scores.metrics["actors/tail_share"] = tails.share;
     scores.metrics["actors/tail_share_real"] = real_tails.share;
@@ -146,26 +141,26 @@ FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vec
     for (const BoxTrack& box : sequence.boxes) {
         if (!tails.n_of_box.contains(box.id)) continue;  // a box that does not move has no tail
         MovingBoxPoints p;
-        if (box.is_observed_at_time(sweep.time_s))
-            p = collect_points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
+        if (box.is_observed(sweep.time_s))
+            p = points_in_box(rendered, point_ranges_m, real, sequence, sweep, box);
         MetricValues row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
-        add_range_error_metrics(row, "range_", p.range_error_m);
+        add_range_errors(row, "range_", p.range_error_m);
         const double either = double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
         if (either > 0.0) row["f1"] = double(p.n_both) / either;
         row["tail"] = double(tails.n_of_box.at(box.id));
         row["tail_real"] = double(real_tails.n_of_box.at(box.id));
         scores.actors.push_back({box.id, box.category, row});
-        if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
-        const ObjectKind kind = parse_object_kind(box.category);
+        if (p.real_m.size() < kMinPersonPoints || box.category == kDiscoveredCategory) continue;
+        const ObjectKind kind = parse_kind(box.category);
         const bool is_person_or_cyclist = kind == ObjectKind::person || kind == ObjectKind::cyclist;
-        (is_person_or_cyclist ? people : vehicles).accumulate_errors_of_box(p);
+        (is_person_or_cyclist ? people : vehicles).add_box(p);
     }
-    people.add_scores_to_row(scores.metrics, "actors/people_");
-    vehicles.add_scores_to_row(scores.metrics, "actors/vehicles_");
+    people.add_to_row(scores.metrics, "actors/people_");
+    vehicles.add_to_row(scores.metrics, "actors/vehicles_");
     return scores;
 }
 
-std::vector<ActorScore> average_actor_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
+std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
     struct Sums {
         std::string category;
         MetricValues counts, weighted, weight;

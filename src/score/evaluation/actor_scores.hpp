@@ -7,8 +7,8 @@
 
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/sequence.hpp>
-#include <relidar/score/evaluation.hpp>
 #include <relidar/score/metrics.hpp>
+#include <relidar/score/evaluation.hpp>
 
 namespace relidar {
 
@@ -30,12 +30,11 @@ struct FrameActorScores {
 };
 
 /// @param point_ranges_m [n] range of the simulated point on each ray
-FrameActorScores compute_actor_scores(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
-                                      const RangeImage& real, const LidarSequence& sequence,
-                                      const SweepTiming& sweep);
+FrameActorScores score_actors(const RangeImage& rendered, const std::vector<float>& point_ranges_m,
+                              const RangeImage& real, const Log& sequence, const SweepTiming& sweep);
 
 /// Adds the numbers of points. Averages other metrics, weighted by the real points.
 /// @param scores_per_frame [frames][actors]
-std::vector<ActorScore> average_actor_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
+std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame);
 
 }  // namespace relidar

@@ -23,9 +23,8 @@ constexpr double kSameTime_s = 1e-3;
 constexpr std::size_t kScoredAtOnce = 16;
 
 /// With the grid "native", exactly the rays of the recorded scan.
-SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence& sequence,
-                                      const LidarFrame& frame) {
-    SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
+SimulatedSensor frame_sensor(const Config& config, const Log& sequence, const Frame& frame) {
+    SimulatedSensor sensor = make_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") {
         sensor.rays = frame.scan.rays;
         sensor.follows_sweeps = false;
@@ -34,13 +33,13 @@ SimulatedSensor make_sensor_for_frame(const Config& config, const LidarSequence&
     return sensor;
 }
 
-/// Stores one flag per return as intensity, because make_measured_image() projects
+/// Stores one flag per return as intensity, because measured_image() projects
 /// intensities.
-std::vector<bool> convert_return_flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
-                                                 const LidarFrame& frame) {
+std::vector<bool> flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
+                                  const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(return_flags.begin(), return_flags.end(), flags.intensity.begin());
-    const RangeImage binned = make_measured_image(config, flags);
+    const RangeImage binned = measured_image(config, flags);
     return {binned.intensity.begin(), binned.intensity.end()};
 }
 
@@ -53,62 +52,57 @@ struct RenderedFrame {
     MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
 };
 
-RenderedFrame make_frame_with_real_image(const Config& config, const LidarSequence& sequence,
-                                         const LidarFrame& frame, const Pose& sensor_offset) {
+RenderedFrame make_real_frame(const Config& config, const Log& sequence, const Frame& frame,
+                              const Pose& sensor_offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
     result.frame.lidar = frame.lidar;
     result.frame.time_s = frame.time_s;
     result.frame.start = frame.start;
-    result.frame.real = make_measured_image(config, frame.scan);
-    result.moving = convert_return_flags_to_pixels(
-        mask_returns_in_labelled_movers(sequence, frame, sensor_offset), config, frame);
+    result.frame.real = measured_image(config, frame.scan);
+    result.moving = flags_to_pixels(mask_labelled_movers(sequence, frame, sensor_offset), config, frame);
     if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
-        result.discovered = convert_return_flags_to_pixels(
-            mask_returns_in_discovered_movers(sequence, frame, sensor_offset), config, frame);
+        result.discovered = flags_to_pixels(mask_found_movers(sequence, frame, sensor_offset), config, frame);
     return result;
 }
 
 /// The frame must have labels, and each pixel must be a recorded ray (grid "native").
-bool can_score_surface_classes(const ScanRenderer& renderer, const Config& config, const LidarFrame& frame) {
-    return renderer.has_background_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
+bool can_score_classes(const ScanRenderer& renderer, const Config& config, const Frame& frame) {
+    return renderer.has_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
 
-RenderedFrame render_frame_for_scoring(ScanRenderer& renderer, const Config& config,
-                                       const LidarSequence& sequence, const LidarFrame& frame,
-                                       const Pose& sensor_offset) {
-    RenderedFrame result = make_frame_with_real_image(config, sequence, frame, sensor_offset);
-    const SimulatedSensor sensor = make_sensor_for_frame(config, sequence, frame);
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Log& sequence,
+                           const Frame& frame, const Pose& sensor_offset) {
+    RenderedFrame result = make_real_frame(config, sequence, frame, sensor_offset);
+    const SimulatedSensor sensor = frame_sensor(config, sequence, frame);
     result.frame.n_rays = sensor.rays.size();
     result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
-    const auto* classes = find_channel_values<std::int32_t>(result.frame.rendered.channels, "class");
-    if (classes && can_score_surface_classes(renderer, config, frame))
-        result.class_scores = compute_surface_class_metrics(*classes, frame.scan.classes);
+    const auto* classes = find_values<std::int32_t>(result.frame.rendered.channels, "class");
+    if (classes && can_score_classes(renderer, config, frame))
+        result.class_scores = score_classes(*classes, frame.scan.classes);
     return result;
 }
 
 /// Null if no file with weights is set.
-std::unique_ptr<Lpips> load_lpips_network() {
-    const std::string file = find_lpips_weights_path();
+std::unique_ptr<Lpips> load_lpips() {
+    const std::string file = lpips_weights_path();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
 /// @param lpips_network  if null, this metric is left out
-std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> rendered_frames,
-                                               const Config& config, const LidarSequence& sequence,
-                                               const Lpips* lpips_network) {
+std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
+                                        const Log& sequence, const Lpips* lpips_network) {
     MetricOptions options;
-    options.max_range_m = replace_automatic_max_range(config, sequence).dataset.max_range_m;
+    options.max_range_m = with_max_range(config, sequence).dataset.max_range_m;
     if (config.sensor.grid != "native")
-        options.max_range_m =
-            std::min(options.max_range_m, get_range_image_grid_by_name(config.sensor.grid).max_range_m);
+        options.max_range_m = std::min(options.max_range_m, find_grid(config.sensor.grid).max_range_m);
     options.lpips = lpips_network;
     std::vector<RangeImageComparison> comparisons;
     for (const RenderedFrame& r : rendered_frames) {
-        std::vector<PixelRegion> regions = make_evaluation_regions(r.frame.real, r.moving);
+        std::vector<PixelRegion> regions = make_regions(r.frame.real, r.moving);
         if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
         // A baseline has one range per ray, so its points are those of its image.
-        const std::vector<float>& points_m = select_point_ranges(r.frame.rendered, config);
+        const std::vector<float>& points_m = point_ranges(r.frame.rendered, config);
         comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
                                points_m.empty() ? r.frame.rendered.image.range_m : points_m});
     }
@@ -126,34 +120,34 @@ std::vector<ScoredFrame> score_rendered_frames(std::vector<RenderedFrame> render
     return frames;
 }
 
-void compute_and_store_actor_scores(std::vector<ScoredFrame>& frames, const LidarSequence& sequence,
-                                    const Config& config) {
+void add_actor_scores(std::vector<ScoredFrame>& frames, const Log& sequence, const Config& config) {
     for (ScoredFrame& frame : frames) {
         const SweepTiming sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
         // a baseline has only the ranges of the image
-        const std::vector<float>& points_m = select_point_ranges(frame.rendered, config);
-        FrameActorScores scores = compute_actor_scores(
-            rendered, points_m.empty() ? rendered.range_m : points_m, frame.real, sequence, sweep);
+        const std::vector<float>& points_m = point_ranges(frame.rendered, config);
+        FrameActorScores scores = score_actors(rendered, points_m.empty() ? rendered.range_m : points_m,
+                                               frame.real, sequence, sweep);
         frame.metrics.merge(scores.metrics);
         frame.actors = std::move(scores.actors);
     }
 }
 
-RangeErrorCounts count_rays_by_range_and_error(const RangeImage& rendered, const RangeImage& real) {
-    constexpr auto& kRanges = RangeErrorCounts::kRangeEdges_m;
-    constexpr auto& kErrors = RangeErrorCounts::kErrorEdges_m;
+RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
+    constexpr auto& kRangeEdges = RangeErrorCounts::kRangeEdges_m;
+    constexpr auto& kErrorEdges = RangeErrorCounts::kErrorEdges_m;
     RangeErrorCounts counts;
     for (std::size_t i = 0; i < real.range_m.size(); ++i) {
         const double range_m = real.range_m[i], error_m = std::abs(double(rendered.range_m[i]) - range_m);
-        if (!(range_m > kRanges.front() && range_m <= kRanges.back())) continue;
-        const auto row =
-            std::size_t(std::lower_bound(kRanges.begin(), kRanges.end(), range_m) - kRanges.begin()) - 1;
-        const auto band =
-            std::size_t(std::upper_bound(kErrors.begin(), kErrors.end(), error_m) - kErrors.begin());
+        if (!(range_m > kRangeEdges.front() && range_m <= kRangeEdges.back())) continue;
+        const auto row = std::size_t(std::lower_bound(kRangeEdges.begin(), kRangeEdges.end(), range_m) -
+                                     kRangeEdges.begin()) -
+                         1;
+        const auto band = std::size_t(std::upper_bound(kErrorEdges.begin(), kErrorEdges.end(), error_m) -
+                                      kErrorEdges.begin());
         counts.rays[row][is_ray_returned(rendered.drop_prob[i], rendered.range_m[i])
                              ? band
-                             : RangeErrorCounts::kBands - 1] += 1.0;
+                             : RangeErrorCounts::kErrorBins - 1] += 1.0;
     }
     return counts;
 }
@@ -161,17 +155,17 @@ RangeErrorCounts count_rays_by_range_and_error(const RangeImage& rendered, const
 /// Frames are rendered and scored in batches of kScoredAtOnce, to limit memory.
 struct BatchEvaluationParams {
     const std::vector<int>& positions;  ///< indices into sequence.frames
-    const LidarSequence& sequence;
+    const Log& sequence;
     const Config& config;
-    const ProgressReporter& progress;
+    const Progress& progress;
     const ScoredFrameCallback& see;
 };
 
 /// @param progress_text  text shown with the progress
-std::vector<ScoredFrame> render_and_score_frames(
+std::vector<ScoredFrame> score_frames(
     const BatchEvaluationParams& frame_batch, const char* progress_text,
-    const std::function<RenderedFrame(int position, const LidarFrame&)>& render_one_frame) {
-    const std::unique_ptr<Lpips> lpips = load_lpips_network();
+    const std::function<RenderedFrame(int position, const Frame&)>& render_one_frame) {
+    const std::unique_ptr<Lpips> lpips = load_lpips();
     const std::size_t n = frame_batch.positions.size();
     std::vector<ScoredFrame> scored;
     for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
@@ -183,10 +177,10 @@ std::vector<ScoredFrame> render_and_score_frames(
                                  frame_batch.sequence.frames.at(std::size_t(frame_batch.positions[i]))));
         }
         std::vector<ScoredFrame> scored_batch =
-            score_rendered_frames(std::move(batch), frame_batch.config, frame_batch.sequence, lpips.get());
-        compute_and_store_actor_scores(scored_batch, frame_batch.sequence, frame_batch.config);
+            score_rendered(std::move(batch), frame_batch.config, frame_batch.sequence, lpips.get());
+        add_actor_scores(scored_batch, frame_batch.sequence, frame_batch.config);
         for (ScoredFrame& frame : scored_batch) {
-            frame.range_errors = count_rays_by_range_and_error(frame.rendered.image, frame.real);
+            frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (frame_batch.see) frame_batch.see(frame);
             // Only the middle frame keeps its images.
             if (scored.size() != n / 2) {
@@ -204,10 +198,10 @@ std::vector<ScoredFrame> render_and_score_frames(
 
 }  // namespace
 
-void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices, const LidarSequence& log) {
+void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log) {
     for (const int position : frame_indices) {
-        LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const LidarFrame& f) {
+        Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+        const auto it = std::find_if(log.frames.begin(), log.frames.end(), [&](const Frame& f) {
             return f.index == frame.index && f.lidar == frame.lidar;
         });
         if (it == log.frames.end())
@@ -222,77 +216,71 @@ void copy_scans_into_run(TrainedRun& run, const std::vector<int>& frame_indices,
     }
 }
 
-ScoredFrame render_and_score_frame(ScanRenderer& renderer, const Config& config,
-                                   const LidarSequence& sequence, const LidarFrame& frame,
-                                   const Pose& sensor_offset) {
-    const std::unique_ptr<Lpips> lpips = load_lpips_network();
-    return score_rendered_frames({render_frame_for_scoring(renderer, config, sequence, frame, sensor_offset)},
-                                 config, sequence, lpips.get())
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& sequence, const Frame& frame,
+                        const Pose& sensor_offset) {
+    const std::unique_ptr<Lpips> lpips = load_lpips();
+    return score_rendered({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence,
+                          lpips.get())
         .front();
 }
 
-EvaluationResult evaluate_frames(ScanRenderer& renderer, const Config& config, const LidarSequence& sequence,
-                                 const std::vector<int>& frame_indices, const ProgressReporter& progress,
-                                 const ScoredFrameCallback& on_frame) {
+Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Log& sequence,
+                           const std::vector<int>& frame_indices, const Progress& progress,
+                           const ScoredFrameCallback& on_frame) {
     // The channel has the drop probability before its correction by a network, for
     // reports.
-    if (on_frame && renderer.has_drop_network_for(make_sensor_from_config(config, sequence)))
-        renderer.enable_optional_channels("surfel_drop_prob");
+    if (on_frame && renderer.has_network_for(make_sensor(config, sequence)))
+        renderer.add_channels("surfel_drop_prob");
     if (std::ranges::any_of(frame_indices, [&](int position) {
-            return can_score_surface_classes(renderer, config, sequence.frames.at(std::size_t(position)));
+            return can_score_classes(renderer, config, sequence.frames.at(std::size_t(position)));
         }))
-        renderer.enable_optional_channels("class");
-    std::vector<ScoredFrame> scored =
-        render_and_score_frames({frame_indices, sequence, config, progress, on_frame},
-                                "rendering held-out frames", [&](int, const LidarFrame& frame) {
-                                    return render_frame_for_scoring(renderer, config, sequence, frame, {});
-                                });
-    return summarise_evaluation(std::move(scored), renderer.times());
+        renderer.add_channels("class");
+    std::vector<ScoredFrame> scored = score_frames(
+        {frame_indices, sequence, config, progress, on_frame}, "rendering held-out frames",
+        [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
+    return summarise(std::move(scored), renderer.times());
 }
 
-BoxPointMotion parse_box_point_motion_of_baseline(const std::string& baseline_name) {
+BoxPointMotion parse_baseline(const std::string& baseline_name) {
     if (baseline_name == "nearest") return BoxPointMotion::stay;
     if (baseline_name == "nearest-actors") return BoxPointMotion::follow;
     fail<UsageError>("baseline: found \"{}\", expected nearest or nearest-actors", baseline_name);
 }
 
-EvaluationResult evaluate_baseline(const std::string& baseline_name, const Config& config,
-                                   const LidarSequence& sequence, const TrainTestSplit& split,
-                                   const ProgressReporter& progress, const ScoredFrameCallback& on_frame) {
-    const BoxPointMotion boxes = parse_box_point_motion_of_baseline(baseline_name);
-    const auto project = [&](int position, const LidarFrame& frame) {
-        RenderedFrame result = make_frame_with_real_image(config, sequence, frame, {});
-        Scan points = predict_scan_from_neighbours(sequence, position, split.train, boxes);
-        remove_returns_outside_limits(points, make_sensor_from_config(config, sequence, frame.lidar).limits);
-        result.frame.rendered.image = make_measured_image(
-            config,
-            config.sensor.grid == "native" ? assign_points_to_nearest_rays(frame.scan.rays, points) : points);
+Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& sequence,
+                             const Split& split, const Progress& progress,
+                             const ScoredFrameCallback& on_frame) {
+    const BoxPointMotion boxes = parse_baseline(baseline_name);
+    const auto project = [&](int position, const Frame& frame) {
+        RenderedFrame result = make_real_frame(config, sequence, frame, {});
+        Scan points = predict_scan(sequence, position, split.train, boxes);
+        limit_ranges(points, make_sensor(config, sequence, frame.lidar).limits);
+        result.frame.rendered.image = measured_image(
+            config, config.sensor.grid == "native" ? assign_points(frame.scan.rays, points) : points);
         return result;
     };
-    EvaluationResult evaluation =
-        summarise_evaluation(render_and_score_frames({split.test, sequence, config, progress, on_frame},
-                                                     "projecting neighbours of held-out frames", project),
-                             {});
+    Evaluation evaluation = summarise(score_frames({split.test, sequence, config, progress, on_frame},
+                                                   "projecting neighbours of held-out frames", project),
+                                      {});
     evaluation.title = "baseline " + baseline_name;
     return evaluation;
 }
 
-void require_readable_lpips_weights() { load_lpips_network(); }
+void check_lpips_weights() { load_lpips(); }
 
-std::string find_lpips_weights_path() {
+std::string lpips_weights_path() {
     const char* file = std::getenv("RELIDAR_LPIPS_WEIGHTS");
     return file ? file : "";
 }
 
-MetricValues compute_mean_kernel_ms(const KernelTimes& kernel_times) {
+MetricValues mean_kernel_ms(const KernelTimes& kernel_times) {
     MetricValues row;
     for (const auto& [kernel, total] : kernel_times.totals) row[kernel] = total.ms / total.launches;
     return row;
 }
 
-EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
-                                      const KernelTimes& kernel_times) {
-    EvaluationResult evaluation;
+Evaluation summarise(std::vector<ScoredFrame> scored_frames, const KernelTimes& kernel_times) {
+    Evaluation evaluation;
     std::vector<MetricValues> rows;
     std::vector<std::vector<ActorScore>> actors;
     double n_rays = 0.0;
@@ -302,9 +290,9 @@ EvaluationResult summarise_evaluation(std::vector<ScoredFrame> scored_frames,
         evaluation.trace_ms += frame.rendered.trace_ms / static_cast<double>(scored_frames.size());
         n_rays += static_cast<double>(frame.n_rays) / static_cast<double>(scored_frames.size());
     }
-    evaluation.mean = compute_mean_metrics(rows);
-    evaluation.actors = average_actor_scores(actors);
-    evaluation.kernel_ms = compute_mean_kernel_ms(kernel_times);
+    evaluation.mean = mean_metrics(rows);
+    evaluation.actors = average_scores(actors);
+    evaluation.kernel_ms = mean_kernel_ms(kernel_times);
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
     evaluation.frames = std::move(scored_frames);
     return evaluation;

@@ -9,8 +9,8 @@ namespace relidar {
 namespace {
 
 // Labels do not fit objects exactly.
-constexpr double kNowMargin_m = 0.3;
-constexpr double kGround_m = 0.3;
+constexpr double kLabelMargin_m = 0.3;
+constexpr double kMinTailHeight_m = 0.3;
 
 /// the box with all its labelled poses
 struct SweptBoxVolume {
@@ -19,7 +19,7 @@ struct SweptBoxVolume {
     glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the centres
 };
 
-std::vector<SweptBoxVolume> compute_swept_volumes(const LidarSequence& sequence) {
+std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
     std::vector<SweptBoxVolume> swept;
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.is_moving()) continue;
@@ -34,7 +34,7 @@ std::vector<SweptBoxVolume> compute_swept_volumes(const LidarSequence& sequence)
     return swept;
 }
 
-bool is_point_in_swept_volume(const SweptBoxVolume& swept_volume, const glm::dvec3& world_point_m) {
+bool is_in_volume(const SweptBoxVolume& swept_volume, const glm::dvec3& world_point_m) {
     const glm::dvec3 half = 0.5 * swept_volume.box->size_m;
     const double reach = glm::length(half);
     if (glm::any(glm::lessThan(world_point_m, swept_volume.low - reach)) ||
@@ -44,7 +44,7 @@ bool is_point_in_swept_volume(const SweptBoxVolume& swept_volume, const glm::dve
                        [&](const Pose& box_from_world) {
                            const glm::dvec3 p = box_from_world * world_point_m;
                            return std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && p.z <= half.z &&
-                                  p.z >= -half.z + kGround_m;
+                                  p.z >= -half.z + kMinTailHeight_m;
                        });
 }
 
@@ -60,15 +60,13 @@ struct CometTailPointCounts {
     }
 };
 
-CometTailPointCounts count_comet_tail_points_by_box(const RangeImage& image,
-                                                    const std::vector<float>& point_ranges_m,
-                                                    const LidarSequence& sequence,
-                                                    const std::vector<SweptBoxVolume>& swept_volumes,
-                                                    const SweepTiming& sweep) {
+CometTailPointCounts count_by_box(const RangeImage& image, const std::vector<float>& point_ranges_m,
+                                  const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
+                                  const SweepTiming& sweep) {
     // per step of a thread
-    constexpr std::size_t kRays = 2048;
+    constexpr std::size_t kRaysPerBlock = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(sweep.lidar)].vehicle_from_sensor;
-    return parallel_sum_over_ranges(point_ranges_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
+    return parallel_sum(point_ranges_m.size(), kRaysPerBlock, [&](std::size_t begin, std::size_t end) {
         CometTailPointCounts part;
         part.n_of_box.resize(swept_volumes.size());
         std::vector<std::size_t> boxes;  // boxes that contain the point at some time of the log
@@ -76,15 +74,14 @@ CometTailPointCounts count_comet_tail_points_by_box(const RangeImage& image,
             if (!is_ray_returned(image.drop_prob[i], point_ranges_m[i])) continue;
             ++part.n_points;
             const glm::dvec3 in_sensor(image.origin[i] + point_ranges_m[i] * image.direction[i]);
-            const double t_s = compute_time_when_lidar_faces_point_s(sequence, in_sensor, sweep);
-            const glm::dvec3 point_m =
-                sequence.world_from_vehicle.interpolate_mounted_pose(t_s, mounted) * in_sensor;
+            const double t_s = facing_time_s(sequence, in_sensor, sweep);
+            const glm::dvec3 point_m = sequence.world_from_vehicle.mounted_pose_at(t_s, mounted) * in_sensor;
             boxes.clear();
             for (std::size_t k = 0; k < swept_volumes.size(); ++k)
-                if (is_point_in_swept_volume(swept_volumes[k], point_m)) boxes.push_back(k);
+                if (is_in_volume(swept_volumes[k], point_m)) boxes.push_back(k);
             if (boxes.empty() || std::ranges::any_of(swept_volumes, [&](const SweptBoxVolume& actor) {
-                    return actor.box->is_observed_at_time(t_s) &&
-                           actor.box->contains_point(point_m, t_s, kNowMargin_m);
+                    return actor.box->is_observed(t_s) &&
+                           actor.box->contains_point(point_m, t_s, kLabelMargin_m);
                 }))
                 continue;
             ++part.n_tail_points;
@@ -96,12 +93,11 @@ CometTailPointCounts count_comet_tail_points_by_box(const RangeImage& image,
 
 }  // namespace
 
-CometTailStatistics count_comet_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
-                                            const LidarSequence& sequence, const SweepTiming& sweep) {
-    const std::vector<SweptBoxVolume> swept = compute_swept_volumes(sequence);
+CometTailStatistics count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
+                                      const Log& sequence, const SweepTiming& sweep) {
+    const std::vector<SweptBoxVolume> swept = sweep_boxes(sequence);
     if (swept.empty()) return {};
-    const CometTailPointCounts point_counts =
-        count_comet_tail_points_by_box(image, point_ranges_m, sequence, swept, sweep);
+    const CometTailPointCounts point_counts = count_by_box(image, point_ranges_m, sequence, swept, sweep);
     CometTailStatistics counts;
     counts.share =
         double(point_counts.n_tail_points) / double(std::max<std::size_t>(point_counts.n_points, 1));

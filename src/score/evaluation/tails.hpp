@@ -23,7 +23,7 @@ struct CometTailStatistics {
 /// 0.3 m of a box belong to the ground. The time of a point is when the LiDAR's head
 /// faces it.
 /// @param point_ranges_m [n] ranges of the points of the image
-CometTailStatistics count_comet_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
-                                            const LidarSequence& sequence, const SweepTiming& sweep);
+CometTailStatistics count_tail_points(const RangeImage& image, const std::vector<float>& point_ranges_m,
+                                      const Log& sequence, const SweepTiming& sweep);
 
 }  // namespace relidar

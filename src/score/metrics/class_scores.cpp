@@ -5,8 +5,8 @@
 
 namespace relidar {
 
-MetricValues compute_surface_class_metrics(const std::vector<std::int32_t>& rendered_classes,
-                                           std::span<const SurfaceClass> real_classes) {
+MetricValues score_classes(const std::vector<std::int32_t>& rendered_classes,
+                           std::span<const SurfaceClass> real_classes) {
     std::array<double, kSurfaceClasses> n_both{}, n_either{}, n_real{};
     double n = 0.0, n_equal = 0.0;
     for (std::size_t i = 0; i < real_classes.size(); ++i) {

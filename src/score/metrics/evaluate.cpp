@@ -32,7 +32,7 @@ constexpr int kSsimWindow = 7;
 // smaller images would be empty after the pooling layers
 constexpr int kLpipsEdge = 31;
 
-PointPositions compute_points_of_masked_pixels(const RangeImage& image, const PixelMask& mask) {
+PointPositions masked_points(const RangeImage& image, const PixelMask& mask) {
     PointPositions result;
     for (std::size_t i = 0; i < mask.size(); ++i)
         if (mask[i])
@@ -51,18 +51,15 @@ struct ImagePair {
 /// @param drop_threshold  rendered pixels with at least this drop probability are dropped
 ImagePair make_image_pair(const RangeImage& rendered, const RangeImage& real, double drop_threshold,
                           std::vector<float> RangeImage::*values, double maximum) {
-    return {clamp_values_and_set_unmasked_to_minimum(
-                rendered.*values, make_undropped_pixel_mask(rendered, drop_threshold), maximum),
-            clamp_values_and_set_unmasked_to_minimum(
-                real.*values, make_undropped_pixel_mask(real, kRealDropThreshold), maximum),
-            real.rows, real.columns, maximum};
+    return {clamp_masked(rendered.*values, undropped_mask(rendered, drop_threshold), maximum),
+            clamp_masked(real.*values, undropped_mask(real, kRealDropThreshold), maximum), real.rows,
+            real.columns, maximum};
 }
 
 /// Leaves SSIM out if the real image is constant or smaller than the SSIM window.
 void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const ImagePair& image_pair, const Lpips* lpips_network) {
-    const double squared =
-        add_error_metrics_and_get_mse(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
+    const double squared = add_errors(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
     row[name_prefix + "psnr_db"] =
         10.0 * std::log10(image_pair.peak * image_pair.peak / std::max(squared, kMinSquaredError));
     const auto [low, high] = std::minmax_element(image_pair.real.begin(), image_pair.real.end());
@@ -70,11 +67,11 @@ void add_image_metrics(MetricValues& row, const std::string& name_prefix, const 
         row[name_prefix + "ssim"] = compute_ssim(image_pair.rendered, image_pair.real, image_pair.rows,
                                                  image_pair.columns, *high - *low);
     if (lpips_network && image_pair.rows >= kLpipsEdge && image_pair.columns >= kLpipsEdge)
-        row[name_prefix + "lpips"] = lpips_network->compute_perceptual_distance(
-            image_pair.rendered, image_pair.real, image_pair.rows, image_pair.columns);
+        row[name_prefix + "lpips"] = lpips_network->compute_distance(image_pair.rendered, image_pair.real,
+                                                                     image_pair.rows, image_pair.columns);
 }
 
-double compute_fraction_below(const PixelValues& distances, double threshold) {
+double fraction_below(const PixelValues& distances, double threshold) {
     const auto n = std::count_if(distances.begin(), distances.end(), [=](double d) { return d < threshold; });
     return double(n) / double(distances.size());
 }
@@ -85,27 +82,23 @@ struct CloudDistances {
 
     CloudDistances(const PointPositions& rendered, const PointPositions& truth) {
         if (rendered.empty() || truth.empty()) return;
-        to_truth = compute_nearest_distances(rendered, truth);
-        to_rendered = compute_nearest_distances(truth, rendered);
+        to_truth = nearest_distances_m(rendered, truth);
+        to_rendered = nearest_distances_m(truth, rendered);
     }
     bool has_distances() const { return !to_truth.empty(); }
-    double compute_chamfer_distance() const {
-        return compute_values_mean(to_truth) + compute_values_mean(to_rendered);
-    }
-    double compute_squared_chamfer_distance() const {
-        return compute_mean_square(to_truth) + compute_mean_square(to_rendered);
-    }
+    double chamfer() const { return mean_value(to_truth) + mean_value(to_rendered); }
+    double squared_chamfer() const { return mean_square(to_truth) + mean_square(to_rendered); }
     /// harmonic mean of precision and recall; 0 if a cloud is empty
     double compute_f_score(double threshold_m) const {
         if (!has_distances()) return 0.0;
-        const double precision = compute_fraction_below(to_truth, threshold_m),
-                     recall = compute_fraction_below(to_rendered, threshold_m);
+        const double precision = fraction_below(to_truth, threshold_m),
+                     recall = fraction_below(to_rendered, threshold_m);
         return 2.0 * precision * recall / std::max(precision + recall, 1e-12);
     }
 };
 
-void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
-                                    const MetricOptions& options) {
+void add_published(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
+                   const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
     add_image_metrics(row, "peer/depth_", "_m",
                       make_image_pair(rendered, real, threshold, &RangeImage::range_m, options.max_range_m),
@@ -114,19 +107,16 @@ void add_published_protocol_metrics(MetricValues& row, const RangeImage& rendere
                       make_image_pair(rendered, real, threshold, &RangeImage::intensity, kMaxIntensity),
                       options.lpips);
 
-    const PointPositions a =
-        compute_points_of_masked_pixels(rendered, make_positive_range_mask(rendered, threshold));
-    const PointPositions b =
-        compute_points_of_masked_pixels(real, make_positive_range_mask(real, kRealDropThreshold));
+    const PointPositions a = masked_points(rendered, return_mask(rendered, threshold));
+    const PointPositions b = masked_points(real, return_mask(real, kRealDropThreshold));
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
-    if (distances.has_distances()) row["peer/cd_sq_m2"] = distances.compute_squared_chamfer_distance();
+    if (distances.has_distances()) row["peer/cd_sq_m2"] = distances.squared_chamfer();
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
 /// "Dropped" is the positive class.
-void add_ray_drop_metrics(MetricValues& row, const PixelMask& rendered_returns,
-                          const PixelMask& real_returns) {
+void add_drop_metrics(MetricValues& row, const PixelMask& rendered_returns, const PixelMask& real_returns) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real_returns.size(); ++i) {
         hits += !rendered_returns[i] && !real_returns[i];
@@ -146,34 +136,33 @@ void add_ray_drop_metrics(MetricValues& row, const PixelMask& rendered_returns,
 /// Range errors of pixels with a return in both images, and distances of the clouds.
 void add_point_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,
                        const RangeImage& real, const MetricOptions& options) {
-    const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold),
-                    real_returns = make_positive_range_mask(real, kRealDropThreshold);
+    const PixelMask rendered_returns = return_mask(rendered, options.strict_drop_threshold),
+                    real_returns = return_mask(real, kRealDropThreshold);
     add_masked_errors(row, name_prefix + "depth_", "_m", rendered.range_m, real.range_m,
                       intersect_masks(rendered_returns, real_returns), options.max_range_m);
-    const PointPositions a = compute_points_of_masked_pixels(rendered, rendered_returns),
-                         b = compute_points_of_masked_pixels(real, real_returns);
+    const PointPositions a = masked_points(rendered, rendered_returns), b = masked_points(real, real_returns);
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
     if (distances.has_distances()) {
-        row[name_prefix + "cd_mean_m"] = distances.compute_chamfer_distance();
-        row[name_prefix + "cd_sq_m2"] = distances.compute_squared_chamfer_distance();
+        row[name_prefix + "cd_mean_m"] = distances.chamfer();
+        row[name_prefix + "cd_sq_m2"] = distances.squared_chamfer();
     }
     row[name_prefix + "f_5cm"] = distances.compute_f_score(kFineThreshold_m);
     row[name_prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
-                                 const MetricOptions& options) {
-    const PixelMask rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold);
-    const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold);
+void add_strict(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
+                const MetricOptions& options) {
+    const PixelMask rendered_returns = return_mask(rendered, options.strict_drop_threshold);
+    const PixelMask real_returns = return_mask(real, kRealDropThreshold);
     add_masked_errors(row, "strict/intensity_", "", rendered.intensity, real.intensity,
                       intersect_masks(rendered_returns, real_returns), kMaxIntensity);
-    add_ray_drop_metrics(row, rendered_returns, real_returns);
+    add_drop_metrics(row, rendered_returns, real_returns);
     // without a threshold
     PixelValues drop_error(real.drop_prob.size());
     for (std::size_t i = 0; i < drop_error.size(); ++i)
         drop_error[i] = double(rendered.drop_prob[i]) - double(real.drop_prob[i]);
-    row["strict/drop_rmse"] = std::sqrt(compute_mean_square(drop_error));
+    row["strict/drop_rmse"] = std::sqrt(mean_square(drop_error));
     const double threshold = options.strict_drop_threshold;
     add_image_metrics(row, "strict/image_depth_", "_m",
                       make_image_pair(rendered, real, threshold, &RangeImage::range_m, options.max_range_m),
@@ -187,16 +176,16 @@ void add_strict_protocol_metrics(MetricValues& row, const RangeImage& rendered, 
 }  // namespace
 
 MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const MetricOptions& options) {
-    require_comparable_images(rendered, real);
+    check_comparable(rendered, real);
     MetricValues row;
-    add_published_protocol_metrics(row, rendered, real, options);
-    add_strict_protocol_metrics(row, rendered, real, options);
+    add_published(row, rendered, real, options);
+    add_strict(row, rendered, real, options);
     return row;
 }
 
 MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
                              const MetricOptions& options) {
-    require_comparable_images(rendered, real);
+    check_comparable(rendered, real);
     MetricValues row;
     add_point_metrics(row, "points/", rendered, real, options);
     return row;
@@ -217,7 +206,7 @@ std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& 
     return rows;
 }
 
-MetricValues compute_mean_metrics(const std::vector<MetricValues>& metric_rows) {
+MetricValues mean_metrics(const std::vector<MetricValues>& metric_rows) {
     MetricValues sum;
     std::map<std::string, int> count;
     for (const MetricValues& row : metric_rows)

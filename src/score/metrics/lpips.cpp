@@ -19,9 +19,9 @@ namespace {
 
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-constexpr int kLayers = 5;
+constexpr int kConvLayers = 5;
 // the pooling layers reduce 31 pixels to 7, 3 and finally 1
-constexpr int kMinEdge = 31;
+constexpr int kMinEdgePixels = 31;
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
@@ -31,11 +31,11 @@ struct ConvLayerShape {
     int out, in, edge, stride, padding;
     bool pooled;
 };
-constexpr ConvLayerShape kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
-                                              {192, 64, 5, 1, 2, true},
-                                              {384, 192, 3, 1, 1, true},
-                                              {256, 384, 3, 1, 1, false},
-                                              {256, 256, 3, 1, 1, false}};
+constexpr ConvLayerShape kAlexNet[kConvLayers] = {{64, 3, 11, 4, 2, false},
+                                                  {192, 64, 5, 1, 2, true},
+                                                  {384, 192, 3, 1, 1, true},
+                                                  {256, 384, 3, 1, 1, false},
+                                                  {256, 256, 3, 1, 1, false}};
 
 /// one image of rows x columns pixels for each channel
 struct FeatureMap {
@@ -46,8 +46,8 @@ struct FeatureMap {
 /// Window around each output pixel as a column of a matrix (im2col), 0 outside of the
 /// image.
 /// @return [in*edge*edge, output_rows*output_columns]
-Matrix unroll_patches_for_convolution(const FeatureMap& input_features, const ConvLayerShape& layer,
-                                      int output_rows, int output_columns) {
+Matrix im2col(const FeatureMap& input_features, const ConvLayerShape& layer, int output_rows,
+              int output_columns) {
     Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
                                   Eigen::Index(output_rows) * output_columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
@@ -68,23 +68,21 @@ Matrix unroll_patches_for_convolution(const FeatureMap& input_features, const Co
     return windows;
 }
 
-FeatureMap apply_convolution_and_relu(const FeatureMap& input_features, const ConvLayerShape& layer,
-                                      const std::vector<float>& filter_weights,
-                                      const std::vector<float>& bias) {
+FeatureMap convolve_relu(const FeatureMap& input_features, const ConvLayerShape& layer,
+                         const std::vector<float>& filter_weights, const std::vector<float>& bias) {
     FeatureMap result;
     result.rows = (input_features.rows + 2 * layer.padding - layer.edge) / layer.stride + 1;
     result.columns = (input_features.columns + 2 * layer.padding - layer.edge) / layer.stride + 1;
     const Eigen::Map<const Matrix> filters(filter_weights.data(), layer.out,
                                            Eigen::Index(layer.in) * layer.edge * layer.edge);
-    result.values.noalias() =
-        filters * unroll_patches_for_convolution(input_features, layer, result.rows, result.columns);
+    result.values.noalias() = filters * im2col(input_features, layer, result.rows, result.columns);
     result.values.colwise() += Eigen::Map<const Eigen::VectorXf>(bias.data(), layer.out);
     result.values = result.values.cwiseMax(0.0f);
     return result;
 }
 
 /// 3 x 3 with stride 2
-FeatureMap apply_max_pooling(const FeatureMap& input_features) {
+FeatureMap max_pool(const FeatureMap& input_features) {
     FeatureMap result{(input_features.rows - 3) / 2 + 1, (input_features.columns - 3) / 2 + 1, {}};
     result.values.resize(input_features.values.rows(), Eigen::Index(result.rows) * result.columns);
     for (Eigen::Index channel = 0; channel < input_features.values.rows(); ++channel) {
@@ -100,8 +98,8 @@ FeatureMap apply_max_pooling(const FeatureMap& input_features) {
 
 /// Normalises both feature vectors of a pixel to unit length. Returns their weighted
 /// squared difference, averaged over all pixels.
-double compute_feature_distance(const FeatureMap& first_features, const FeatureMap& second_features,
-                                const std::vector<float>& channel_weights) {
+double feature_distance(const FeatureMap& first_features, const FeatureMap& second_features,
+                        const std::vector<float>& channel_weights) {
     const Eigen::ArrayXXd fa = first_features.values.cast<double>().array(),
                           fb = second_features.values.cast<double>().array();
     const Eigen::ArrayXd weight =
@@ -117,7 +115,7 @@ double compute_feature_distance(const FeatureMap& first_features, const FeatureM
     return sum / double(fa.cols());
 }
 
-FeatureMap normalise_colours(const std::vector<float>& image, int rows, int columns) {
+FeatureMap normalise(const std::vector<float>& image, int rows, int columns) {
     FeatureMap result{rows, columns, Eigen::Map<const Matrix>(image.data(), 3, Eigen::Index(rows) * columns)};
     for (int colour = 0; colour < 3; ++colour)
         result.values.row(colour) =
@@ -125,11 +123,11 @@ FeatureMap normalise_colours(const std::vector<float>& image, int rows, int colu
     return result;
 }
 
-void require_valid_layer_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
-                                 std::size_t expected_count) {
-    if (values.size() != expected_count)
+void check_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
+                   std::size_t count) {
+    if (values.size() != count)
         fail("cannot use the weights of LPIPS: {}{} has {} values, expected {}", weights_name, layer_index,
-             values.size(), expected_count);
+             values.size(), count);
     if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
         fail("cannot use the weights of LPIPS: {}{} contains a value that is not finite", weights_name,
              layer_index);
@@ -142,22 +140,22 @@ struct Lpips::Impl {
 };
 
 Lpips::Lpips(LpipsWeights weights) : impl_(new Impl{std::move(weights)}) {
-    for (int l = 0; l < kLayers; ++l) {
+    for (int l = 0; l < kConvLayers; ++l) {
         const ConvLayerShape& shape = kAlexNet[l];
         const std::size_t k = std::size_t(l), channels = std::size_t(shape.out);
         const std::size_t n_weights =
             channels * std::size_t(shape.in) * std::size_t(shape.edge) * std::size_t(shape.edge);
-        require_valid_layer_weights("weight of convolution ", l, impl_->weights.weight[k], n_weights);
-        require_valid_layer_weights("bias of convolution ", l, impl_->weights.bias[k], channels);
-        require_valid_layer_weights("linear weights of layer ", l, impl_->weights.linear[k], channels);
+        check_weights("weight of convolution ", l, impl_->weights.weight[k], n_weights);
+        check_weights("bias of convolution ", l, impl_->weights.bias[k], channels);
+        check_weights("linear weights of layer ", l, impl_->weights.linear[k], channels);
     }
 }
 Lpips::~Lpips() = default;
 
-std::array<double, 5> Lpips::compute_lpips_layer_distances(const std::vector<float>& first_image,
-                                                           const std::vector<float>& second_image, int rows,
-                                                           int columns) const {
-    if (rows < kMinEdge || columns < kMinEdge)
+std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_image,
+                                             const std::vector<float>& second_image, int rows,
+                                             int columns) const {
+    if (rows < kMinEdgePixels || columns < kMinEdgePixels)
         fail("cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns);
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
     if (first_image.size() != n || second_image.size() != n)
@@ -165,22 +163,20 @@ std::array<double, 5> Lpips::compute_lpips_layer_distances(const std::vector<flo
             "cannot compute LPIPS: the images have {} and {} values, expected {} values each, which is 3 for "
             "each of the {} x {} pixels",
             first_image.size(), second_image.size(), n, rows, columns);
-    FeatureMap fa = normalise_colours(first_image, rows, columns),
-               fb = normalise_colours(second_image, rows, columns);
+    FeatureMap fa = normalise(first_image, rows, columns), fb = normalise(second_image, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {
         const ConvLayerShape& layer = kAlexNet[l];
         for (FeatureMap* f : {&fa, &fb})
-            *f = apply_convolution_and_relu(layer.pooled ? apply_max_pooling(*f) : *f, layer,
-                                            impl_->weights.weight[l], impl_->weights.bias[l]);
-        distance[l] = compute_feature_distance(fa, fb, impl_->weights.linear[l]);
+            *f = convolve_relu(layer.pooled ? max_pool(*f) : *f, layer, impl_->weights.weight[l],
+                               impl_->weights.bias[l]);
+        distance[l] = feature_distance(fa, fb, impl_->weights.linear[l]);
     }
     return distance;
 }
 
-double Lpips::compute_perceptual_distance(const std::vector<double>& first_image,
-                                          const std::vector<double>& second_image, int rows,
-                                          int columns) const {
+double Lpips::compute_distance(const std::vector<double>& first_image,
+                               const std::vector<double>& second_image, int rows, int columns) const {
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());
@@ -189,8 +185,7 @@ double Lpips::compute_perceptual_distance(const std::vector<double>& first_image
         return result;
     };
     double sum = 0.0;
-    for (const double layer :
-         compute_lpips_layer_distances(colours(first_image), colours(second_image), rows, columns))
+    for (const double layer : layer_distances(colours(first_image), colours(second_image), rows, columns))
         sum += layer;
     return sum;
 }

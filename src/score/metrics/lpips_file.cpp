@@ -11,7 +11,7 @@ LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
     const auto values = [&](const std::string& name) {
         const NamedArray* array = find_array(arrays, name);
         if (!array) fail("{}: the array {} is missing, expected the weights of LPIPS", path.string(), name);
-        return array->convert_to_floats();
+        return array->to_floats();
     };
     LpipsWeights weights;
     for (std::size_t l = 0; l < weights.weight.size(); ++l) {

@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-void require_finite_points(const std::vector<glm::dvec3>& points, const char* cloud_name) {
+void check_finite_points(const std::vector<glm::dvec3>& points, const char* cloud_name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
             fail(
@@ -25,19 +25,19 @@ void require_finite_points(const std::vector<glm::dvec3>& points, const char* cl
 
 }  // namespace
 
-std::vector<double> compute_nearest_distances(const std::vector<glm::dvec3>& query_points,
-                                              const std::vector<glm::dvec3>& target_points) {
+std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& query_points,
+                                        const std::vector<glm::dvec3>& target_points) {
     std::vector<double> distance(query_points.size());
     if (query_points.empty()) return distance;
     if (target_points.empty())
         fail("cannot search nearest points: there are {} query points, but no target point",
              query_points.size());
-    require_finite_points(query_points, "query");
-    require_finite_points(target_points, "target");
+    check_finite_points(query_points, "query");
+    check_finite_points(target_points, "target");
 
     const NearestPointFinder<double> targets(target_points);
-    parallel_for_in_blocks(query_points.size(), [&](std::size_t i) {
-        distance[i] = std::sqrt(targets.compute_nearest_squared_distance(query_points[i]));
+    parallel_blocks(query_points.size(), [&](std::size_t i) {
+        distance[i] = std::sqrt(targets.nearest_distance_sq(query_points[i]));
     });
     return distance;
 }

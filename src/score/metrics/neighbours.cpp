@@ -19,12 +19,12 @@ namespace {
 constexpr int kColumnSearch = 4;
 
 /// Of the same LiDAR before and after; only one if the other does not exist.
-std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence, int frame_index,
-                                                   const std::vector<int>& training_frames) {
-    const auto get_lidar = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
+std::vector<int> find_neighbours(const Log& sequence, int frame_index,
+                                 const std::vector<int>& training_frames) {
+    const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
     for (const int p : training_frames) {
-        if (get_lidar(p) != get_lidar(frame_index)) continue;
+        if (lidar_of(p) != lidar_of(frame_index)) continue;
         if (p < frame_index) before = std::max(before, p);
         if (p > frame_index && (after < 0 || p < after)) after = p;
     }
@@ -40,17 +40,15 @@ std::vector<int> find_neighbouring_training_frames(const LidarSequence& sequence
 }
 
 /// at the time when the rotating LiDAR faces the point
-glm::dvec3 transform_world_point_to_sensor(const LidarSequence& sequence, const glm::dvec3& world_point_m,
-                                           const LidarFrame& frame) {
-    const Pose& mounted = sequence.get_lidar(frame).vehicle_from_sensor;
+glm::dvec3 world_to_sensor(const Log& sequence, const glm::dvec3& world_point_m, const Frame& frame) {
+    const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference =
-        inverse(sequence.world_from_vehicle.interpolate_mounted_pose(frame.time_s, mounted)) * world_point_m;
-    const double facing_s =
-        compute_time_when_lidar_faces_point_s(sequence, at_reference, get_sweep_timing_of_frame(frame));
-    return inverse(sequence.world_from_vehicle.interpolate_mounted_pose(facing_s, mounted)) * world_point_m;
+        inverse(sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounted)) * world_point_m;
+    const double facing_s = facing_time_s(sequence, at_reference, timing_of(frame));
+    return inverse(sequence.world_from_vehicle.mounted_pose_at(facing_s, mounted)) * world_point_m;
 }
 
-void append_point_to_scan(Scan& scan, const glm::dvec3& sensor_point_m, float intensity) {
+void append_point(Scan& scan, const glm::dvec3& sensor_point_m, float intensity) {
     const double range = glm::length(sensor_point_m);
     if (!(range > 0.0)) return;
     scan.rays.origin.emplace_back(0.0f);
@@ -65,7 +63,7 @@ struct RayPixel {
     int row = 0, column = 0;
 };
 
-double compute_elevation_rad(const glm::dvec3& vector) {
+double elevation_rad(const glm::dvec3& vector) {
     return std::asin(std::clamp(vector.z / glm::length(vector), -1.0, 1.0));
 }
 
@@ -76,14 +74,14 @@ struct RayTableNeighbours {
     const bool circular = is_full_turn(rays.rows, rays.columns, rays.direction);
 
     /// Columns wrap around in a full turn. Otherwise they end at the first and last one.
-    std::size_t get_ray_index(RayPixel ray_cell) const {
+    std::size_t ray_index(RayPixel ray_cell) const {
         const int wrapped = circular ? (ray_cell.column % rays.columns + rays.columns) % rays.columns
                                      : std::clamp(ray_cell.column, 0, rays.columns - 1);
         return std::size_t(ray_cell.row) * std::size_t(rays.columns) + std::size_t(wrapped);
     }
     /// relative to a column of the middle row
-    double compute_azimuth_from_column_rad(const glm::dvec3& direction, int column) const {
-        const glm::dvec3 ray = get_ray_direction({rays.rows / 2, column});
+    double azimuth_rad_from(const glm::dvec3& direction, int column) const {
+        const glm::dvec3 ray = ray_direction({rays.rows / 2, column});
         return std::remainder(std::atan2(direction.y, direction.x) - std::atan2(ray.y, ray.x), 2.0 * kPi);
     }
     /// In units of columns. Columns of less than a full turn have even steps.
@@ -91,39 +89,37 @@ struct RayTableNeighbours {
         if (circular) return (1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * rays.columns;
         const int first = rays.columns / 4, last = 3 * rays.columns / 4;
         const double step_rad =
-            compute_azimuth_from_column_rad(get_ray_direction({rays.rows / 2, last}), first) / (last - first);
-        return rays.columns / 2 + compute_azimuth_from_column_rad(point_m, rays.columns / 2) / step_rad;
+            azimuth_rad_from(ray_direction({rays.rows / 2, last}), first) / (last - first);
+        return rays.columns / 2 + azimuth_rad_from(point_m, rays.columns / 2) / step_rad;
     }
-    glm::dvec3 compute_vector_from_ray_origin(RayPixel ray_cell, const glm::vec3& point_m) const {
-        return glm::dvec3(point_m) - glm::dvec3(rays.origin[get_ray_index(ray_cell)]);
+    glm::dvec3 vector_from_origin(RayPixel ray_cell, const glm::vec3& point_m) const {
+        return glm::dvec3(point_m) - glm::dvec3(rays.origin[ray_index(ray_cell)]);
     }
-    glm::dvec3 get_ray_direction(RayPixel ray_cell) const { return rays.direction[get_ray_index(ray_cell)]; }
+    glm::dvec3 ray_direction(RayPixel ray_cell) const { return rays.direction[ray_index(ray_cell)]; }
     /// both seen from the origin of the ray
-    double compute_elevation_above_ray_rad(RayPixel ray_cell, const glm::vec3& point_m) const {
-        return compute_elevation_rad(compute_vector_from_ray_origin(ray_cell, point_m)) -
-               compute_elevation_rad(get_ray_direction(ray_cell));
+    double elevation_above_rad(RayPixel ray_cell, const glm::vec3& point_m) const {
+        return elevation_rad(vector_from_origin(ray_cell, point_m)) - elevation_rad(ray_direction(ray_cell));
     }
-    double compute_cosine_to_ray(RayPixel ray_cell, const glm::vec3& point_m) const {
-        const glm::dvec3 v = compute_vector_from_ray_origin(ray_cell, point_m);
-        return glm::dot(v, get_ray_direction(ray_cell)) / glm::length(v);
+    double cosine_to(RayPixel ray_cell, const glm::vec3& point_m) const {
+        const glm::dvec3 v = vector_from_origin(ray_cell, point_m);
+        return glm::dot(v, ray_direction(ray_cell)) / glm::length(v);
     }
     /// Finds the row with the nearest elevation, then compares it with both neighbouring
     /// rows.
-    RayPixel find_nearest_ray_cell(const glm::vec3& point_m) const {
+    RayPixel find_nearest(const glm::vec3& point_m) const {
         const int column = int(std::lround(estimate_column(point_m)));
         int row = 0;
-        double least = std::abs(compute_elevation_above_ray_rad({0, column}, point_m));
+        double least = std::abs(elevation_above_rad({0, column}, point_m));
         for (int r = 1; r < rays.rows; ++r)
-            if (const double off = std::abs(compute_elevation_above_ray_rad({r, column}, point_m));
-                off < least) {
+            if (const double off = std::abs(elevation_above_rad({r, column}, point_m)); off < least) {
                 least = off;
                 row = r;
             }
         RayPixel best{row, column};
-        double most = compute_cosine_to_ray(best, point_m);
+        double most = cosine_to(best, point_m);
         for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rays.rows - 1); ++r)
             for (int c = column - kColumnSearch; c <= column + kColumnSearch; ++c)
-                if (const double cos = compute_cosine_to_ray({r, c}, point_m); cos > most) {
+                if (const double cos = cosine_to({r, c}, point_m); cos > most) {
                     most = cos;
                     best = {r, c};
                 }
@@ -131,53 +127,49 @@ struct RayTableNeighbours {
     }
     /// By more than half the spacing of the outer rows, or of the outer columns of less
     /// than a full turn.
-    bool is_point_outside_field_of_view(RayPixel ray_cell, const glm::vec3& point_m) const {
+    bool is_outside(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double column = estimate_column(point_m);
         if (!circular && (column < -0.5 || column > rays.columns - 0.5)) return true;
         const double half_spacing =
-            0.5 * std::abs(compute_elevation_rad(get_ray_direction(ray_cell)) -
-                           compute_elevation_rad(get_ray_direction(
-                               {ray_cell.row == 0 ? 1 : ray_cell.row - 1, ray_cell.column})));
-        return (ray_cell.row == 0 && compute_elevation_above_ray_rad(ray_cell, point_m) > half_spacing) ||
-               (ray_cell.row == rays.rows - 1 &&
-                compute_elevation_above_ray_rad(ray_cell, point_m) < -half_spacing);
+            0.5 * std::abs(elevation_rad(ray_direction(ray_cell)) -
+                           elevation_rad(
+                               ray_direction({ray_cell.row == 0 ? 1 : ray_cell.row - 1, ray_cell.column})));
+        return (ray_cell.row == 0 && elevation_above_rad(ray_cell, point_m) > half_spacing) ||
+               (ray_cell.row == rays.rows - 1 && elevation_above_rad(ray_cell, point_m) < -half_spacing);
     }
 };
 
 }  // namespace
 
-Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_frame_index,
-                                  const std::vector<int>& train_frames, BoxPointMotion box_motion) {
-    const LidarFrame& sweep = sequence.frames.at(std::size_t(predicted_frame_index));
+Scan predict_scan(const Log& sequence, int predicted_frame_index, const std::vector<int>& train_frames,
+                  BoxPointMotion box_motion) {
+    const Frame& sweep = sequence.frames.at(std::size_t(predicted_frame_index));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
         if (box_motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour :
-         find_neighbouring_training_frames(sequence, predicted_frame_index, train_frames)) {
-        const LidarFrame& frame = sequence.frames.at(std::size_t(neighbour));
+    for (const int neighbour : find_neighbours(sequence, predicted_frame_index, train_frames)) {
+        const Frame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            WorldReturn w = compute_world_return(sequence, frame, ray);
+            WorldReturn w = locate_return(sequence, frame, ray);
             // the measured range includes the range offset of the beam
             w.point_m +=
-                double(frame.scan.range_m[ray] - compute_surface_return(sequence, frame, ray).range_m) *
-                w.direction;
+                double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             const auto containing_box = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
-                return box->is_observed_at_time(w.time_s) && box->contains_point(w.point_m, w.time_s, 0.0);
+                return box->is_observed(w.time_s) && box->contains_point(w.point_m, w.time_s, 0.0);
             });
             if (containing_box != moving.end()) {
                 const BoxTrack& box = **containing_box;
                 // Estimated time when `sweep` measures this box, with the same offset
                 // from its frame.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
-                if (!box.is_observed_at_time(then_s)) continue;
-                world_m = box.world_from_box.interpolate_pose(then_s) *
-                          (inverse(box.world_from_box.interpolate_pose(w.time_s)) * w.point_m);
+                if (!box.is_observed(then_s)) continue;
+                world_m = box.world_from_box.pose_at(then_s) *
+                          (inverse(box.world_from_box.pose_at(w.time_s)) * w.point_m);
             }
-            append_point_to_scan(points, transform_world_point_to_sensor(sequence, world_m, sweep),
-                                 frame.scan.intensity[ray]);
+            append_point(points, world_to_sensor(sequence, world_m, sweep), frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;
@@ -185,7 +177,7 @@ Scan predict_scan_from_neighbours(const LidarSequence& sequence, int predicted_f
     return points;
 }
 
-Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
+Scan assign_points(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         fail(
             "cannot project points into an image of {} rows and {} columns, expected the rays of a spinning "
@@ -194,10 +186,10 @@ Scan assign_points_to_nearest_rays(const RayTable& rays, const Scan& points) {
     const RayTableNeighbours beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {
-        const glm::vec3 point = points.compute_return_point_in_sensor_frame(i);
-        const RayPixel ray_cell = beams.find_nearest_ray_cell(point);
-        if (beams.is_point_outside_field_of_view(ray_cell, point)) continue;
-        const std::size_t ray = beams.get_ray_index(ray_cell);
+        const glm::vec3 point = points.return_point(i);
+        const RayPixel ray_cell = beams.find_nearest(point);
+        if (beams.is_outside(ray_cell, point)) continue;
+        const std::size_t ray = beams.ray_index(ray_cell);
         const float range = glm::distance(point, rays.origin[ray]);
         if (!(range > 0.0f) || (scan.range_m[ray] > 0.0f && scan.range_m[ray] <= range)) continue;
         scan.range_m[ray] = range;

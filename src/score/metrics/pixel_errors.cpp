@@ -14,16 +14,16 @@ constexpr double kClampLow = 1e-6;
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
 
 template <typename T>
-void require_count(const std::vector<T>& values, std::size_t expected_count, const char* image_name,
+void require_count(const std::vector<T>& values, std::size_t count, const char* image_name,
                    const char* array_name) {
-    if (values.size() != expected_count)
+    if (values.size() != count)
         fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
-             image_name, array_name, values.size(), expected_count);
+             image_name, array_name, values.size(), count);
 }
 
-void require_valid_pixel_values(const std::vector<float>& values, std::size_t expected_count,
-                                const char* image_name, const char* array_name) {
-    require_count(values, expected_count, image_name, array_name);
+void check_pixels(const std::vector<float>& values, std::size_t count, const char* image_name,
+                  const char* array_name) {
+    require_count(values, count, image_name, array_name);
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
         fail(
@@ -32,36 +32,36 @@ void require_valid_pixel_values(const std::vector<float>& values, std::size_t ex
             image_name, array_name, *bad, bad - values.begin());
 }
 
-void require_valid_range_image(const RangeImage& image, const char* image_name) {
+void check_image(const RangeImage& image, const char* image_name) {
     if (image.rows <= 0 || image.columns <= 0)
         fail("cannot compare range images: the {} image has {} x {} pixels, expected at least one pixel",
              image_name, image.rows, image.columns);
     const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
-    require_valid_pixel_values(image.range_m, n, image_name, "range_m");
-    require_valid_pixel_values(image.intensity, n, image_name, "intensity");
-    require_valid_pixel_values(image.drop_prob, n, image_name, "drop_prob");
+    check_pixels(image.range_m, n, image_name, "range_m");
+    check_pixels(image.intensity, n, image_name, "intensity");
+    check_pixels(image.drop_prob, n, image_name, "drop_prob");
     require_count(image.origin, n, image_name, "origin");
     require_count(image.direction, n, image_name, "direction");
 }
 
 }  // namespace
 
-void require_comparable_images(const RangeImage& rendered, const RangeImage& real) {
-    require_valid_range_image(rendered, "rendered");
-    require_valid_range_image(real, "real");
+void check_comparable(const RangeImage& rendered, const RangeImage& real) {
+    check_image(rendered, "rendered");
+    check_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
     fail("cannot compare range images: the rendered image has {} x {} pixels, but the real image has {} x {}",
          rendered.rows, rendered.columns, real.rows, real.columns);
 }
 
-PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold) {
+PixelMask undropped_mask(const RangeImage& image, double drop_threshold) {
     PixelMask mask(image.drop_prob.size());
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = double(image.drop_prob[i]) < drop_threshold;
     return mask;
 }
 
-PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold) {
-    PixelMask mask = make_undropped_pixel_mask(image, drop_threshold);
+PixelMask return_mask(const RangeImage& image, double drop_threshold) {
+    PixelMask mask = undropped_mask(image, drop_threshold);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] = mask[i] && image.range_m[i] > 0.0f;
     return mask;
 }
@@ -72,35 +72,33 @@ PixelMask intersect_masks(const PixelMask& first, const PixelMask& second) {
     return mask;
 }
 
-PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
-                                                     double maximum) {
+PixelValues clamp_masked(const std::vector<float>& values, const PixelMask& mask, double maximum) {
     PixelValues result(values.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i] = clamp_value(mask[i] ? values[i] : 0.0f, maximum);
     return result;
 }
 
-double compute_values_mean(const PixelValues& values) {
+double mean_value(const PixelValues& values) {
     double sum = 0.0;
     for (double v : values) sum += v;
     return sum / double(values.size());
 }
 
-double compute_mean_square(const PixelValues& values) {
+double mean_square(const PixelValues& values) {
     double sum = 0.0;
     for (double v : values) sum += v * v;
     return sum / double(values.size());
 }
 
-double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_prefix,
-                                     const std::string& unit_suffix, const PixelValues& first,
-                                     const PixelValues& second) {
+double add_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                  const PixelValues& first, const PixelValues& second) {
     if (first.empty()) return -1.0;
     PixelValues error(first.size());
     for (std::size_t i = 0; i < first.size(); ++i) error[i] = std::abs(first[i] - second[i]);
-    const double squared = compute_mean_square(error);
+    const double squared = mean_square(error);
     row[name_prefix + "rmse" + unit_suffix] = std::sqrt(squared);
-    row[name_prefix + "mae" + unit_suffix] = compute_values_mean(error);
+    row[name_prefix + "mae" + unit_suffix] = mean_value(error);
     const auto middle = error.begin() + std::ptrdiff_t(error.size() / 2);
     std::nth_element(error.begin(), middle, error.end());
     double median = *middle;
@@ -118,7 +116,7 @@ void add_masked_errors(MetricValues& row, const std::string& name_prefix, const 
             a.push_back(clamp_value(first[i], maximum));
             b.push_back(clamp_value(second[i], maximum));
         }
-    add_error_metrics_and_get_mse(row, name_prefix, unit_suffix, a, b);
+    add_errors(row, name_prefix, unit_suffix, a, b);
 }
 
 }  // namespace relidar::metrics

@@ -20,26 +20,24 @@ inline constexpr double kMaxIntensity = 1.0;
 
 /// @throws DataError if the images are empty, differ in shape, or have values that are
 /// not finite
-void require_comparable_images(const RangeImage& rendered, const RangeImage& real);
+void check_comparable(const RangeImage& rendered, const RangeImage& real);
 
-PixelMask make_undropped_pixel_mask(const RangeImage& image, double drop_threshold);
+PixelMask undropped_mask(const RangeImage& image, double drop_threshold);
 /// Drop probability below the threshold, and range above 0 (0: the ray hit no surface).
-PixelMask make_positive_range_mask(const RangeImage& image, double drop_threshold);
+PixelMask return_mask(const RangeImage& image, double drop_threshold);
 
 PixelMask intersect_masks(const PixelMask& first, const PixelMask& second);
 
 /// All pixels, clamped to [1e-6, maximum]. Pixels outside the mask get 1e-6.
-PixelValues clamp_values_and_set_unmasked_to_minimum(const std::vector<float>& values, const PixelMask& mask,
-                                                     double maximum);
-double compute_values_mean(const PixelValues& values);
-double compute_mean_square(const PixelValues& values);
+PixelValues clamp_masked(const std::vector<float>& values, const PixelMask& mask, double maximum);
+double mean_value(const PixelValues& values);
+double mean_square(const PixelValues& values);
 
 /// Adds <prefix>rmse<unit>, <prefix>mae<unit> and <prefix>medae<unit>, unless there are
 /// no pixels.
 /// @return mean squared error, or -1 if there are no pixels
-double add_error_metrics_and_get_mse(MetricValues& row, const std::string& name_prefix,
-                                     const std::string& unit_suffix, const PixelValues& first,
-                                     const PixelValues& second);
+double add_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
+                  const PixelValues& first, const PixelValues& second);
 /// The same of the pixels in the mask. Clamps the values to [1e-6, maximum].
 void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const std::vector<float>& first, const std::vector<float>& second,

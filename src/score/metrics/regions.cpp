@@ -17,7 +17,7 @@ namespace {
 
 using namespace metrics;
 
-PixelRegion make_range_band_region(const RangeImage& real_image, double min_range_m, double max_range_m) {
+PixelRegion range_band(const RangeImage& real_image, double min_range_m, double max_range_m) {
     PixelRegion region{fmt::format("range_{:.0f}_{:.0f}_m", min_range_m, max_range_m),
                        PixelMask(real_image.range_m.size())};
     for (std::size_t i = 0; i < region.pixels.size(); ++i)
@@ -26,9 +26,9 @@ PixelRegion make_range_band_region(const RangeImage& real_image, double min_rang
     return region;
 }
 
-PixelMask mask_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const LidarSequence& sequence,
-                                       const LidarFrame& frame, const Pose& sensor_offset) {
-    const PoseTrack track = compute_mounted_track(sequence.get_world_from_sensor(frame.lidar), sensor_offset);
+PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& sequence, const Frame& frame,
+                     const Pose& sensor_offset) {
+    const PoseTrack track = mount_track(sequence.lidar_track(frame.lidar), sensor_offset);
     // is_moving() is slow
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.is_moving(); });
     PixelMask moving(frame.scan.range_m.size());
@@ -48,9 +48,9 @@ PixelMask mask_returns_in_moving_boxes(std::vector<BoxTrack> boxes, const LidarS
 
 MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                               const std::vector<PixelRegion>& regions, const MetricOptions& options) {
-    require_comparable_images(rendered, real);
-    const PixelMask real_returns = make_positive_range_mask(real, kRealDropThreshold),
-                    rendered_returns = make_positive_range_mask(rendered, options.strict_drop_threshold);
+    check_comparable(rendered, real);
+    const PixelMask real_returns = return_mask(real, kRealDropThreshold),
+                    rendered_returns = return_mask(rendered, options.strict_drop_threshold);
     MetricValues row;
     for (const PixelRegion& region : regions) {
         if (region.pixels.size() != real_returns.size())
@@ -72,32 +72,29 @@ MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real
     return row;
 }
 
-std::vector<PixelRegion> make_evaluation_regions(const RangeImage& real,
-                                                 const std::vector<bool>& moving_pixels) {
+std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<bool>& moving_pixels) {
     PixelMask resting = moving_pixels;
     resting.flip();
     return {{"all", PixelMask(moving_pixels.size(), true)},
             {"moving_boxes", moving_pixels},
             {"static", resting},
-            make_range_band_region(real, 0.0, 20.0),
-            make_range_band_region(real, 20.0, 40.0),
-            make_range_band_region(real, 40.0, 80.0)};
+            range_band(real, 0.0, 20.0),
+            range_band(real, 20.0, 40.0),
+            range_band(real, 40.0, 80.0)};
 }
 
-std::vector<bool> mask_returns_in_labelled_movers(const LidarSequence& sequence, const LidarFrame& frame,
-                                                  const Pose& sensor_offset) {
+std::vector<bool> mask_labelled_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled;
     // Without the poses that discover_tracks() may have added.
     for (const BoxTrack& box : sequence.boxes)
-        if (box.category != kDiscoveredCategory) labelled.push_back(box.copy_track_of_labelled_poses());
-    return mask_returns_in_moving_boxes(std::move(labelled), sequence, frame, sensor_offset);
+        if (box.category != kDiscoveredCategory) labelled.push_back(box.labelled_part());
+    return mask_boxes(std::move(labelled), sequence, frame, sensor_offset);
 }
 
-std::vector<bool> mask_returns_in_discovered_movers(const LidarSequence& sequence, const LidarFrame& frame,
-                                                    const Pose& sensor_offset) {
+std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> discovered = sequence.boxes;
     std::erase_if(discovered, [](const BoxTrack& box) { return box.category != kDiscoveredCategory; });
-    return mask_returns_in_moving_boxes(std::move(discovered), sequence, frame, sensor_offset);
+    return mask_boxes(std::move(discovered), sequence, frame, sensor_offset);
 }
 
 }  // namespace relidar

@@ -15,13 +15,13 @@
 namespace relidar {
 namespace {
 
-constexpr int kWindow = 7;
+constexpr int kWindowPixels = 7;
 
 /// over a window of two images a and b: a, b, a^2, b^2 and a*b
 struct SsimWindowSums {
     std::array<double, 5> sum{};
 
-    void add_pixel_pair_to_sums(double first, double second) {
+    void add_pair(double first, double second) {
         const std::array<double, 5> term{first, second, first * first, second * second, first * second};
         for (std::size_t k = 0; k < sum.size(); ++k) sum[k] += term[k];
     }
@@ -30,8 +30,8 @@ struct SsimWindowSums {
     }
 };
 
-double compute_window_ssim(const SsimWindowSums& window_sums, double c1, double c2) {
-    constexpr double n = kWindow * kWindow;
+double window_ssim(const SsimWindowSums& window_sums, double c1, double c2) {
+    constexpr double n = kWindowPixels * kWindowPixels;
     constexpr double sample = n / (n - 1.0);
     const double ma = window_sums.sum[0] / n, mb = window_sums.sum[1] / n;
     const double va = sample * (window_sums.sum[2] / n - ma * ma);
@@ -42,24 +42,23 @@ double compute_window_ssim(const SsimWindowSums& window_sums, double c1, double 
 
 /// Sums over every 7 consecutive pixels of a row.
 /// @return [rows * (columns - 6)]
-std::vector<SsimWindowSums> compute_row_window_sums(const std::vector<double>& first_image,
-                                                    const std::vector<double>& second_image, int rows,
-                                                    int columns) {
-    const int width = columns - kWindow + 1;
+std::vector<SsimWindowSums> row_window_sums(const std::vector<double>& first_image,
+                                            const std::vector<double>& second_image, int rows, int columns) {
+    const int width = columns - kWindowPixels + 1;
     std::vector<SsimWindowSums> sums(std::size_t(rows) * std::size_t(width));
     for (int row = 0; row < rows; ++row)
         for (int column = 0; column < width; ++column) {
             const std::size_t first = std::size_t(row) * std::size_t(columns) + std::size_t(column);
             SsimWindowSums& sum = sums[std::size_t(row) * std::size_t(width) + std::size_t(column)];
-            for (std::size_t k = 0; k < kWindow; ++k)
-                sum.add_pixel_pair_to_sums(first_image[first + k], second_image[first + k]);
+            for (std::size_t k = 0; k < kWindowPixels; ++k)
+                sum.add_pair(first_image[first + k], second_image[first + k]);
         }
     return sums;
 }
 
-void require_valid_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, int rows, int columns,
-                               double data_range) {
-    if (rows < kWindow || columns < kWindow)
+void check_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, int rows, int columns,
+                       double data_range) {
+    if (rows < kWindowPixels || columns < kWindowPixels)
         fail(
             "cannot compute the structural similarity: the image has {} x {} pixels, expected at least 7 x 7",
             rows, columns);
@@ -78,18 +77,17 @@ void require_valid_ssim_inputs(std::size_t n_first_values, std::size_t n_second_
 
 double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range) {
-    require_valid_ssim_inputs(first_image.size(), second_image.size(), rows, columns, data_range);
+    check_ssim_inputs(first_image.size(), second_image.size(), rows, columns, data_range);
     const double c1 = 0.01 * data_range * 0.01 * data_range, c2 = 0.03 * data_range * 0.03 * data_range;
-    const std::vector<SsimWindowSums> sums =
-        compute_row_window_sums(first_image, second_image, rows, columns);
-    const int width = columns - kWindow + 1, height = rows - kWindow + 1;
+    const std::vector<SsimWindowSums> sums = row_window_sums(first_image, second_image, rows, columns);
+    const int width = columns - kWindowPixels + 1, height = rows - kWindowPixels + 1;
     double total = 0.0;
     for (int row = 0; row < height; ++row)
         for (int column = 0; column < width; ++column) {
             SsimWindowSums window;
-            for (int k = 0; k < kWindow; ++k)
+            for (int k = 0; k < kWindowPixels; ++k)
                 window.add_moments(sums[std::size_t(row + k) * std::size_t(width) + std::size_t(column)]);
-            total += compute_window_ssim(window, c1, c2);
+            total += window_ssim(window, c1, c2);
         }
     return total / (double(width) * double(height));
 }

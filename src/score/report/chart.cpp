@@ -15,11 +15,11 @@ namespace relidar::report {
 namespace {
 
 // in SVG units, with space for the labels
-constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
+constexpr double kLeftMargin = 58, kRightMargin = 14, kTopMargin = 10, kBottomMargin = 30;
 // Longer curves are noisy, so their running mean is also drawn.
-constexpr std::size_t kManyPoints = 250;
+constexpr std::size_t kMaxSmoothPoints = 250;
 // of the x axis; at most two points per interval are drawn
-constexpr std::size_t kBuckets = 500;
+constexpr std::size_t kMaxIntervals = 500;
 
 /// value range and position on the page
 struct ChartAxis {
@@ -27,10 +27,9 @@ struct ChartAxis {
     double at_low = 0.0, at_high = 1.0;
     bool logarithmic = false;
 
-    double apply_log_scale_if_set(double value) const { return logarithmic ? std::log10(value) : value; }
-    double convert_value_to_svg_coordinate(double value) const {
-        return at_low + (apply_log_scale_if_set(value) - apply_log_scale_if_set(low)) /
-                            (apply_log_scale_if_set(high) - apply_log_scale_if_set(low)) * (at_high - at_low);
+    double scaled(double value) const { return logarithmic ? std::log10(value) : value; }
+    double to_svg(double value) const {
+        return at_low + (scaled(value) - scaled(low)) / (scaled(high) - scaled(low)) * (at_high - at_low);
     }
 };
 
@@ -38,7 +37,7 @@ struct ValueInterval {
     double low = std::numeric_limits<double>::infinity();
     double high = -std::numeric_limits<double>::infinity();
 
-    void extend_range_to_value(double value) {
+    void extend(double value) {
         low = std::min(low, value);
         high = std::max(high, value);
     }
@@ -46,19 +45,19 @@ struct ValueInterval {
 };
 
 /// finite and inside the range of the axis
-bool is_curve_point_drawable(const ReportCurve& curve, std::size_t point_index) {
-    return std::abs(curve.x[point_index]) < 1e100 && std::abs(curve.y[point_index]) < 1e100;
+bool is_drawable(const ReportCurve& curve, std::size_t point) {
+    return std::abs(curve.x[point]) < 1e100 && std::abs(curve.y[point]) < 1e100;
 }
 
-double choose_round_tick_step(double span, int n_ticks) {
+double choose_tick_step(double span, int n_ticks) {
     const double raw = span / n_ticks, decade = std::pow(10.0, std::floor(std::log10(raw)));
     for (double factor : {1.0, 2.0, 5.0})
         if (raw <= factor * decade) return factor * decade;
     return 10.0 * decade;
 }
 
-std::vector<double> make_linear_ticks(const ChartAxis& axis, int n_ticks) {
-    const double step = choose_round_tick_step(axis.high - axis.low, n_ticks);
+std::vector<double> linear_ticks(const ChartAxis& axis, int n_ticks) {
+    const double step = choose_tick_step(axis.high - axis.low, n_ticks);
     std::vector<double> ticks;
     for (double k = std::ceil(axis.low / step - 1e-9);
          k * step <= axis.high + 1e-9 * step && ticks.size() < 50; ++k)
@@ -81,7 +80,7 @@ std::vector<double> make_log_ticks(const ChartAxis& axis) {
     return ticks;
 }
 
-std::string format_tick_label(double value) {
+std::string format_tick(double value) {
     const double size = std::abs(value);
     if (size >= 1e6) return fmt::format("{:g}M", value / 1e6);
     if (size >= 1e4) return fmt::format("{:g}k", value / 1e3);
@@ -120,16 +119,16 @@ ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double
 
 /// The minimum and the maximum of each interval of the x axis, so that spikes remain
 /// visible. Values that are not finite become gaps.
-std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
-    const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
+std::vector<std::size_t> thin_out(const ReportCurve& curve) {
+    const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kMaxIntervals);
     std::vector<std::size_t> point_indices;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
             // A value that cannot be drawn leaves a gap.
-            if (!is_curve_point_drawable(curve, i)) low = high = i;
-            else if (is_curve_point_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
-            else if (is_curve_point_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
+            if (!is_drawable(curve, i)) low = high = i;
+            else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
+            else if (is_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
         }
         point_indices.push_back(std::min(low, high));
         if (low != high) point_indices.push_back(std::max(low, high));
@@ -138,8 +137,8 @@ std::vector<std::size_t> select_drawn_point_indices(const ReportCurve& curve) {
 }
 
 /// At a few hundred points, over a window of 1/40 of the curve.
-ReportCurve compute_running_mean(const ReportCurve& curve) {
-    const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kBuckets);
+ReportCurve running_mean(const ReportCurve& curve) {
+    const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kMaxIntervals);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t sample = 0; sample < n_samples; ++sample) {
         const std::size_t middle = sample * (n - 1) / (n_samples - 1);
@@ -147,7 +146,7 @@ ReportCurve compute_running_mean(const ReportCurve& curve) {
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
-            if (is_curve_point_drawable(curve, i)) {
+            if (is_drawable(curve, i)) {
                 sum += curve.y[i];
                 ++count;
             }
@@ -158,18 +157,17 @@ ReportCurve compute_running_mean(const ReportCurve& curve) {
     return result;
 }
 
-std::string draw_curve_as_svg_path(const ReportCurve& curve, const ChartAxis& x_axis, const ChartAxis& y_axis,
-                                   const std::string& css_class) {
+std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const ChartAxis& y_axis,
+                       const std::string& css_class) {
     std::string path, dots;
     bool connected = false;
-    const std::vector<std::size_t> point_indices = select_drawn_point_indices(curve);
+    const std::vector<std::size_t> point_indices = thin_out(curve);
     for (std::size_t i : point_indices) {
-        if (!is_curve_point_drawable(curve, i)) {
+        if (!is_drawable(curve, i)) {
             connected = false;
             continue;
         }
-        const double px = x_axis.convert_value_to_svg_coordinate(curve.x[i]),
-                     py = y_axis.convert_value_to_svg_coordinate(curve.y[i]);
+        const double px = x_axis.to_svg(curve.x[i]), py = y_axis.to_svg(curve.y[i]);
         path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
         if (point_indices.size() <= 30)
             dots += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", css_class, px,
@@ -179,20 +177,19 @@ std::string draw_curve_as_svg_path(const ReportCurve& curve, const ChartAxis& x_
     return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", css_class, path, dots);
 }
 
-std::string draw_axes_as_svg(const ChartAxis& x_axis, const ChartAxis& y_axis) {
+std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {
     std::string svg;
-    for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : make_linear_ticks(y_axis, 5))
+    for (double tick : y_axis.logarithmic ? make_log_ticks(y_axis) : linear_ticks(y_axis, 5))
         svg += fmt::format(
             "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/><text "
             "class=\"axis\" x=\"{3:.1f}\" y=\"{4:.1f}\" text-anchor=\"end\">{5}</text>\n",
-            x_axis.at_low, x_axis.at_high, y_axis.convert_value_to_svg_coordinate(tick), x_axis.at_low - 8,
-            y_axis.convert_value_to_svg_coordinate(tick) + 4, format_tick_label(tick));
-    for (double tick : make_linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
+            x_axis.at_low, x_axis.at_high, y_axis.to_svg(tick), x_axis.at_low - 8, y_axis.to_svg(tick) + 4,
+            format_tick(tick));
+    for (double tick : linear_ticks(x_axis, x_axis.at_high - x_axis.at_low > 600 ? 10 : 5))
         svg += fmt::format(
             "<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.1f}\" y2=\"{2:.1f}\"/><text "
             "class=\"axis\" x=\"{0:.1f}\" y=\"{3:.1f}\" text-anchor=\"middle\">{4}</text>\n",
-            x_axis.convert_value_to_svg_coordinate(tick), y_axis.at_low, y_axis.at_low + 4,
-            y_axis.at_low + 18, format_tick_label(tick));
+            x_axis.to_svg(tick), y_axis.at_low, y_axis.at_low + 4, y_axis.at_low + 18, format_tick(tick));
     return svg +
            fmt::format("<line class=\"tick\" x1=\"{0:.1f}\" x2=\"{1:.1f}\" y1=\"{2:.1f}\" y2=\"{2:.1f}\"/>\n",
                        x_axis.at_low, x_axis.at_high, y_axis.at_low);
@@ -200,9 +197,9 @@ std::string draw_axes_as_svg(const ChartAxis& x_axis, const ChartAxis& y_axis) {
 
 }  // namespace
 
-bool should_draw_running_mean(const std::vector<const ReportCurve*>& curves) {
+bool has_running_mean(const std::vector<const ReportCurve*>& curves) {
     return std::any_of(curves.begin(), curves.end(),
-                       [](const ReportCurve* curve) { return curve->y.size() > kManyPoints; });
+                       [](const ReportCurve* curve) { return curve->y.size() > kMaxSmoothPoints; });
 }
 
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height) {
@@ -212,23 +209,23 @@ std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int wi
             fail("cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
                  curve->name, curve->x.size(), curve->y.size());
         for (std::size_t i = 0; i < curve->x.size(); ++i)
-            if (is_curve_point_drawable(*curve, i)) {
-                x_extent.extend_range_to_value(curve->x[i]);
-                y_extent.extend_range_to_value(curve->y[i]);
+            if (is_drawable(*curve, i)) {
+                x_extent.extend(curve->x[i]);
+                y_extent.extend(curve->y[i]);
             }
     }
-    const ChartAxis x = make_x_axis(x_extent, kLeft, width - kRight),
-                    y = make_y_axis(y_extent, height - kBottom, kTop);
+    const ChartAxis x = make_x_axis(x_extent, kLeftMargin, width - kRightMargin),
+                    y = make_y_axis(y_extent, height - kBottomMargin, kTopMargin);
     std::string names;
     for (const ReportCurve* curve : curves) names += (names.empty() ? "" : ", ") + curve->name;
     std::string svg = fmt::format("<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"Curves of {}\">\n{}",
-                                  width, height, escape_html(names), draw_axes_as_svg(x, y));
+                                  width, height, escape_html(names), draw_axes(x, y));
     for (std::size_t i = 0; i < curves.size(); ++i) {
         const std::string colour = fmt::format("c{}", i % kChartColours);
-        const bool many = curves[i]->y.size() > kManyPoints;
+        const bool many = curves[i]->y.size() > kMaxSmoothPoints;
         svg += fmt::format("<g><title>{}</title>", escape_html(curves[i]->name));
-        svg += draw_curve_as_svg_path(*curves[i], x, y, many ? colour + " faint" : colour);
-        if (many) svg += draw_curve_as_svg_path(compute_running_mean(*curves[i]), x, y, colour);
+        svg += draw_curve(*curves[i], x, y, many ? colour + " faint" : colour);
+        if (many) svg += draw_curve(running_mean(*curves[i]), x, y, colour);
         svg += "</g>\n";
     }
     return svg + "</svg>\n";

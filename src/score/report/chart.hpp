@@ -20,6 +20,6 @@ inline constexpr int kChartColours = 8;
 /// @throws DataError if x and y of a curve differ in length
 std::string draw_svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
 
-bool should_draw_running_mean(const std::vector<const ReportCurve*>& curves);
+bool has_running_mean(const std::vector<const ReportCurve*>& curves);
 
 }  // namespace relidar::report

@@ -33,7 +33,7 @@ std::string format_number(double value) {
     return fmt::format("{:.3g}", value);
 }
 
-std::string make_png_data_url(const Image& image) {
+std::string png_data_url(const Image& image) {
     return "data:image/png;base64," + encode_base64(encode_png(image));
 }
 

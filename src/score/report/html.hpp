@@ -17,6 +17,6 @@ std::string escape_html(std::string_view text);
 std::string format_number(double value);
 
 /// data:image/png;base64,...
-std::string make_png_data_url(const Image& image);
+std::string png_data_url(const Image& image);
 
 }  // namespace relidar::report

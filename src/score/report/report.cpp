@@ -30,12 +30,12 @@ using report::format_number;
 // are visible.
 constexpr double kMaxAspect = 10.0;
 
-std::string make_html_section(const std::string& title, const std::string& body) {
+std::string section_html(const std::string& title, const std::string& body) {
     if (body.empty()) return "";
     return fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
-std::string make_collapsed_html_section(const std::string& title, const std::string& body) {
+std::string collapsed_html(const std::string& title, const std::string& body) {
     if (body.empty()) return "";
     return fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
@@ -47,7 +47,7 @@ std::string make_table_html(const std::string& header_cells, const std::string& 
         header_cells, rows);
 }
 
-std::string make_report_table_html(const ReportTable& table) {
+std::string table_html(const ReportTable& table) {
     if (table.rows.size() < 2) return "";
     std::string head, rows;
     for (const std::string& cell : table.rows.front()) head += "<th>" + escape_html(cell) + "</th>";
@@ -60,7 +60,7 @@ std::string make_report_table_html(const ReportTable& table) {
     return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(table.note) + "</p>\n";
 }
 
-std::string make_stacked_bars_html(const ReportBars& bars) {
+std::string bars_html(const ReportBars& bars) {
     std::string head = "<th>Where</th><th class=\"stack\">Shares</th>", rows;
     for (std::size_t b = 0; b < bars.bands.size(); ++b)
         head += fmt::format("<th><i class=\"b{}\"></i>{}</th>", b, escape_html(bars.bands[b]));
@@ -90,14 +90,14 @@ std::string make_facts_html(const Report& report) {
 }
 
 /// "peer/depth_rmse_m" gives "peer" and "depth_rmse_m". The group is empty without a '/'.
-std::pair<std::string, std::string> split_metric_name_into_group_and_rest(const std::string& metric_name) {
+std::pair<std::string, std::string> split_metric(const std::string& metric_name) {
     const std::size_t slash = metric_name.find('/');
     if (slash == std::string::npos) return {"", metric_name};
     return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
 }
 
 /// +1 if larger values of a metric are better, -1 if smaller values are, 0 if unknown.
-int get_improvement_sign(const std::string& metric) {
+int improvement_sign(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
         if (has(part)) return -1;
@@ -106,37 +106,37 @@ int get_improvement_sign(const std::string& metric) {
     return 0;
 }
 
-std::optional<double> find_metric_value(const MetricValues& row, const std::string& metric_name) {
+std::optional<double> find_value(const MetricValues& row, const std::string& metric_name) {
     const auto it = row.find(metric_name);
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
 /// Among all columns of the report. Nothing if fewer than two columns have the metric, or
 /// if it is unknown whether larger values are better.
-std::optional<double> find_best_metric_value(const Report& report, const std::string& metric_name) {
-    const int direction = get_improvement_sign(metric_name);
+std::optional<double> find_best_value(const Report& report, const std::string& metric_name) {
+    const int direction = improvement_sign(metric_name);
     std::optional<double> best;
     int count = 0;
     for (const auto& [column, row] : report.metrics)
-        if (const auto value = find_metric_value(row, metric_name); value && !std::isnan(*value)) {
+        if (const auto value = find_value(row, metric_name); value && !std::isnan(*value)) {
             ++count;
             if (!best || direction * (*value - *best) > 0.0) best = value;
         }
     return report.same_scans && direction != 0 && count > 1 ? best : std::nullopt;
 }
 
-std::string make_metric_cells_html(const Report& report, const std::string& metric_name) {
-    const std::optional<double> best = find_best_metric_value(report, metric_name);
+std::string cells_html(const Report& report, const std::string& metric_name) {
+    const std::optional<double> best = find_best_value(report, metric_name);
     std::string cells;
     for (const auto& [column, row] : report.metrics) {
-        const auto value = find_metric_value(row, metric_name);
+        const auto value = find_value(row, metric_name);
         const char* style = value && best == value ? " class=\"best\"" : "";
         cells += fmt::format("<td{}>{}</td>", style, format_number(value.value_or(NAN)));
     }
     return cells;
 }
 
-std::string make_metrics_table_html(const Report& report) {
+std::string metrics_html(const Report& report) {
     // sorted, so that the metrics of a group are next to each other
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
@@ -147,13 +147,13 @@ std::string make_metrics_table_html(const Report& report) {
         head += fmt::format("<th style=\"width:{:.1f}%\">{}</th>", 72.0 / double(report.metrics.size()),
                             escape_html(column));
     for (const std::string& name : names) {
-        const auto [name_group, metric] = split_metric_name_into_group_and_rest(name);
+        const auto [name_group, metric] = split_metric(name);
         if (name_group != group)
             rows += fmt::format("<tr class=\"group\"><td colspan=\"{}\">{}</td></tr>\n",
                                 report.metrics.size() + 1, escape_html(name_group));
         group = name_group;
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric),
-                            make_metric_cells_html(report, name));
+                            cells_html(report, name));
     }
     const char* marks = report.same_scans ? "Green marks the best value of a row."
                                           : "The columns show different scans, so they cannot be compared.";
@@ -165,14 +165,14 @@ std::string make_metrics_table_html(const Report& report) {
     return make_table_html(head, rows) + note;
 }
 
-std::string make_key_metrics_table_html(const Report& report) {
+std::string key_metrics_html(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
     for (const ReportKeyMetric& key : report.key_metrics) {
         const auto has_it = [&](const auto& column) { return column.second.contains(key.metric); };
         if (std::none_of(report.metrics.begin(), report.metrics.end(), has_it)) continue;
         rows += fmt::format("<tr><td class=\"key\">{}<small>{}</small></td>{}</tr>\n", escape_html(key.name),
-                            escape_html(key.hint), make_metric_cells_html(report, key.metric));
+                            escape_html(key.hint), cells_html(report, key.metric));
     }
     return rows.empty() ? "" : make_table_html(head, rows);
 }
@@ -182,23 +182,23 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report::kChartColours,
-                              escape_html(split_metric_name_into_group_and_rest(curves[i]->name).second));
+                              escape_html(split_metric(curves[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
                        report::draw_svg_chart(curves, width, 300), legend);
 }
 
-std::string make_curves_html(const Report& report) {
+std::string curves_html(const Report& report) {
     // charts with their curves, in the order of the report
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
-        const std::string group = split_metric_name_into_group_and_rest(curve.name).first;
+        const std::string group = split_metric(curve.name).first;
         auto it = std::find_if(charts.begin(), charts.end(),
                                [&](const auto& known) { return known.first == group; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
         it->second.push_back(&curve);
-        means = means || report::should_draw_running_mean({&curve});
+        means = means || report::has_running_mean({&curve});
     }
     std::string body;
     for (const auto& [title, members] : charts)
@@ -211,8 +211,7 @@ std::string make_curves_html(const Report& report) {
 }
 
 /// The bar is relative to `longest_ms`. Without a bar if `longest_ms` is 0.
-std::string make_timing_row_html(const std::string& kernel_name, double ms, double total_ms,
-                                 double longest_ms) {
+std::string timing_row_html(const std::string& kernel_name, double ms, double total_ms, double longest_ms) {
     const bool is_valid_time = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
         is_valid_time && total_ms > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / total_ms) : "\u2013";
@@ -225,7 +224,7 @@ std::string make_timing_row_html(const std::string& kernel_name, double ms, doub
 
 /// From the longest to the shortest. The total is the entry "total" or, if it is missing,
 /// the sum of all entries.
-std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
+std::string timing_html(const MetricValues& kernel_times_ms) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;
     for (const auto& [name, ms] : kernel_times_ms) {
@@ -240,21 +239,21 @@ std::string make_timing_table_html(const MetricValues& kernel_times_ms) {
         return (std::isfinite(first.second) ? first.second : -1.0) >
                (std::isfinite(second.second) ? second.second : -1.0);
     });
-    const auto total = find_metric_value(kernel_times_ms, "total");
+    const auto total = find_value(kernel_times_ms, "total");
     const double total_ms = total.value_or(sum);
     std::string body;
-    for (const auto& [name, ms] : rows) body += "<tr>" + make_timing_row_html(name, ms, total_ms, longest);
-    body += "<tr class=\"total\">" + make_timing_row_html(total ? "total" : "sum", total_ms, total_ms, 0.0);
+    for (const auto& [name, ms] : rows) body += "<tr>" + timing_row_html(name, ms, total_ms, longest);
+    body += "<tr class=\"total\">" + timing_row_html(total ? "total" : "sum", total_ms, total_ms, 0.0);
     return make_table_html(
         "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th "
         "style=\"width:12%\">share</th><th>of the longest</th>",
         body);
 }
 
-std::string make_figure_html(const ReportFigure& figure) {
+std::string figure_html(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
     parallel_for(static_cast<int>(urls.size()), [&](int index) {
-        urls[std::size_t(index)] = report::make_png_data_url(figure.images[std::size_t(index)].second);
+        urls[std::size_t(index)] = report::png_data_url(figure.images[std::size_t(index)].second);
     });
     std::string body;
     for (std::size_t i = 0; i < urls.size(); ++i) {
@@ -267,7 +266,7 @@ std::string make_figure_html(const ReportFigure& figure) {
     return body;
 }
 
-std::string make_report_page_html(const Report& report) {
+std::string page_html(const Report& report) {
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
@@ -275,34 +274,31 @@ std::string make_report_page_html(const Report& report) {
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
     for (const ReportView& view : report.views)
-        html += make_html_section(view.title, report::make_3d_view_html(view, report.views.size()));
+        html += section_html(view.title, report::view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
     parallel_for(static_cast<int>(figures.size()), [&](int index) {
-        figures[std::size_t(index)] = make_figure_html(report.figures[std::size_t(index)]);
+        figures[std::size_t(index)] = figure_html(report.figures[std::size_t(index)]);
     });
     for (std::size_t i = 0; i < figures.size(); ++i)
-        html += make_html_section(report.figures[i].title, figures[i]);
-    html += make_html_section("Curves", make_curves_html(report));
-    for (const ReportBars& bars : report.bars)
-        html += make_html_section(bars.title, make_stacked_bars_html(bars));
-    for (const ReportTable& texts : report.tables)
-        html += make_html_section(texts.title, make_report_table_html(texts));
-    html += make_html_section("Scores", make_key_metrics_table_html(report));
+        html += section_html(report.figures[i].title, figures[i]);
+    html += section_html("Curves", curves_html(report));
+    for (const ReportBars& bars : report.bars) html += section_html(bars.title, bars_html(bars));
+    for (const ReportTable& texts : report.tables) html += section_html(texts.title, table_html(texts));
+    html += section_html("Scores", key_metrics_html(report));
     std::string timings;
     for (const auto& [title, row] : report.timings_ms)
-        timings += fmt::format("<h3>{}</h3>\n{}", escape_html(title), make_timing_table_html(row));
-    html += make_collapsed_html_section("All metrics", make_metrics_table_html(report)) +
-            make_collapsed_html_section("The run", make_facts_html(report)) +
-            make_collapsed_html_section("Time by kernel", timings);
+        timings += fmt::format("<h3>{}</h3>\n{}", escape_html(title), timing_html(row));
+    html += collapsed_html("All metrics", metrics_html(report)) +
+            collapsed_html("The run", make_facts_html(report)) + collapsed_html("Time by kernel", timings);
     html += "<footer>Written by relidar</footer>\n</main>\n";
-    if (!report.views.empty()) html += report::make_3d_view_script();
+    if (!report.views.empty()) html += report::view_script();
     return html + "</body>\n</html>\n";
 }
 
 }  // namespace
 
 void write_report(const std::filesystem::path& path, const Report& report) {
-    write_text_file(path, make_report_page_html(report));
+    write_text_file(path, page_html(report));
 }
 
 }  // namespace relidar

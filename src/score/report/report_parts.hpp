@@ -11,7 +11,7 @@ namespace relidar::report {
 
 /// The points are base64 text.
 /// @param n_views  number of views on the page; they share the size limit of the page
-std::string make_3d_view_html(const ReportView& view, std::size_t n_views);
-std::string make_3d_view_script();
+std::string view_html(const ReportView& view, std::size_t n_views);
+std::string view_script();
 
 }  // namespace relidar::report

@@ -19,23 +19,23 @@
 namespace relidar {
 
 // All JavaScript modules, from a file that cmake/Assets.cmake generates.
-std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
+std::span<const std::pair<std::string_view, std::string_view>> script_texts();
 
 namespace report {
 namespace {
 
 // on a page: 5.3 MB as base64
 constexpr std::size_t kMaxPoints = 500'000;
-constexpr float kFarthest_m = 300.0f;
+constexpr float kMaxDrawnRange_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
-std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t max_points) {
+std::vector<std::uint8_t> pack_cloud(const ReportCloud& cloud, std::size_t max_points) {
     const std::size_t n = cloud.position_m.size(),
                       step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
     std::vector<std::uint8_t> bytes;
     for (std::size_t i = 0; i < n; i += step) {
         const glm::vec3& p = cloud.position_m[i];
-        if (!(glm::length(p) < kFarthest_m)) continue;
+        if (!(glm::length(p) < kMaxDrawnRange_m)) continue;
         for (int k = 0; k < 3; ++k) {
             const auto cm = static_cast<std::uint16_t>(static_cast<std::int16_t>(std::lround(100.0f * p[k])));
             bytes.push_back(static_cast<std::uint8_t>(cm & 0xff));
@@ -52,15 +52,15 @@ std::vector<std::uint8_t> pack_point_cloud(const ReportCloud& cloud, std::size_t
 }
 
 /// Removes imports and the keyword `export`, to join modules into one script.
-std::string remove_imports_and_exports(std::string_view module_source) {
+std::string strip_module(std::string_view module_source) {
     std::string script;
     while (!module_source.empty()) {
         const std::size_t end = std::min(module_source.find('\n'), module_source.size() - 1);
         std::string_view line = module_source.substr(0, end + 1);
         module_source.remove_prefix(end + 1);
         if (line.starts_with("import ")) continue;
-        constexpr std::string_view kExport = "export ";
-        if (line.starts_with(kExport)) line.remove_prefix(kExport.size());
+        constexpr std::string_view kExportKeyword = "export ";
+        if (line.starts_with(kExportKeyword)) line.remove_prefix(kExportKeyword.size());
         script += line;
     }
     return script;
@@ -68,7 +68,7 @@ std::string remove_imports_and_exports(std::string_view module_source) {
 
 }  // namespace
 
-std::string make_3d_view_html(const ReportView& view, std::size_t n_views) {
+std::string view_html(const ReportView& view, std::size_t n_views) {
     const std::size_t max_points = kMaxPoints / std::max<std::size_t>(1, view.clouds.size() * n_views) + 1;
     std::string figures;
     for (const ReportCloud& cloud : view.clouds) {
@@ -77,7 +77,7 @@ std::string make_3d_view_html(const ReportView& view, std::size_t n_views) {
             "<figure><figcaption>{0}</figcaption><canvas tabindex=\"0\" role=\"application\" "
             "aria-label=\"{0}: points in 3D; arrow keys turn, plus and minus zoom\" "
             "data-points=\"{1}\"></canvas></figure>\n",
-            name, encode_base64(pack_point_cloud(cloud, max_points)));
+            name, encode_base64(pack_cloud(cloud, max_points)));
     }
     return fmt::format(
         "<div class=\"view3d\">\n<div class=\"pair\">\n{}</div>\n<p class=\"controls\"><label>colour "
@@ -90,9 +90,9 @@ std::string make_3d_view_html(const ReportView& view, std::size_t n_views) {
         figures);
 }
 
-std::string make_3d_view_script() {
+std::string view_script() {
     std::string script;
-    for (const auto& [name, module] : report_script_texts()) script += remove_imports_and_exports(module);
+    for (const auto& [name, module] : script_texts()) script += strip_module(module);
     return "<script>\n(() => {\n'use strict';\n" + script + "})();\n</script>\n";
 }
 

@@ -29,21 +29,21 @@ std::string make_asset_name(const BoxTrack& box) {
 }
 
 /// The opacity must reach the blending threshold, and the surfel must be in the box.
-bool can_surfel_be_visible(const Surfels& surfels, std::size_t surfel_index, const SurfelModel& model,
-                           const ImageFormationModel& image_model) {
-    const glm::vec3 outside = glm::abs(surfels.mean[surfel_index]) - model.half_size_m;
+bool is_useful(const Surfels& surfels, std::size_t surfel, const SurfelModel& model,
+               const ImageModel& image_model) {
+    const glm::vec3 outside = glm::abs(surfels.mean[surfel]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
-    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel_index])) >= image_model.alpha_min;
+    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel])) >= image_model.alpha_min;
 }
 
-LidarSequence make_scanless_log_of_actor(const LidarSequence& full_log, const BoxTrack& actor_box) {
-    LidarSequence sequence = copy_without_frames(full_log);
+Log log_of_actor(const Log& full_log, const BoxTrack& actor_box) {
+    Log sequence = strip_frames(full_log);
     sequence.boxes = {actor_box};
     sequence.world_from_vehicle = {};
-    for (const LidarFrame& frame : full_log.frames) {
-        if (!actor_box.is_observed_at_time(frame.time_s)) continue;
-        LidarFrame frame_without_scan;
+    for (const Frame& frame : full_log.frames) {
+        if (!actor_box.is_observed(frame.time_s)) continue;
+        Frame frame_without_scan;
         frame_without_scan.index = frame.index;
         frame_without_scan.time_s = frame.time_s;
         frame_without_scan.lidar = frame.lidar;
@@ -51,26 +51,22 @@ LidarSequence make_scanless_log_of_actor(const LidarSequence& full_log, const Bo
         PoseTrack& track = sequence.world_from_vehicle;
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
-        track.pose.push_back(
-            full_log.world_from_vehicle.pose[full_log.get_vehicle_pose_index_of_frame(frame)]);
+        track.pose.push_back(full_log.world_from_vehicle.pose[full_log.find_pose_index(frame)]);
     }
     return sequence;
 }
 
 }  // namespace
 
-ObservedBoxSurface make_observed_box_surface(const glm::dvec3& box_size_m,
-                                             const ActorObservations& observations) {
+ObservedBoxSurface observed_surface(const glm::dvec3& box_size_m, const ActorObservations& observations) {
     ObservedBoxSurface surface(box_size_m);
     for (std::size_t i = 0; i < observations.points_m.size(); ++i)
-        surface.mark_patch_of_point_as_observed(glm::dvec3(observations.points_m[i]),
-                                                glm::dvec3(observations.directions[i]));
+        surface.mark_observed(glm::dvec3(observations.points_m[i]), glm::dvec3(observations.directions[i]));
     return surface;
 }
 
-ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
-                               const ActorObservations& observations) {
-    SceneWithLog alone = run.copy_driving_scene();
+ActorAsset extract_asset(const Run& run, const std::string& track, const ActorObservations& observations) {
+    SceneWithLog alone = run.driving_scene();
     std::vector<std::string> others;
     for (const ModelInstance& instance : alone.scene.instances)
         if (!instance.track.empty() && instance.track != track) others.push_back(instance.track);
@@ -82,33 +78,32 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
         fail<UsageError>("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
                          track, fmt::join(others, ", "));
 
-    ObservedBoxSurface surface = make_observed_box_surface(box->size_m, observations);
+    ObservedBoxSurface surface = observed_surface(box->size_m, observations);
     ActorAsset asset;
     AssetDescription& facts = asset.facts;
     facts = {make_asset_name(*box),
              box->category,
-             is_vehicle(*box) ? ObjectKind::vehicle : parse_object_kind(box->category),
+             is_vehicle(*box) ? ObjectKind::vehicle : parse_kind(box->category),
              box->size_m,
              run.folder.empty() ? "" : std::filesystem::absolute(run.folder).lexically_normal().string(),
              track,
              run.sequence.lidars.front().sensor.name};
-    for (std::size_t s = 0; s < kBoxSides; ++s)
-        facts.seen_sides[s] = surface.compute_observed_area_fraction(BoxSide(s));
-    facts.seen = surface.compute_observed_area_fraction();
+    for (std::size_t s = 0; s < kBoxSides; ++s) facts.seen_sides[s] = surface.observed_fraction(BoxSide(s));
+    facts.seen = surface.observed_fraction();
     facts.nearest_m = observations.nearest_m;
-    facts.clearance_m = measure_ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
+    facts.clearance_m = ground_clearance({run.scene, run.sequence}, track).value_or(0.0);
 
     SurfelModel& model = alone.scene.models[1];
     Surfels& surfels = alone.scene.surfels;
     std::vector<std::uint32_t> shown;
     for (std::uint32_t i = 0; i < surfels.size(); ++i)
-        if (can_surfel_be_visible(surfels, i, model, run.config.image)) shown.push_back(i);
+        if (is_useful(surfels, i, model, run.config.image)) shown.push_back(i);
     surfels = surfels.reorder(shown);
     if (facts.kind == ObjectKind::vehicle) {
-        facts.mirrored = replace_unobserved_by_mirrored_surfels(surfels, surface);
-        facts.completed = surface.is_completed ? surface.compute_mirrorable_area_fraction() : 0.0;
+        facts.mirrored = mirror_unobserved(surfels, surface);
+        facts.completed = surface.is_completed ? surface.mirrorable_fraction() : 0.0;
     }
-    surfels = surfels.reorder(compute_kd_tree_order(surfels.mean));
+    surfels = surfels.reorder(kd_tree_order(surfels.mean));
     facts.surfels = surfels.size();
 
     BoxTrack named = *box;
@@ -118,7 +113,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
     asset.run.config = run.config;
-    asset.run.sequence = make_scanless_log_of_actor(alone.sequence, named);
+    asset.run.sequence = log_of_actor(alone.sequence, named);
     for (int i = 0; i < int(asset.run.sequence.frames.size()); ++i) asset.run.split.train.push_back(i);
     asset.run.scene = std::move(alone.scene);
     asset.run.edits = run.edits;
@@ -127,7 +122,7 @@ ActorAsset extract_actor_asset(const TrainedRun& run, const std::string& track,
     return asset;
 }
 
-std::string get_track_name_of_only_actor(const TrainedRun& run) {
+std::string only_track(const Run& run) {
     std::vector<std::string> tracks;
     for (const ModelInstance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);

@@ -14,12 +14,11 @@ struct FiredRay {
     glm::dvec3 origin, direction;
 };
 
-std::vector<FiredRay> compute_fired_rays_in_world(const SimulatedSweep& sweep) {
-    const RayTable& rays = sweep.get_rays();
+std::vector<FiredRay> fired_rays(const SimulatedSweep& sweep) {
+    const RayTable& rays = sweep.rays();
     std::vector<FiredRay> in_world;
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        const Pose pose =
-            sweep.world_from_sensor.interpolate_pose(sweep.time_s + double(rays.time_offset_s[i]));
+        const Pose pose = sweep.world_from_sensor.pose_at(sweep.time_s + double(rays.time_offset_s[i]));
         in_world.push_back(
             {pose * glm::dvec3(rays.origin[i]), pose.rotation * glm::dvec3(rays.direction[i])});
     }
@@ -27,17 +26,12 @@ std::vector<FiredRay> compute_fired_rays_in_world(const SimulatedSweep& sweep) {
 }
 
 /// The test uses a sphere that contains the model during the full sweep.
-std::vector<std::size_t> find_rays_near_instance(const std::vector<FiredRay>& rays,
-                                                 const SimulatedSweep& sweep,
-                                                 const InstancePose& instance_pose, double model_radius_m) {
-    const auto [first_s, last_s] = std::ranges::minmax(sweep.get_rays().time_offset_s);
-    const glm::dvec3 begin_m =
-                         instance_pose.motion
-                             .compute_pose_at_sweep_time(instance_pose.world_from_model, double(first_s))
-                             .translation,
-                     end_m = instance_pose.motion
-                                 .compute_pose_at_sweep_time(instance_pose.world_from_model, double(last_s))
-                                 .translation;
+std::vector<std::size_t> rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sweep,
+                                   const InstancePose& instance_pose, double model_radius_m) {
+    const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
+    const glm::dvec3
+        begin_m = instance_pose.motion.pose_at(instance_pose.world_from_model, double(first_s)).translation,
+        end_m = instance_pose.motion.pose_at(instance_pose.world_from_model, double(last_s)).translation;
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
     std::vector<std::size_t> nearby_ray_indices;
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -54,11 +48,9 @@ std::vector<std::size_t> find_rays_near_instance(const std::vector<FiredRay>& ra
 
 /// A ray at the edge of an actor counts only if surfaces absorb at least half of its
 /// light.
-std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
-    const RenderedScan& scan) const {
+std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const {
     std::vector<ActorVisibility> views;
-    for (const ModelInstance& instance : sweeps.get_scene_layout().instances)
-        views.push_back({instance.track});
+    for (const ModelInstance& instance : sweeps.layout().instances) views.push_back({instance.track});
     for (std::size_t ray = 0; ray < scan.instance.size(); ++ray)
         if (scan.instance[ray] >= 0 && scan.weight[ray] >= 0.5f &&
             is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
@@ -67,28 +59,26 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits_per_instance(
 }
 
 /// Traces the rays near each actor in a scene that contains only this actor.
-void ScanRenderer::Impl::count_unoccluded_hits_per_actor(const SimulatedSweep& sweep,
-                                                         const ScanRenderPlan& plan,
-                                                         std::vector<ActorVisibility>& actor_views) {
-    const std::vector<FiredRay> rays = compute_fired_rays_in_world(sweep);
+void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+                                          std::vector<ActorVisibility>& actor_views) {
+    const std::vector<FiredRay> rays = fired_rays(sweep);
     for (std::size_t i = 0; i < actor_views.size() && !rays.empty(); ++i) {
         if (actor_views[i].track.empty() || !sweep.instances[i].present) continue;
-        const SurfelModel& model =
-            sweeps.get_scene_layout().models[sweeps.get_scene_layout().instances[i].model];
+        const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
         const std::vector<std::size_t> nearby_ray_indices =
-            find_rays_near_instance(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
+            rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
         if (nearby_ray_indices.empty()) continue;
         SimulatedSweep alone = sweep;
-        alone.changed_rays = select_rays(sweep.get_rays(), nearby_ray_indices);
+        alone.changed_rays = select_rays(sweep.rays(), nearby_ray_indices);
         for (std::size_t k = 0; k < actor_views.size(); ++k) alone.instances[k].present = k == i;
-        prepare_scene_for_sweep(lanes->get_unbatched_scan_resources(), alone);
-        const RenderedScan scan = plan.has_sub_rays() ? trace_beams_with_sub_rays(alone, plan.beams)
-                                                      : trace_rays(alone, alone.get_rays()).scan;
-        actor_views[i].n_rays_alone = count_first_hits_per_instance(scan)[i].n_rays;
+        prepare_scene(lanes->single_lane(), alone);
+        const RenderedScan scan =
+            plan.has_sub_rays() ? trace_footprint(alone, plan.beams) : trace_rays(alone, alone.rays()).scan;
+        actor_views[i].n_rays_alone = count_first_hits(scan)[i].n_rays;
     }
     std::erase_if(actor_views,
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
-    prepare_scene_for_sweep(lanes->get_unbatched_scan_resources(), sweep);
+    prepare_scene(lanes->single_lane(), sweep);
 }
 
 }  // namespace relidar

@@ -11,20 +11,20 @@
 namespace relidar {
 namespace {
 
-ChannelValues make_normal_channel(const RenderedRayValues& rendering, const RenderedScan& scan) {
+ChannelValues make_normals(const RenderedRayValues& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < normal.size(); ++i) {
         if (rendering.weight[i] < kMinWeight) continue;
         const glm::dvec3 in_sensor =
-            glm::conjugate(firing.compute_firing_pose(i).rotation) * glm::dvec3(rendering.normal[i]);
+            glm::conjugate(firing.pose_of(i).rotation) * glm::dvec3(rendering.normal[i]);
         const double length = glm::length(in_sensor);
         if (length > 0.0) normal[i] = glm::vec3(in_sensor / length);
     }
     return normal;
 }
 
-ChannelValues make_incidence_cosine_channel(std::span<const shared::MeasuredRay> measured_rays) {
+ChannelValues make_incidence(std::span<const shared::MeasuredRay> measured_rays) {
     std::vector<float> cosine;
     for (const shared::MeasuredRay& ray : measured_rays) cosine.push_back(ray.incidence);
     return cosine;
@@ -32,39 +32,39 @@ ChannelValues make_incidence_cosine_channel(std::span<const shared::MeasuredRay>
 
 /// Returns for each ray how fast its range changes, in m/s:
 ///   direction * (velocity of the surface - velocity of the ray's origin)
-/// In weather, add_weather_to_scan() sets the values of returns from the air.
-ChannelValues make_radial_velocity_channel(const RenderedScan& scan, const ChannelInputs& context) {
+/// In weather, add_weather() sets the values of returns from the air.
+ChannelValues make_velocity(const RenderedScan& scan, const ChannelInputs& context) {
     std::vector<float> velocity(scan.median_range_m.size(), 0.0f);
     for (std::size_t i = 0; i < velocity.size(); ++i) {
         if (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f)) continue;
-        const RayMotion ray = context.motion.compute_ray_motion(scan, i);
-        const glm::dvec3 surface_mps = context.motion.compute_object_velocity(
-            scan.instance[i], scan.time_offset_s[i],
-            ray.start_m + double(scan.median_range_m[i]) * ray.direction);
+        const RayMotion ray = context.motion.motion_of_ray(scan, i);
+        const glm::dvec3 surface_mps =
+            context.motion.object_velocity(scan.instance[i], scan.time_offset_s[i],
+                                           ray.start_m + double(scan.median_range_m[i]) * ray.direction);
         velocity[i] = float(glm::dot(ray.direction, surface_mps) - ray.sensor_away_mps);
     }
     return velocity;
 }
 
-ChannelValues make_class_channel(const RenderedScan& scan, const ChannelInputs& context) {
+ChannelValues make_classes(const RenderedScan& scan, const ChannelInputs& context) {
     std::vector<std::int32_t> of_rays(scan.instance.size(), -1);
-    parallel_for_in_blocks(of_rays.size(), [&](std::size_t ray) {
+    parallel_blocks(of_rays.size(), [&](std::size_t ray) {
         const std::int32_t instance = scan.instance[ray];
         if (instance < 0) return;
         of_rays[ray] = context.classes[std::size_t(instance)];
         if (of_rays[ray] != 0 || !context.background) return;
-        of_rays[ray] = std::int32_t(context.background->find_class_of_nearest_cell(
-            scan.get_firing_pose(ray) * scan.end_of<double>(ray) - context.log.world_offset_m));
+        of_rays[ray] = std::int32_t(context.background->find_class(
+            scan.firing_pose(ray) * scan.end_of<double>(ray) - context.log.world_offset_m));
     });
     return of_rays;
 }
 
-ChannelValues make_observed_fraction_channel(const RenderedScan& scan, const ChannelInputs& context) {
+ChannelValues make_observed(const RenderedScan& scan, const ChannelInputs& context) {
     const LogObservedSpace& log = context.log;
     if (log.coverage.empty()) return {};
     std::vector<std::size_t> rays;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) rays.push_back(i);
-    return compute_observed_path_fractions(scan, rays, log);
+    return observed_shares(scan, rays, log);
 }
 
 /// Exactly one of the three functions is set.
@@ -74,28 +74,26 @@ struct ChannelComputation {
     ChannelValues (*of_measured)(std::span<const shared::MeasuredRay>);
     ChannelValues (*of_scan)(const RenderedScan&, const ChannelInputs&);
 };
-constexpr ChannelComputation kMakers[] = {
-    {"normal", make_normal_channel, nullptr, nullptr},
-    {kIncidence, nullptr, make_incidence_cosine_channel, nullptr},
-    {"velocity", nullptr, nullptr, make_radial_velocity_channel},
+constexpr ChannelComputation kChannelMakers[] = {
+    {"normal", make_normals, nullptr, nullptr},
+    {kIncidenceChannel, nullptr, make_incidence, nullptr},
+    {"velocity", nullptr, nullptr, make_velocity},
     {"spread", nullptr, nullptr,
-     [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues {
-         return compute_range_spread(scan);
-     }},
-    {"class", nullptr, nullptr, make_class_channel},
-    {"seen", nullptr, nullptr, make_observed_fraction_channel},
+     [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues { return range_spread(scan); }},
+    {"class", nullptr, nullptr, make_classes},
+    {"seen", nullptr, nullptr, make_observed},
     {"surfel_drop_prob", nullptr, nullptr,
      [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues { return scan.image.drop_prob; }},
     {"source", nullptr, nullptr,
-     // add_weather_to_scan() overwrites the causes later.
+     // add_weather() overwrites the causes later.
      [](const RenderedScan& scan, const ChannelInputs&) -> ChannelValues {
          return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(ReturnCause::surface));
      }},
 };
 
-ChannelComputation find_channel_computation(const ChannelInfo& channel) {
-    const auto* maker = std::ranges::find(kMakers, channel.name, &ChannelComputation::name);
-    return maker == std::end(kMakers) ? ChannelComputation{} : *maker;
+ChannelComputation find_maker(const ChannelInfo& channel) {
+    const auto* maker = std::ranges::find(kChannelMakers, channel.name, &ChannelComputation::name);
+    return maker == std::end(kChannelMakers) ? ChannelComputation{} : *maker;
 }
 
 }  // namespace
@@ -103,29 +101,28 @@ ChannelComputation find_channel_computation(const ChannelInfo& channel) {
 static_assert(1 + int(ObjectKind::vehicle) == int(SurfaceClass::vehicle) &&
               1 + int(ObjectKind::other) == int(SurfaceClass::other_actor));
 
-std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence) {
+std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence) {
     std::vector<std::int32_t> classes;
     for (const ModelInstance& instance : scene.instances) {
         // A copied actor has no box. The name of its model is the id of the original's
         // box.
-        const BoxTrack* box = find_box_track_by_id(sequence, instance.track);
-        if (!box) box = find_box_track_by_id(sequence, scene.models[instance.model].name);
-        const ObjectKind kind = box ? parse_object_kind(box->category) : ObjectKind::other;
+        const BoxTrack* box = find_box(sequence, instance.track);
+        if (!box) box = find_box(sequence, scene.models[instance.model].name);
+        const ObjectKind kind = box ? parse_kind(box->category) : ObjectKind::other;
         classes.push_back(instance.track.empty() ? 0 : 1 + std::int32_t(kind));
     }
     return classes;
 }
 
-bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels) {
-    return std::ranges::any_of(channels, [](const ChannelInfo& channel) {
-        return find_channel_computation(channel).of_rendering != nullptr;
-    });
+bool needs_rendering(const std::vector<ChannelInfo>& channels) {
+    return std::ranges::any_of(
+        channels, [](const ChannelInfo& channel) { return find_maker(channel).of_rendering != nullptr; });
 }
 
-void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
-                             const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels) {
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
+                      const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
-        const ChannelComputation maker = find_channel_computation(channel);
+        const ChannelComputation maker = find_maker(channel);
         if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
         if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured_rays)});
     }
@@ -134,10 +131,10 @@ void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::Measure
 void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,
                        const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
-        const ChannelComputation maker = find_channel_computation(channel);
+        const ChannelComputation maker = find_maker(channel);
         if (!maker.of_scan) continue;
         ChannelValues values = maker.of_scan(scan, context);
-        if (count_channel_values(values) == scan.image.range_m.size())
+        if (count_values(values) == scan.image.range_m.size())
             scan.channels.push_back({channel, std::move(values)});
     }
 }

@@ -22,7 +22,7 @@ struct RenderedRayValues;
 struct ChannelInputs {
     LogObservedSpace log;
     MotionDuringScan motion;
-    /// [instances] classes from compute_instance_classes()
+    /// [instances] classes from instance_classes()
     std::vector<std::int32_t> classes = {};
     /// classes of the background; null if they are unknown
     const SurfaceClassLookup* background = nullptr;
@@ -30,14 +30,14 @@ struct ChannelInputs {
 
 /// A ray whose blending weights sum up to less hits nothing.
 inline constexpr float kMinWeight = 1e-3f;
-inline constexpr const char* kIncidence = "incidence";
+inline constexpr const char* kIncidenceChannel = "incidence";
 
 /// 0 for the background, otherwise 1 + ObjectKind. [instances]
-std::vector<std::int32_t> compute_instance_classes(const Scene& scene, const LidarSequence& sequence);
-bool is_full_rendering_needed(const std::vector<ChannelInfo>& channels);
-/// @param rendering may be empty if is_full_rendering_needed() returns false
-void add_traced_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
-                             const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
+std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence);
+bool needs_rendering(const std::vector<ChannelInfo>& channels);
+/// @param rendering may be empty if needs_rendering() returns false
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
+                      const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
 /// Must run before a network or random sampling changes the drop probabilities. Leaves
 /// out channels without values.
 void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,

@@ -16,8 +16,8 @@ namespace relidar {
 /// Calls visit(ChannelInfo, source values, target values) for the channels of every scan,
 /// except time and ring.
 template <class Visit>
-void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
-    const BasicChannels& basic = get_basic_channels();
+void for_basic_channels(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
+    const BasicChannels& basic = basic_channels();
     visit(basic.range, source.image.range_m, target.image.range_m);
     visit(basic.median_range, source.median_range_m, target.median_range_m);
     visit(basic.mean_range, source.mean_range_m, target.mean_range_m);
@@ -30,8 +30,8 @@ void for_each_basic_channel_pair(const RenderedScan& source, RenderedScan& targe
 /// Also visits the optional channels.
 /// @param target must have the channels of `source` in the same order
 template <class Visit>
-void for_each_channel_pair(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
-    for_each_basic_channel_pair(source, target, visit);
+void for_all_channels(const RenderedScan& source, RenderedScan& target, Visit&& visit) {
+    for_basic_channels(source, target, visit);
     for (std::size_t k = 0; k < target.channels.size(); ++k) {
         const auto both = [&](auto& values) {
             visit(target.channels[k].info,

@@ -18,9 +18,8 @@ constexpr float kLeastProbability = 1e-4f;
 
 /// Value RELIDAR_DROP_* of a ray. The kernel simulate/render/drop_channels computes equal
 /// values.
-std::function<float(std::size_t)> make_channel_value_function(const RenderedScan& scan,
-                                                              std::uint32_t channel_index,
-                                                              const glm::vec3& origin_m) {
+std::function<float(std::size_t)> drop_input(const RenderedScan& scan, std::uint32_t channel_index,
+                                             const glm::vec3& origin_m) {
     if (channel_index == RELIDAR_DROP_LOG_RANGE)
         return [&](std::size_t index) { return std::log1p(std::max(scan.median_range_m[index], 0.0f)); };
     if (channel_index == RELIDAR_DROP_INTENSITY)
@@ -37,7 +36,7 @@ std::function<float(std::size_t)> make_channel_value_function(const RenderedScan
             return std::log1p(std::abs(scan.median_range_m[index] - scan.mean_range_m[index]));
         };
     if (channel_index == RELIDAR_DROP_COSINE) {
-        const std::vector<float>* cosine = find_channel_values<float>(scan.channels, kIncidence);
+        const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidenceChannel);
         return [cosine](std::size_t index) { return cosine ? (*cosine)[index] : 0.0f; };
     }
     if (channel_index == RELIDAR_DROP_ELEVATION)
@@ -47,22 +46,22 @@ std::function<float(std::size_t)> make_channel_value_function(const RenderedScan
 
 }  // namespace
 
-glm::dvec3 get_first_vehicle_position(const LidarSequence& sequence) {
+glm::dvec3 first_position(const Log& sequence) {
     const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
     return sequence.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
 }
 
-RayDropImage make_network_input_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
-                                      const glm::dvec3& first_vehicle_position_m) {
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
+                             const glm::dvec3& first_vehicle_position_m) {
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
     image.circular = is_full_turn(image.rows, image.columns, scan.image.direction);
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
     image.channels.resize(channel_names.size() * n);
     std::size_t first = 0;
-    for (const std::uint32_t number : list_drop_network_channel_numbers(channel_names)) {
-        const auto channel = make_channel_value_function(scan, number, origin_m);
-        parallel_for_in_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
+    for (const std::uint32_t number : channel_numbers(channel_names)) {
+        const auto channel = drop_input(scan, number, origin_m);
+        parallel_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
         first += n;
     }
     return image;

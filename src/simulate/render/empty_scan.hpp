@@ -7,8 +7,7 @@
 namespace relidar {
 
 /// @param metadata_source scan of the same sweep with times, poses and channel names
-inline RenderedScan make_scan_without_measurements(const RayTable& rays,
-                                                   const RenderedScan& metadata_source = {}) {
+inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& metadata_source = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;
     scan.image.columns = rays.columns;
@@ -21,7 +20,7 @@ inline RenderedScan make_scan_without_measurements(const RayTable& rays,
     scan.time_s = metadata_source.time_s;
     scan.trace_ms = metadata_source.trace_ms;
     scan.unseen_share = metadata_source.unseen_share;
-    scan.channels = copy_channels_without_values(metadata_source.channels);
+    scan.channels = copy_layout(metadata_source.channels);
     return scan;
 }
 

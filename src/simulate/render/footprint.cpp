@@ -14,7 +14,7 @@ namespace relidar {
 namespace {
 
 // Minimum weight of a sub-ray in means, which are weighted by intensity.
-constexpr float kDarkest = 1e-3f;
+constexpr float kMinIntensity = 1e-3f;
 
 struct SubRayReturn {
     std::vector<std::size_t> parts;  ///< indices of the sub-rays in their scan, sorted by range
@@ -23,9 +23,9 @@ struct SubRayReturn {
 
 /// True if at least five sub-rays hit the same plane. On a plane, 1 / range is a linear
 /// function of the sub-ray offsets.
-bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
-                               const std::vector<float>& ranges_m, std::size_t first_sub_ray,
-                               const std::vector<glm::dvec2>& sub_ray_offsets, double range_tolerance_m) {
+bool is_coplanar(const std::vector<std::size_t>& sub_ray_indices, const std::vector<float>& ranges_m,
+                 std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
+                 double range_tolerance_m) {
     if (sub_ray_indices.size() < 5) return false;
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right(0.0);
@@ -45,9 +45,9 @@ bool are_sub_rays_on_one_plane(const std::vector<std::size_t>& sub_ray_indices,
     });
 }
 
-void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
-                          std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
-                          double range_tolerance_m) {
+void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
+                   std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
+                   double range_tolerance_m) {
     // Tries the longest sequences first.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
@@ -56,8 +56,7 @@ void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<f
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
                 joined.light += groups[g].light;
             }
-            if (!are_sub_rays_on_one_plane(joined.parts, ranges_m, first_sub_ray, sub_ray_offsets,
-                                           range_tolerance_m))
+            if (!is_coplanar(joined.parts, ranges_m, first_sub_ray, sub_ray_offsets, range_tolerance_m))
                 continue;
             groups[begin] = std::move(joined);
             groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
@@ -66,9 +65,9 @@ void join_coplanar_groups(std::vector<SubRayReturn>& groups, const std::vector<f
     }
 }
 
-std::vector<SubRayReturn> group_sub_rays_into_returns(const RenderedScan& scan, std::size_t first_sub_ray,
-                                                      const std::vector<glm::dvec2>& sub_ray_offsets,
-                                                      float min_separation_m) {
+std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first_sub_ray,
+                                         const std::vector<glm::dvec2>& sub_ray_offsets,
+                                         float min_separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
     for (std::size_t i = first_sub_ray; i < first_sub_ray + sub_ray_offsets.size(); ++i)
@@ -79,17 +78,16 @@ std::vector<SubRayReturn> group_sub_rays_into_returns(const RenderedScan& scan, 
         if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= min_separation_m)
             groups.emplace_back();
         groups.back().parts.push_back(i);
-        groups.back().light += std::max(scan.image.intensity[i], kDarkest);
+        groups.back().light += std::max(scan.image.intensity[i], kMinIntensity);
     }
-    join_coplanar_groups(groups, range_m, first_sub_ray, sub_ray_offsets, 0.5 * double(min_separation_m));
+    join_coplanar(groups, range_m, first_sub_ray, sub_ray_offsets, 0.5 * double(min_separation_m));
     return groups;
 }
 
-float compute_weighted_group_mean(const SubRayReturn& group, const std::vector<float>& values,
-                                  const RenderedScan& scan) {
+float weighted_mean(const SubRayReturn& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
-        sum += double(std::max(scan.image.intensity[i], kDarkest)) * double(values[i]);
+        sum += double(std::max(scan.image.intensity[i], kMinIntensity)) * double(values[i]);
     return static_cast<float>(sum / double(group.light));
 }
 
@@ -99,14 +97,14 @@ float sum_over_group(const SubRayReturn& group, const std::vector<float>& values
     return sum;
 }
 
-float compute_mean_of_slice(const std::vector<float>& values, std::size_t first_index, int count) {
+float mean_of_slice(const std::vector<float>& values, std::size_t first_index, int count) {
     float sum = 0.0f;
     for (std::size_t i = first_index; i < first_index + std::size_t(count); ++i) sum += values[i];
     return sum / static_cast<float>(count);
 }
 
-const SubRayReturn* find_second_return(const std::vector<SubRayReturn>& groups,
-                                       const SubRayReturn& strongest_group) {
+const SubRayReturn* second_group(const std::vector<SubRayReturn>& groups,
+                                 const SubRayReturn& strongest_group) {
     const SubRayReturn* second = nullptr;
     if (&strongest_group != &groups.back()) {
         second = &groups.back();
@@ -122,48 +120,47 @@ class SubRayMerger {
 public:
     SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
         : parts_(parts),
-          offsets_(make_footprint_offsets(config.sub_rays)),
+          offsets_(spread_sub_rays(config.sub_rays)),
           config_(config),
-          scan_(make_scan_without_measurements(rays, parts)) {
+          scan_(empty_scan(rays, parts)) {
         if (config.returns == 2) scan_.second_returns.resize(1);
     }
 
-    void append_beam_return(std::size_t beam_index) {
+    void append_beam(std::size_t beam) {
         const int n = config_.sub_rays;
-        const std::size_t first = beam_index * std::size_t(n);
-        const std::vector<SubRayReturn> groups = group_sub_rays_into_returns(
-            parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
-        const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kDarkest)};
+        const std::size_t first = beam * std::size_t(n);
+        const std::vector<SubRayReturn> groups =
+            group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
+        const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kMinIntensity)};
         const SubRayReturn& strongest =
             groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
-        for_each_channel_pair(
-            parts_, scan_,
-            [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
-                         std::vector<T>& of_rays) {
-                if constexpr (std::is_same_v<T, float>) {
-                    if (channel.join == ChannelMergeRule::range)
-                        return of_rays.push_back(compute_weighted_group_mean(strongest, of_parts, parts_));
-                    if (channel.join == ChannelMergeRule::drop)
-                        return of_rays.push_back(compute_mean_of_slice(of_parts, first, n));
-                    if (channel.join == ChannelMergeRule::intensity)
-                        return of_rays.push_back(groups.empty() ? of_parts[first]
-                                                                : sum_over_group(strongest, of_parts) /
-                                                                      static_cast<float>(n));
-                }
-                // The first sub-ray is nearest to the centre.
-                of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
-            });
+        for_all_channels(parts_, scan_,
+                         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_parts,
+                                      std::vector<T>& of_rays) {
+                             if constexpr (std::is_same_v<T, float>) {
+                                 if (channel.join == ChannelMergeRule::range)
+                                     return of_rays.push_back(weighted_mean(strongest, of_parts, parts_));
+                                 if (channel.join == ChannelMergeRule::drop)
+                                     return of_rays.push_back(mean_of_slice(of_parts, first, n));
+                                 if (channel.join == ChannelMergeRule::intensity)
+                                     return of_rays.push_back(groups.empty()
+                                                                  ? of_parts[first]
+                                                                  : sum_over_group(strongest, of_parts) /
+                                                                        static_cast<float>(n));
+                             }
+                             // The first sub-ray is nearest to the centre.
+                             of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
+                         });
         if (scan_.second_returns.empty()) return;
         const bool returns = is_ray_returned(scan_.image.drop_prob.back(), scan_.median_range_m.back());
-        const SubRayReturn* second =
-            returns && groups.size() > 1 ? find_second_return(groups, strongest) : nullptr;
+        const SubRayReturn* second = returns && groups.size() > 1 ? second_group(groups, strongest) : nullptr;
         scan_.second_returns[0].range_m.push_back(
-            second ? compute_weighted_group_mean(*second, parts_.median_range_m, parts_) : 0.0f);
+            second ? weighted_mean(*second, parts_.median_range_m, parts_) : 0.0f);
         scan_.second_returns[0].intensity.push_back(
             second ? sum_over_group(*second, parts_.image.intensity) / static_cast<float>(n) : 0.0f);
     }
 
-    RenderedScan extract_joined_scan() { return std::move(scan_); }
+    RenderedScan joined_scan() { return std::move(scan_); }
 
 private:
     const RenderedScan& parts_;
@@ -174,8 +171,8 @@ private:
 
 }  // namespace
 
-RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad) {
-    const std::vector<glm::dvec2> offsets = make_footprint_offsets(sub_rays_per_ray);
+RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad) {
+    const std::vector<glm::dvec2> offsets = spread_sub_rays(sub_rays_per_ray);
     RayTable parts;
     parts.rows = rays.rows;
     parts.columns = rays.columns * sub_rays_per_ray;
@@ -184,8 +181,7 @@ RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, do
         const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
         const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
         const glm::dvec3 up = glm::cross(direction, left);
-        const double half_rad =
-            0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.get_beam_divergence_rad(i));
+        const double half_rad = 0.5 * (divergence_rad > 0.0 ? divergence_rad : rays.divergence_of_rad(i));
         for (const glm::dvec2& offset : offsets) {
             const glm::dvec2 angle = half_rad * offset;
             parts.origin.push_back(rays.origin[i]);
@@ -198,32 +194,32 @@ RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, do
     return parts;
 }
 
-RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
-                                           const SensorConfig& config) {
+RenderedScan join_sub_rays(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+                           const SensorConfig& config) {
     SubRayMerger joiner(sub_ray_scan, beam_rays, config);
-    for (std::size_t ray = 0; ray < beam_rays.size(); ++ray) joiner.append_beam_return(ray);
-    return joiner.extract_joined_scan();
+    for (std::size_t ray = 0; ray < beam_rays.size(); ++ray) joiner.append_beam(ray);
+    return joiner.joined_scan();
 }
 
-std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
-                                                  const SensorConfig& config) {
-    const std::vector<glm::dvec2> offsets = make_footprint_offsets(config.sub_rays);
+std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+                                         const SensorConfig& config) {
+    const std::vector<glm::dvec2> offsets = spread_sub_rays(config.sub_rays);
     std::vector<std::size_t> edges;
     for (std::size_t ray = 0; ray < beam_rays.size(); ++ray)
-        if (group_sub_rays_into_returns(sub_ray_scan, ray * offsets.size(), offsets,
-                                        static_cast<float>(config.return_separation_m))
+        if (group_sub_rays(sub_ray_scan, ray * offsets.size(), offsets,
+                           static_cast<float>(config.return_separation_m))
                 .size() > 1)
             edges.push_back(ray);
     return edges;
 }
 
-void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                       const RenderedScan& replacement_scan) {
+void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
+                  const RenderedScan& replacement_scan) {
     const auto replace = [&](const auto& from, auto& to) {
         for (std::size_t i = 0; i < ray_indices.size(); ++i) to[ray_indices[i]] = from[i];
     };
-    for_each_channel_pair(replacement_scan, scan,
-                          [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
+    for_all_channels(replacement_scan, scan,
+                     [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
     for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
         replace(replacement_scan.second_returns[k].range_m, scan.second_returns[k].range_m);
         replace(replacement_scan.second_returns[k].intensity, scan.second_returns[k].intensity);

@@ -11,7 +11,7 @@ namespace relidar {
 /// @param sub_rays_per_ray 1, 5 or 9; with any other number, the sub-rays form a spiral
 /// @param divergence_rad full divergence of all rays; if 0, each ray has its own
 /// divergence
-RayTable split_rays_into_sub_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
+RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergence_rad);
 
 /// Minimum light of a second return, relative to the strongest return. Real receivers can
 /// detect second echoes down to about a tenth of the main echo.
@@ -30,18 +30,18 @@ inline constexpr double kSecondReturnShare = 0.1;
 /// strongest group's intensity. The drop probability is the mean over the sub-rays,
 /// because the returned light is the sum over the footprint. Weight, normal and instance
 /// are copied from the sub-ray of the strongest group that is nearest to the centre.
-/// @param sub_ray_scan scan of split_rays_into_sub_rays(rays, config.sub_rays, ...)
-RenderedScan join_sub_rays_to_beam_returns(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
-                                           const SensorConfig& config);
+/// @param sub_ray_scan scan of split_rays(rays, config.sub_rays, ...)
+RenderedScan join_sub_rays(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+                           const SensorConfig& config);
 
 /// Sub-rays of a beam that hits several surfaces. With only nine, one sub-ray could cause
 /// a second return, even if the surface fills a tiny part of the beam.
 inline constexpr int kEdgeParts = 40;
 
-std::vector<std::size_t> find_multi_surface_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
-                                                  const SensorConfig& config);
+std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+                                         const SensorConfig& config);
 /// @param ray_indices [rays of `replacement_scan`] indices of the replaced rays
-void replace_scan_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                       const RenderedScan& replacement_scan);
+void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
+                  const RenderedScan& replacement_scan);
 
 }  // namespace relidar

@@ -16,8 +16,8 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
 }
 
 /// @throws UsageError if a channel has a different type in two scans
-void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
-    for (const ScanChannel& channel : copy_channels_without_values(scan.channels)) {
+void add_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
+    for (const ScanChannel& channel : copy_layout(scan.channels)) {
         const auto existing_channel =
             std::ranges::find(merged_scan.channels, channel.info.name,
                               [](const ScanChannel& c) -> const std::string& { return c.info.name; });
@@ -25,8 +25,7 @@ void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
             merged_scan.channels.push_back(channel);
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
-                    values.assign(merged_scan.image.range_m.size(),
-                                  get_value_of_rays_without_hit<T>(channel.info));
+                    values.assign(merged_scan.image.range_m.size(), empty_value<T>(channel.info));
                 },
                 merged_scan.channels.back().values);
         } else if (existing_channel->values.index() != channel.values.index()) {
@@ -36,19 +35,17 @@ void add_missing_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
     }
 }
 
-void append_second_return_values(ScanChannel& merged_channel, const ScanChannel& source_channel,
-                                 std::size_t first_ray) {
+void append_second(ScanChannel& merged_channel, const ScanChannel& source_channel, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
-        if (count_channel_values(merged_channel.second) == 0) merged_channel.second = std::vector<T>{};
+        if (count_values(merged_channel.second) == 0) merged_channel.second = std::vector<T>{};
         auto& all = std::get<std::vector<T>>(merged_channel.second);
-        all.resize(first_ray, get_value_of_rays_without_hit<T>(merged_channel.info));
+        all.resize(first_ray, empty_value<T>(merged_channel.info));
         append_elements(all, values);
     };
     std::visit(add, source_channel.second);
 }
 
-RenderedScan combine_rig_poses_with_firing_times(const RenderedScan& rig_scan,
-                                                 const RenderedScan& sensor_scan) {
+RenderedScan rig_at_firing_times(const RenderedScan& rig_scan, const RenderedScan& sensor_scan) {
     RenderedScan rig;
     rig.image.rows = sensor_scan.image.rows;
     rig.image.columns = sensor_scan.image.columns;
@@ -65,14 +62,11 @@ class RigPoseInterpolator {
 public:
     /// @param scan must outlive this object
     RigPoseInterpolator(const RenderedScan& merged, const RenderedScan& scan)
-        : rig_(combine_rig_poses_with_firing_times(merged, scan)),
-          world_from_rig_(rig_),
-          world_from_firing_(scan) {}
+        : rig_(rig_at_firing_times(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
     RigPoseInterpolator(const RigPoseInterpolator&) = delete;
     RigPoseInterpolator& operator=(const RigPoseInterpolator&) = delete;
-    Pose compute_rig_from_sensor_pose_at_firing(std::size_t ray_index) {
-        return inverse(world_from_rig_.compute_firing_pose(ray_index)) *
-               world_from_firing_.compute_firing_pose(ray_index);
+    Pose pose_in_rig(std::size_t ray) {
+        return inverse(world_from_rig_.pose_of(ray)) * world_from_firing_.pose_of(ray);
     }
 
 private:
@@ -80,45 +74,41 @@ private:
     FiringPoseInterpolator world_from_rig_, world_from_firing_;
 };
 
-void append_channels_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& scan,
-                                  RigPoseInterpolator& rig_poses, std::size_t first_ray_index) {
+void append_channels(RenderedScan& merged_scan, const RenderedScan& scan, RigPoseInterpolator& rig_poses,
+                     std::size_t first_ray_index) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged_scan.channels) {
         // clang 14 cannot capture structured bindings in lambdas.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
-            const std::vector<T>* scan_values = find_channel_values<T>(scan.channels, info.name);
+            const std::vector<T>* scan_values = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i)
-                all.push_back(scan_values ? (*scan_values)[i] : get_value_of_rays_without_hit<T>(info));
+                all.push_back(scan_values ? (*scan_values)[i] : empty_value<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; scan_values && info.turns && i < n; ++i)
                     all[first_ray_index + i] =
-                        glm::vec3(rig_poses.compute_rig_from_sensor_pose_at_firing(i).rotation *
-                                  glm::dvec3((*scan_values)[i]));
+                        glm::vec3(rig_poses.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& scan_channel : scan.channels)
-            if (scan_channel.info.name == info.name && count_channel_values(scan_channel.second) > 0)
-                append_second_return_values(channel, scan_channel, first_ray_index);
+            if (scan_channel.info.name == info.name && count_values(scan_channel.second) > 0)
+                append_second(channel, scan_channel, first_ray_index);
     }
 }
 
-void pad_second_returns_to_all_rays(RenderedScan& merged_scan) {
+void pad_second_returns(RenderedScan& merged_scan) {
     const std::size_t n = merged_scan.image.range_m.size();
     for (AdditionalReturns& second : merged_scan.second_returns) {
         second.range_m.resize(n);
         second.intensity.resize(n);
     }
     for (ScanChannel& channel : merged_scan.channels)
-        if (count_channel_values(channel.second) > 0)
-            std::visit(
-                [&]<class T>(std::vector<T>& v) {
-                    v.resize(n, get_value_of_rays_without_hit<T>(channel.info));
-                },
-                channel.second);
+        if (count_values(channel.second) > 0)
+            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, empty_value<T>(channel.info)); },
+                       channel.second);
 }
 
-void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
+void merge_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
     for (const ActorVisibility& view : scan.actor_views) {
         const auto existing_view =
             std::ranges::find(merged_scan.actor_views, view.track, &ActorVisibility::track);
@@ -140,12 +130,12 @@ void merge_actor_ray_counts(RenderedScan& merged_scan, const RenderedScan& scan)
 }
 
 /// @param first_ring number of this scan's ring 0 in the merged scan
-void append_rays_in_rig_frame(RenderedScan& merged_scan, const RenderedScan& scan,
-                              RigPoseInterpolator& rig_poses, std::size_t first_ring) {
+void append_rays(RenderedScan& merged_scan, const RenderedScan& scan, RigPoseInterpolator& rig_poses,
+                 std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged_scan.time_offset_s.push_back(scan.time_offset_s[i]);
         merged_scan.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
-        const Pose rig_from_firing = rig_poses.compute_rig_from_sensor_pose_at_firing(i);
+        const Pose rig_from_firing = rig_poses.pose_in_rig(i);
         merged_scan.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
         merged_scan.image.direction.emplace_back(
             glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
@@ -161,22 +151,22 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
-    merged.track = compute_mounted_track(scans[0].track, sensor_from_rig);
+    merged.track = mount_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
     std::size_t rings = 0;
     double unseen_rays = 0.0;
     for (const RenderedScan& scan : scans) {
-        require_valid_channel_names_and_sizes(scan.channels, scan.image.range_m.size(), "a scan of a rig");
-        add_missing_channels(merged, scan);
+        check_channels(scan.channels, scan.image.range_m.size(), "a scan of a rig");
+        add_channels(merged, scan);
         RigPoseInterpolator poses(merged, scan);
-        append_rays_in_rig_frame(merged, scan, poses, rings);
+        append_rays(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         if (rings > 65536)
             fail<UsageError>("cannot merge scans: found {} beams in total, expected at most 65536", rings);
         const std::size_t first_ray = merged.image.range_m.size();
-        append_channels_in_rig_frame(merged, scan, poses, first_ray);
-        for_each_basic_channel_pair(
-            scan, merged, [](const ChannelInfo&, const auto& from, auto& to) { append_elements(to, from); });
+        append_channels(merged, scan, poses, first_ray);
+        for_basic_channels(scan, merged,
+                           [](const ChannelInfo&, const auto& from, auto& to) { append_elements(to, from); });
         if (scan.unseen_share) {
             unseen_rays += *scan.unseen_share * double(scan.instance.size());
             merged.unseen_share = unseen_rays / double(merged.instance.size());
@@ -188,10 +178,10 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
             append_elements(merged.second_returns[k].range_m, scan.second_returns[k].range_m);
             append_elements(merged.second_returns[k].intensity, scan.second_returns[k].intensity);
         }
-        merge_actor_ray_counts(merged, scan);
+        merge_counts(merged, scan);
         merged.trace_ms += scan.trace_ms;
     }
-    pad_second_returns_to_all_rays(merged);
+    pad_second_returns(merged);
     merged.image.rows = 1;
     merged.image.columns = static_cast<int>(merged.image.range_m.size());
     return merged;

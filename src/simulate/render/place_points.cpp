@@ -20,9 +20,8 @@ struct RayReturnIndex {
     std::uint8_t number;
 };
 
-std::vector<RayReturnIndex> list_returns_to_output(const RenderedScan& scan,
-                                                   const std::vector<float>& ranges_m,
-                                                   PointSelection selection) {
+std::vector<RayReturnIndex> select_returns(const RenderedScan& scan, const std::vector<float>& ranges_m,
+                                           PointSelection selection) {
     std::vector<RayReturnIndex> returns;
     returns.reserve(ranges_m.size());
     for (std::size_t ray = 0; ray < ranges_m.size(); ++ray) {
@@ -37,19 +36,17 @@ std::vector<RayReturnIndex> list_returns_to_output(const RenderedScan& scan,
 }
 
 /// Returns no poses if the points are in the sensor's frame.
-std::vector<shared::SensorPose> list_sensor_poses_in_points_frame(
-    const RenderedScan& scan, const std::optional<Pose>& dataset_from_points) {
+std::vector<shared::SensorPose> sensor_poses(const RenderedScan& scan,
+                                             const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    return list_poses_between_time_offsets(convert_track_to_frame(track, *dataset_from_points), scan.time_s,
-                                           double(first_s), double(last_s));
+    return poses_between(to_frame(track, *dataset_from_points), scan.time_s, double(first_s), double(last_s));
 }
 
 /// Must select the same pose as shaders/simulate/render/sensor_way.glsl.
-const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>& poses,
-                                           float time_offset_s) {
+const shared::SensorPose& find_pose(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
     std::size_t k = 0, end = std::max<std::size_t>(poses.size(), 2) - 1;
     while (end - k > 1) {
         const std::size_t middle = (k + end) / 2;
@@ -60,20 +57,19 @@ const shared::SensorPose& find_pose_before(const std::vector<shared::SensorPose>
 
 }  // namespace
 
-LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& config,
-                                   const std::optional<Pose>& dataset_from_points, PointSelection selection) {
-    const std::vector<float>& range_m = select_point_ranges(scan, config);
-    require_valid_channel_names_and_sizes(scan.channels, range_m.size(), "a scan");
-    const std::vector<RayReturnIndex> returns = list_returns_to_output(scan, range_m, selection);
-    const std::vector<shared::SensorPose> poses =
-        list_sensor_poses_in_points_frame(scan, dataset_from_points);
+LidarPoints place_points(const RenderedScan& scan, const Config& config,
+                         const std::optional<Pose>& dataset_from_points, PointSelection selection) {
+    const std::vector<float>& range_m = point_ranges(scan, config);
+    check_channels(scan.channels, range_m.size(), "a scan");
+    const std::vector<RayReturnIndex> returns = select_returns(scan, range_m, selection);
+    const std::vector<shared::SensorPose> poses = sensor_poses(scan, dataset_from_points);
     const std::size_t n = returns.size();
     LidarPoints points{.position_m = std::vector<glm::vec3>(n),
                        .intensity = std::vector<float>(n),
                        .ring = std::vector<std::uint16_t>(n),
                        .time_offset_s = std::vector<float>(n),
                        .instance = std::vector<std::int32_t>(n),
-                       .channels = copy_channels_without_values(scan.channels),
+                       .channels = copy_layout(scan.channels),
                        .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
                        .time_s = scan.time_s};
     if (selection == PointSelection::returns && !scan.second_returns.empty()) points.return_number.resize(n);
@@ -83,27 +79,25 @@ LidarPoints convert_scan_to_points(const RenderedScan& scan, const Config& confi
         const float time_offset_s = scan.time_offset_s[ray];
         const glm::vec3 end = shared::compute_ray_end(scan.image.origin[ray], scan.image.direction[ray],
                                                       second ? second->range_m[ray] : range_m[ray]);
-        points.position_m[index] = poses.empty()
-                                       ? end
-                                       : shared::transform_sensor_point_to_world(
-                                             find_pose_before(poses, time_offset_s), time_offset_s, end);
+        points.position_m[index] =
+            poses.empty() ? end : shared::place_point(find_pose(poses, time_offset_s), time_offset_s, end);
         points.intensity[index] = second ? second->intensity[ray] : scan.image.intensity[ray];
         points.ring[index] = scan.ring[ray];
         points.time_offset_s[index] = time_offset_s;
         points.instance[index] = second ? -1 : scan.instance[ray];
         if (!points.return_number.empty()) points.return_number[index] = number;
     };
-    parallel_for_ranges(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
+    parallel_ranges(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) fill_point(i);
     });
     for (std::size_t k = 0; k < points.channels.size(); ++k) {
         for (const auto& [ray, number] : returns)
-            append_value_of_one_return(points.channels[k], scan.channels[k], ray, number);
+            append_return(points.channels[k], scan.channels[k], ray, number);
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
         if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
         for (std::size_t i = 0; i < n; ++i)
-            (*vectors)[i] = shared::to_world_direction(find_pose_before(poses, points.time_offset_s[i]),
-                                                       points.time_offset_s[i], (*vectors)[i]);
+            (*vectors)[i] = shared::to_world(find_pose(poses, points.time_offset_s[i]),
+                                             points.time_offset_s[i], (*vectors)[i]);
     }
     return points;
 }

@@ -17,7 +17,7 @@ DevicePointComputer::DevicePointComputer(Device& device)
       count_(device, 1, "number of returned points"),
       sampled_ranges_(device, kSampledRays, "ranges of rays") {}
 
-void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays) {
+void DevicePointComputer::reserve(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
     stream.submit_and_wait();
     marks_ = {};
@@ -25,21 +25,20 @@ void DevicePointComputer::reserve_ray_memory(Stream& stream, std::size_t n_rays)
     points_ = {};  // frees the old arrays before allocating larger ones
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays with a return");
     point_indices_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "indices of points");
-    sum_.reserve_scratch_memory(device_, n_rays);
+    sum_.reserve_scratch(device_, n_rays);
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::
-    record_point_computation_and_readback(Stream& stream, const DeviceSensorRays& rays,
-                                          const PointComputeOptions& options,
-                                          const Array<std::uint32_t>& truncated_ray_count) {
-    const std::size_t n = rays.get_ray_table().size();
-    reserve_ray_memory(stream, n);
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record(
+    Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
+    const Array<std::uint32_t>& truncated_ray_count) {
+    const std::size_t n = rays.ray_table().size();
+    reserve(stream, n);
     const std::vector<shared::SensorPose> poses =
-        rays.list_poses_during_sweep(options.points_from_sensor, options.time_s);
+        rays.sweep_poses(options.points_from_sensor, options.time_s);
     run(stream, mark_, n,
-        {.measured = rays.get_device_measurements().address(),
-         .drop_prob = rays.get_drop_probability_address(),
+        {.measured = rays.device_measured().address(),
+         .drop_prob = rays.drop_address(),
          .marks = marks_.address(),
          .n_rays = std::uint32_t(n),
          .refined = options.refined ? 1u : 0u,
@@ -49,18 +48,18 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::
              point_indices_.address_as<std::uint32_t, shared::ScanPrefix>(), std::uint32_t(n),
              count_.address());
     run(stream, gather_, n,
-        {.rays = rays.get_device_rays().address(),
-         .measured = rays.get_device_measurements().address(),
-         .poses = stream.impl().stage_host_values_for_kernels(poses),
+        {.rays = rays.device_rays().address(),
+         .measured = rays.device_measured().address(),
+         .poses = stream.impl().stage_values(poses),
          .marks = marks_.address(),
          .places = point_indices_.address(),
          .points = points_.address(),
          .asked = sampled_ranges_.address(),
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
-         .n_requested = std::uint32_t(count_evenly_sampled_rays(n)),
+         .n_requested = std::uint32_t(sample_count(n)),
          .of_image = options.of_image ? 1u : 0u});
-    return record_point_readback(stream, n, truncated_ray_count);
+    return record_readback(stream, n, truncated_ray_count);
 }
 
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
@@ -68,7 +67,7 @@ DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
       sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
       capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
-std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_point_readback(
+std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_readback(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated_ray_count) {
     auto free_slot = std::ranges::find_if(
         slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
@@ -80,23 +79,22 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
         slot.point_capacity = n_rays;
     }
     slot.n_rays = n_rays;
-    slot.points->record_copy_to_host(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
-    slot.count.record_copy_to_host(stream, count_.buffer(), sizeof(std::uint32_t));
-    slot.sampled_ranges.record_copy_to_host(stream, sampled_ranges_.buffer(),
-                                            count_evenly_sampled_rays(n_rays) * sizeof(float));
-    slot.capped.record_copy_to_host(stream, truncated_ray_count.buffer(), sizeof(std::uint32_t));
+    slot.points->record_copy(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
+    slot.count.record_copy(stream, count_.buffer(), sizeof(std::uint32_t));
+    slot.sampled_ranges.record_copy(stream, sampled_ranges_.buffer(), sample_count(n_rays) * sizeof(float));
+    slot.capped.record_copy(stream, truncated_ray_count.buffer(), sizeof(std::uint32_t));
     return *free_slot;
 }
 
-DevicePointComputer::GatheredPoints DevicePointComputer::wait_for_copied_points(
-    Stream& stream, PointReadbackSlot& host_buffers) {
+DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream,
+                                                              PointReadbackSlot& host_buffers) {
     const auto number = [&](ReadbackBuffer& readback) {
-        return *static_cast<const std::uint32_t*>(readback.wait_for_copied_bytes(stream));
+        return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    return {{static_cast<const shared::ReturnedPoint*>(host_buffers.points->wait_for_copied_bytes(stream)),
+    return {{static_cast<const shared::ReturnedPoint*>(host_buffers.points->wait_for_bytes(stream)),
              number(host_buffers.count)},
-            {static_cast<const float*>(host_buffers.sampled_ranges.wait_for_copied_bytes(stream)),
-             count_evenly_sampled_rays(host_buffers.n_rays)},
+            {static_cast<const float*>(host_buffers.sampled_ranges.wait_for_bytes(stream)),
+             sample_count(host_buffers.n_rays)},
             number(host_buffers.capped)};
 }
 

@@ -43,25 +43,23 @@ public:
     /// @param truncated_ray_count device counter of rays whose search for hits was
     /// stopped by its limit
     /// @return host buffers; reused after the caller has released the pointer
-    std::shared_ptr<PointReadbackSlot> record_point_computation_and_readback(
-        Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
-        const Array<std::uint32_t>& truncated_ray_count);
+    std::shared_ptr<PointReadbackSlot> record(Stream& stream, const DeviceSensorRays& rays,
+                                              const PointComputeOptions& options,
+                                              const Array<std::uint32_t>& truncated_ray_count);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
-        /// [count_evenly_sampled_rays()] distance to the surface in metres
+        /// [sample_count()] distance to the surface in metres
         std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
     /// @return valid until the buffers are reused
-    static GatheredPoints wait_for_copied_points(Stream& stream, PointReadbackSlot& host_buffers);
+    static GatheredPoints wait(Stream& stream, PointReadbackSlot& host_buffers);
     /// The host receives the distances of these rays even if they have no return.
-    static std::size_t get_evenly_sampled_ray_index(std::size_t sample_index, std::size_t n_rays) {
-        return sample_index * n_rays / count_evenly_sampled_rays(n_rays);
+    static std::size_t sample_ray(std::size_t sample_index, std::size_t n_rays) {
+        return sample_index * n_rays / sample_count(n_rays);
     }
-    static std::size_t count_evenly_sampled_rays(std::size_t n_rays) {
-        return std::min(n_rays, kSampledRays);
-    }
+    static std::size_t sample_count(std::size_t n_rays) { return std::min(n_rays, kSampledRays); }
 
 private:
     Device& device_;
@@ -75,9 +73,9 @@ private:
     Array<float, shared::RequestedRanges> sampled_ranges_;
     std::vector<std::shared_ptr<PointReadbackSlot>> slots_;
 
-    void reserve_ray_memory(Stream& stream, std::size_t n_rays);
-    std::shared_ptr<PointReadbackSlot> record_point_readback(Stream& stream, std::size_t n_rays,
-                                                             const Array<std::uint32_t>& truncated_ray_count);
+    void reserve(Stream& stream, std::size_t n_rays);
+    std::shared_ptr<PointReadbackSlot> record_readback(Stream& stream, std::size_t n_rays,
+                                                       const Array<std::uint32_t>& truncated_ray_count);
 };
 
 }  // namespace relidar

@@ -37,19 +37,19 @@ constexpr double kNearReflectivity = 0.0025;
 // the constants of bloom, which were fitted to KITTI's intensities.
 constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0), kStrayPower = 0.005 / (80.0 * 80.0);
 
-void require_normals_for_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
-    if (!channel.needs_normals || get_primitive_properties(config.image.primitive).has_normals) return;
+void check_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
+    if (!channel.needs_normals || properties_of(config.image.primitive).has_normals) return;
     fail<UsageError>("{}: the channel {} needs normals, which image.primitive={} has not; expected surfel",
-                     error_prefix, channel.name, get_primitive_properties(config.image.primitive).name);
+                     error_prefix, channel.name, properties_of(config.image.primitive).name);
 }
 
-TraceOptions make_trace_options(const Config& config) {
-    for (const ChannelInfo& channel : parse_channel_names(config.render.channels))
-        require_normals_for_channel(config, channel, "setting render.channels");
-    return make_rendering_trace_options(config);
+TraceOptions trace_options(const Config& config) {
+    for (const ChannelInfo& channel : parse_channels(config.render.channels))
+        check_channel(config, channel, "setting render.channels");
+    return rendering_options(config);
 }
 
-void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays) {
+void copy_measurements(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays) {
     const std::size_t n = measured_rays.size();
     for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m,
                                        &scan.image.intensity, &scan.image.drop_prob, &scan.weight})
@@ -68,20 +68,19 @@ void copy_measurements_to_scan(RenderedScan& scan, std::span<const shared::Measu
 }
 
 /// Keeps a probability of 1: such a ray hits nothing that the sensor can measure.
-void replace_drop_probabilities(RenderedScan& scan, std::span<const float> network_drop_probabilities) {
+void replace_drop(RenderedScan& scan, std::span<const float> network_drop_probabilities) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
         if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
-WeatherSensorProperties make_sensor_properties_for_weather(const Config& config, const RayTable& rays,
-                                                           const RangeLimits& limits,
-                                                           const std::string& sensor_name) {
+WeatherSensorProperties weather_properties(const Config& config, const RayTable& rays,
+                                           const RangeLimits& limits, const std::string& sensor_name) {
     WeatherSensorProperties result;
-    const double specified_m = find_specified_max_range_m(sensor_name).value_or(limits.max_m);
+    const double specified_m = nominal_max_range_m(sensor_name).value_or(limits.max_m);
     result.min_specified_power = kSpecifiedReflectivity / (specified_m * specified_m);
     result.weakest_reflectivity = kNearReflectivity;
-    const double divergence_rad = rays.find_max_divergence_rad();
+    const double divergence_rad = rays.max_divergence_rad();
     if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
     result.separation_m = config.sensor.return_separation_m;
@@ -94,87 +93,84 @@ WeatherSensorProperties make_sensor_properties_for_weather(const Config& config,
 
 }  // namespace
 
-Pose RenderedScan::get_firing_pose(std::size_t ray) const {
+Pose RenderedScan::firing_pose(std::size_t ray) const {
     return track.pose.empty() ? world_from_sensor
-                              : track.interpolate_pose(time_s + static_cast<double>(time_offset_s[ray]));
+                              : track.pose_at(time_s + static_cast<double>(time_offset_s[ray]));
 }
 
-const std::vector<float>& select_point_ranges(const RenderedScan& scan, const Config& config) {
+const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config) {
     return config.render.points == "median" ? scan.median_range_m : scan.image.range_m;
 }
 
-std::vector<float> compute_range_spread(const RenderedScan& scan) {
+std::vector<float> range_spread(const RenderedScan& scan) {
     std::vector<float> spread_m(scan.mean_range_m.size());
     for (std::size_t i = 0; i < spread_m.size(); ++i)
         spread_m[i] = std::abs(scan.median_range_m[i] - scan.mean_range_m[i]);
     return spread_m;
 }
 
-ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run,
-                         const LidarSequence& sequence)
+ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& sequence)
     : device(on),
-      config(replace_automatic_max_range(settings_of_run, sequence)),
-      first_origin_m(get_first_vehicle_position(sequence)),
-      settings{.channels = parse_channel_names(config.render.channels),
+      config(with_max_range(settings_of_run, sequence)),
+      first_origin_m(first_position(sequence)),
+      settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatterModel>(sequence.lidars.size())},
       sweeps(config, all, sequence),
-      scene(device, all, settings_of_run, {.accel = {}, .trace = make_trace_options(config)}),
+      scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
 
-ScanRenderPlan ScanRenderer::Impl::plan_steps_for_sweep(const SimulatedSweep& sweep,
-                                                        bool has_random_sampling) const {
-    return plan_scan(sweep.sensor, sweep.get_rays(), config, settings, lanes->get_drop_network(),
+ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const {
+    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(),
                      has_random_sampling);
 }
 
-bool ScanRenderer::Impl::is_optional_channel_enabled(const std::string& name) const {
+bool ScanRenderer::Impl::has_channel(const std::string& name) const {
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
 }
 
-LogObservedSpace ScanRenderer::Impl::get_space_observed_in_log(const SimulatedSensor& sensor) const {
-    return {settings.coverage, sweeps.get_log().world_offset_m,
+LogObservedSpace ScanRenderer::Impl::observed_space_of(const SimulatedSensor& sensor) const {
+    return {settings.coverage, sweeps.sequence().world_offset_m,
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
-ChannelInputs ScanRenderer::Impl::make_channel_inputs(const SimulatedSweep& sweep) {
-    ChannelInputs context{get_space_observed_in_log(sweep.sensor),
-                          {sweeps.get_log().get_world_from_sensor(sweep.sensor.lidar), sweep.instances}};
-    if (!is_optional_channel_enabled("class")) return context;
-    context.classes = compute_instance_classes(sweeps.get_scene_layout(), sweeps.get_log());
+ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
+    ChannelInputs context{observed_space_of(sweep.sensor),
+                          {sweeps.sequence().lidar_track(sweep.sensor.lidar), sweep.instances}};
+    if (!has_channel("class")) return context;
+    context.classes = instance_classes(sweeps.layout(), sweeps.sequence());
     if (!class_finder && !class_map.empty()) class_finder = std::make_unique<SurfaceClassLookup>(class_map);
     context.background = class_finder.get();
     return context;
 }
 
-void ScanRenderer::Impl::prepare_scene_for_sweep(const ParallelScanResources& resources,
-                                                 const SimulatedSweep& sweep) {
+void ScanRenderer::Impl::prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep) {
     // Loading blocks can replace the renderer that pending scans use.
-    if (!sweeps.get_scene_layout().blocks.empty()) finish_pending_scans();
+    if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
-    scene.load_blocks_near_sensor(sensor_m, sweeps.get_range_limits(sweep.sensor).max_m);
-    lanes->get_renderer(resources).record_instance_poses_and_view(sweep.instances, sensor_m);
+    scene.load_near(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
+    lanes->renderer_of(resources).record_poses(sweep.instances, sensor_m);
 }
 
-/// Call prepare_scene_for_sweep() before.
-std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace_commands(ParallelScanResources& lane,
-                                                                            const SimulatedSweep& sweep,
-                                                                            const RayTable& rays,
-                                                                            bool with_drop_network) try {
+/// Call prepare_scene() before.
+std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanResources& lane,
+                                                                   const SimulatedSweep& sweep,
+                                                                   const RayTable& rays,
+                                                                   bool with_drop_network) try {
     const SimulatedSensor& sensor = sweep.sensor;
     const std::shared_ptr<DeviceSensorRays> recorded =
-        lane.upload_sensor_rays(device, sensor, rays, [&](std::size_t index) {
-            return sweeps.get_permanent_drop_probability(sensor, rays.channel[index], rays.direction[index]);
+        lane.upload_rays(device, sensor, rays, [&](std::size_t index) {
+            return sweeps.permanent_drop(sensor, rays.channel[index], rays.direction[index]);
         });
-    Renderer& renderer = lanes->get_renderer(lane);
-    recorded->record_ray_transform_to_world(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
-    renderer.record_forward_pass(recorded->get_world_ray_batch());
-    recorded->record_measurement_of_rendered_rays(
-        renderer.stream(), renderer.get_last_rendered_batch(),
-        {config.render.range, sensor.beams, sweeps.get_log().intensity_response, sensor.limits, kMinWeight});
+    Renderer& renderer = lanes->renderer_of(lane);
+    recorded->place(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
+    renderer.record_forward(recorded->world_batch());
+    recorded->record_measure(
+        renderer.stream(), renderer.last_batch(),
+        {config.render.range, sensor.beams, sweeps.sequence().intensity_response, sensor.limits, kMinWeight});
     if (with_drop_network)
-        recorded->record_ray_drop_inference(
-            renderer.stream(), lanes->get_or_create_ray_drop_refiner(lane).get_ray_drop_inference(),
-            glm::vec3(sweep.pose.translation + sweeps.get_log().world_offset_m - first_origin_m));
+        recorded->record_drop(
+            renderer.stream(), lanes->refiner_of(lane).inference(),
+            glm::vec3(sweep.pose.translation + sweeps.sequence().world_offset_m - first_origin_m));
     return recorded;
 } catch (...) {
     wait_for_device();  // waits, because the next scan may replace arrays that recorded commands use
@@ -187,45 +183,42 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<DeviceSensorRays> rays =
-        record_trace_commands(lanes->get_unbatched_scan_resources(), sweep, ray_table, with_drop_network);
-    const std::span<const shared::MeasuredRay> measured = rays->wait_for_measurements(renderer.stream());
-    renderer.require_rays_fully_traced();
+        record_trace(lanes->single_lane(), sweep, ray_table, with_drop_network);
+    const std::span<const shared::MeasuredRay> measured = rays->wait_measured(renderer.stream());
+    renderer.check_truncation();
 
-    RenderedScan scan = make_scan_without_measurements(ray_table);
+    RenderedScan scan = empty_scan(ray_table);
     scan.trace_ms =
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-    copy_measurements_to_scan(scan, measured);
-    const glm::dvec3& offset_m = sweeps.get_log().world_offset_m;
-    scan.track = add_offset_to_track_positions(sweep.world_from_sensor, offset_m);
+    copy_measurements(scan, measured);
+    const glm::dvec3& offset_m = sweeps.sequence().world_offset_m;
+    scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
     // Ray-drop networks read this channel.
     std::vector<ChannelInfo> channels = settings.channels;
-    if (lanes->get_drop_network() && !is_optional_channel_enabled(kIncidence))
-        channels.push_back(parse_channel_names(kIncidence).front());
-    add_traced_ray_channels(
-        scan, measured,
-        is_full_rendering_needed(channels) ? renderer.download_rendering() : RenderedRayValues{}, channels);
-    return {std::move(scan), with_drop_network ? rays->wait_for_drop_probabilities(renderer.stream())
-                                               : std::span<const float>{}};
+    if (lanes->drop_network() && !has_channel(kIncidenceChannel))
+        channels.push_back(parse_channels(kIncidenceChannel).front());
+    add_ray_channels(scan, measured,
+                     needs_rendering(channels) ? renderer.download_rays() : RenderedRayValues{}, channels);
+    return {std::move(scan),
+            with_drop_network ? rays->wait_drop(renderer.stream()) : std::span<const float>{}};
 }
 
 /// If a beam hits several surfaces, traces it again with more sub-rays.
-RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep& sweep,
-                                                           SensorConfig beam_config) {
-    const RayTable& rays = sweep.get_rays();
+RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config) {
+    const RayTable& rays = sweep.rays();
     const auto split = [&](const RayTable& some) {
-        return split_rays_into_sub_rays(some, beam_config.sub_rays, 1e-3 * beam_config.divergence_mrad);
+        return split_rays(some, beam_config.sub_rays, 1e-3 * beam_config.divergence_mrad);
     };
     const RenderedScan parts = trace_rays(sweep, split(rays)).scan;
-    RenderedScan scan = join_sub_rays_to_beam_returns(parts, rays, beam_config);
-    const std::vector<std::size_t> edges = find_multi_surface_beams(parts, rays, beam_config);
+    RenderedScan scan = join_sub_rays(parts, rays, beam_config);
+    const std::vector<std::size_t> edges = find_edge_beams(parts, rays, beam_config);
     if (!edges.empty() && edges.size() * kEdgeParts <= kMaxRays) {
         const RayTable edge_rays = select_rays(rays, edges);
         beam_config.sub_rays = kEdgeParts;
-        replace_scan_rays(
-            scan, edges,
-            join_sub_rays_to_beam_returns(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
+        replace_rays(scan, edges,
+                     join_sub_rays(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
     }
     const RangeLimits& limits = sweep.sensor.limits;
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
@@ -234,27 +227,26 @@ RenderedScan ScanRenderer::Impl::trace_beams_with_sub_rays(const SimulatedSweep&
     return scan;
 }
 
-void ScanRenderer::Impl::correct_drop_probabilities_with_network(RenderedScan& scan) {
-    replace_drop_probabilities(
-        scan, lanes->get_or_create_ray_drop_refiner(lanes->get_unbatched_scan_resources())
-                  .predict_drop_probabilities(
-                      make_network_input_image(scan, lanes->get_drop_network()->inputs, first_origin_m)));
+void ScanRenderer::Impl::correct_drop(RenderedScan& scan) {
+    replace_drop(scan,
+                 lanes->refiner_of(lanes->single_lane())
+                     .predict_drops(make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m)));
 }
 
-void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const SimulatedSweep& sweep,
-                                                 std::optional<std::uint64_t> noise_seed) {
+void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep,
+                                     std::optional<std::uint64_t> noise_seed) {
     const SimulatedSensor& sensor = sweep.sensor;
-    const LidarSequence& log = sweeps.get_log();
+    const Log& log = sweeps.sequence();
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
     if (noise_seed)
-        replace_expected_returns_by_sample(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter,
-                                           *noise_seed, sweeps.get_range_limits(sensor));
-    if (!settings.weather.is_clear() || find_channel_values<std::int32_t>(scan.channels, "source")) {
+        sample_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *noise_seed,
+                       sweeps.limits_of(sensor));
+    if (!settings.weather.is_clear() || find_values<std::int32_t>(scan.channels, "source")) {
         const Lidar& lidar = log.lidars[std::size_t(sensor.lidar)];
         const WeatherSensorProperties in_weather =
-            make_sensor_properties_for_weather(config, sweep.get_rays(), sweeps.get_range_limits(sensor),
-                                               sensor.is_log_lidar ? lidar.sensor.name : sensor.name);
-        const MotionDuringScan motion{log.get_world_from_sensor(sensor.lidar), sweep.instances};
+            weather_properties(config, sweep.rays(), sweeps.limits_of(sensor),
+                               sensor.is_log_lidar ? lidar.sensor.name : sensor.name);
+        const MotionDuringScan motion{log.lidar_track(sensor.lidar), sweep.instances};
         WeatherInput input{
             .weather = settings.weather,
             .sensor = in_weather,
@@ -265,112 +257,109 @@ void ScanRenderer::Impl::apply_noise_and_weather(RenderedScan& scan, const Simul
             .seed = noise_seed.value_or(0),
             .motion = &motion};
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
-            input.blind.push_back(sweeps.get_permanent_drop_probability(
-                                      sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
-        add_weather_to_scan(scan, input);
+            input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
+                                  kDropThreshold);
+        add_weather(scan, input);
     }
     if (!noise_seed || !settings.weather.is_clear())
-        for (float& intensity : scan.image.intensity) intensity = scatter.quantise_intensity(intensity);
+        for (float& intensity : scan.image.intensity) intensity = scatter.quantise(intensity);
     for (AdditionalReturns& echo : scan.second_returns)
-        for (float& intensity : echo.intensity) intensity = scatter.quantise_intensity(intensity);
+        for (float& intensity : echo.intensity) intensity = scatter.quantise(intensity);
 }
 
 RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
                                               std::optional<std::uint64_t> noise_seed) {
     using Network = ScanRenderPlan::RayDropStage;
     const SimulatedSensor& sensor = sweep.sensor;
-    const ScanRenderPlan plan = this->plan_steps_for_sweep(sweep, noise_seed.has_value());
-    lanes->submit_batched_scan_commands();
-    prepare_scene_for_sweep(lanes->get_unbatched_scan_resources(), sweep);
+    const ScanRenderPlan plan = this->plan_sweep(sweep, noise_seed.has_value());
+    lanes->submit_batch();
+    prepare_scene(lanes->single_lane(), sweep);
     auto [scan, drops] = plan.has_sub_rays()
-                             ? TracedScan{trace_beams_with_sub_rays(sweep, plan.beams), {}}
-                             : trace_rays(sweep, sweep.get_rays(), plan.network == Network::device);
-    add_beam_channels(scan, make_channel_inputs(sweep), settings.channels);
-    if (sweeps.shows_background())
-        estimate_and_set_unobserved_fraction(scan, get_space_observed_in_log(sensor));
+                             ? TracedScan{trace_footprint(sweep, plan.beams), {}}
+                             : trace_rays(sweep, sweep.rays(), plan.network == Network::device);
+    add_beam_channels(scan, channel_inputs(sweep), settings.channels);
+    if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
     std::vector<ActorVisibility> views;
-    if (settings.has_views) views = count_first_hits_per_instance(scan);
-    if (plan.network == Network::cells) scan = project_points_into_grid_image(scan, *sensor.grid);
-    if (plan.network == Network::device) replace_drop_probabilities(scan, drops);
-    else if (plan.network != Network::none) correct_drop_probabilities_with_network(scan);
-    // count_unoccluded_hits_per_actor() invalidates the values in `drops`.
-    if (settings.has_views) count_unoccluded_hits_per_actor(sweep, plan, views);
-    if (!is_optional_channel_enabled(kIncidence))
+    if (settings.has_views) views = count_first_hits(scan);
+    if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
+    if (plan.network == Network::device) replace_drop(scan, drops);
+    else if (plan.network != Network::none) correct_drop(scan);
+    // count_unoccluded() invalidates the values in `drops`.
+    if (settings.has_views) count_unoccluded(sweep, plan, views);
+    if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
-                      [](const ScanChannel& channel) { return channel.info.name == kIncidence; });
-    apply_noise_and_weather(scan, sweep, noise_seed);
-    if (sensor.grid && plan.network != Network::cells)
-        scan = project_points_into_grid_image(scan, *sensor.grid);
+                      [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
+    apply_noise(scan, sweep, noise_seed);
+    if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);
     scan.actor_views = std::move(views);
     return scan;
 }
 
-ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config,
-                           const LidarSequence& sequence)
+ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& sequence)
     : impl_(new Impl(device, scene, config, sequence)) {}
-ScanRenderer::ScanRenderer(Device& device, const TrainedRun& run)
+ScanRenderer::ScanRenderer(Device& device, const Run& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
-    if (run.config.refine.enabled && !run.drop_network.empty()) set_drop_network(run.drop_network);
-    set_observed_voxels(run.coverage);
-    set_background_classes(run.classes);
-    set_intensity_scatter_models(run.intensity_scatter);
+    if (run.config.refine.enabled && !run.drop_network.empty()) use_network(run.drop_network);
+    use_observed(run.coverage);
+    use_classes(run.classes);
+    use_scatter(run.intensity_scatter);
 }
 
-void ScanRenderer::set_visible_instances(const std::vector<bool>& visible_flags) {
-    impl_->sweeps.set_visible_instances(visible_flags);
+void ScanRenderer::show_instances(const std::vector<bool>& visible_flags) {
+    impl_->sweeps.show_instances(visible_flags);
 }
 
-void ScanRenderer::set_drop_network(const RayDropNetwork& network) {
+void ScanRenderer::use_network(const RayDropNetwork& network) {
     // Throws an error if the network has inputs that cannot be rendered.
-    list_drop_network_channel_numbers(network.inputs);
-    impl_->finish_pending_scans();
-    impl_->lanes->set_drop_network(network);
+    channel_numbers(network.inputs);
+    impl_->finish_pending();
+    impl_->lanes->use_network(network);
 }
 
-void ScanRenderer::enable_optional_channels(const std::string& comma_separated_names) {
-    for (const ChannelInfo& channel : parse_channel_names(comma_separated_names)) {
-        if (impl_->is_optional_channel_enabled(channel.name)) continue;
-        require_normals_for_channel(impl_->config, channel, "cannot enable channels");
+void ScanRenderer::add_channels(const std::string& comma_separated_names) {
+    for (const ChannelInfo& channel : parse_channels(comma_separated_names)) {
+        if (impl_->has_channel(channel.name)) continue;
+        check_channel(impl_->config, channel, "cannot enable channels");
         impl_->settings.channels.push_back(channel);
     }
 }
 
-void ScanRenderer::set_max_parallel_scans(int count) {
+void ScanRenderer::set_parallel(int count) {
     if (count < 1)
         fail<UsageError>("cannot render several scans at the same time: found {} scans, expected at least 1",
                          count);
-    impl_->finish_pending_scans();
-    impl_->lanes->set_parallel_scan_limit(count);
+    impl_->finish_pending();
+    impl_->lanes->set_limit(count);
 }
 
-int ScanRenderer::choose_max_parallel_scans(const Device& device) {
+int ScanRenderer::default_parallel(const Device& device) {
     return device.impl().forced.side_by_side.value_or(device.info().type == "CPU" ? 1 : kSideBySide);
 }
 
-int ScanRenderer::get_max_parallel_scans() const {
-    return impl_->sweeps.get_scene_layout().blocks.empty() ? impl_->lanes->get_parallel_scan_limit() : 1;
+int ScanRenderer::max_parallel() const {
+    return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->parallel_limit() : 1;
 }
 
-void ScanRenderer::enable_actor_visibility(bool enabled) { impl_->settings.has_views = enabled; }
+void ScanRenderer::count_actor_rays(bool enabled) { impl_->settings.has_views = enabled; }
 
-void ScanRenderer::set_background_classes(const SurfaceClassMap& class_map) {
+void ScanRenderer::use_classes(const SurfaceClassMap& class_map) {
     impl_->class_map = class_map;
     impl_->class_finder.reset();
 }
 
-bool ScanRenderer::has_background_classes() const { return !impl_->class_map.empty(); }
+bool ScanRenderer::has_classes() const { return !impl_->class_map.empty(); }
 
-void ScanRenderer::set_observed_voxels(const ObservedVoxelSet& observed_voxels) {
+void ScanRenderer::use_observed(const ObservedVoxelSet& observed_voxels) {
     impl_->settings.coverage = observed_voxels;
 }
 
-void ScanRenderer::set_intensity_scatter_models(const std::vector<IntensityScatterModel>& scatter) {
+void ScanRenderer::use_scatter(const std::vector<IntensityScatterModel>& scatter) {
     impl_->settings.scatter = scatter;
-    impl_->settings.scatter.resize(impl_->sweeps.get_log().lidars.size());
+    impl_->settings.scatter.resize(impl_->sweeps.sequence().lidars.size());
 }
 
 void ScanRenderer::set_weather(const Weather& weather) {
-    require_valid_weather(weather);
+    check_weather(weather);
     // A LiDAR is dark if all its returns in the log have intensity 0.
     const auto is_dark = [](const IntensityScatterModel& lidar) {
         return !lidar.empty() && std::ranges::all_of(lidar.values, [](float value) { return value == 0.0f; });
@@ -383,22 +372,21 @@ void ScanRenderer::set_weather(const Weather& weather) {
     impl_->settings.weather = weather;
 }
 
-bool ScanRenderer::has_drop_network_for(const SimulatedSensor& sensor) const {
-    return is_drop_correction_used(impl_->lanes->get_drop_network(), sensor);
+bool ScanRenderer::has_network_for(const SimulatedSensor& sensor) const {
+    return corrects_drop(impl_->lanes->drop_network(), sensor);
 }
 
-const KernelTimes& ScanRenderer::times() const { return impl_->scene.get_kernel_times(); }
+const KernelTimes& ScanRenderer::times() const { return impl_->scene.kernel_times(); }
 
 RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset,
                                   std::optional<std::uint64_t> sample) {
-    const SimulatedSensor followed = impl_->sweeps.copy_sensor_with_logged_azimuths(sensor, time_s);
-    return impl_->render_sweep(impl_->sweeps.make_sweep_on_recorded_path(followed, time_s, sensor_offset),
-                               sample);
+    const SimulatedSensor followed = impl_->sweeps.follow_log(sensor, time_s);
+    return impl_->render_sweep(impl_->sweeps.on_recorded_path(followed, time_s, sensor_offset), sample);
 }
 
 RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, const ScanRequest& request,
                                   std::optional<std::uint64_t> sample) {
-    return impl_->render_sweep(impl_->sweeps.make_sweep_of_request(sensor, request), sample);
+    return impl_->render_sweep(impl_->sweeps.of_request(sensor, request), sample);
 }
 
 }  // namespace relidar

@@ -12,17 +12,14 @@
 namespace relidar {
 
 ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene& scene)
-    : device_(device),
-      scene_(scene),
-      first_(device),
-      most_(ScanRenderer::choose_max_parallel_scans(device)) {}
+    : device_(device), scene_(scene), first_(device), most_(ScanRenderer::default_parallel(device)) {}
 
-ParallelScanResources& ParallelScanResourcePool::get_next_scan_resources_of_batch() {
+ParallelScanResources& ParallelScanResourcePool::next_lane() {
     if (!batch_) {
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {
-                others_.emplace_back(device_).copy = scene_.copy_scene_to_new_renderer();
+                others_.emplace_back(device_).copy = scene_.copy_renderer();
             } catch (const OutOfDeviceMemory&) {
                 if (others_.size() > n_before) others_.pop_back();
                 most_ = 1 + int(others_.size());
@@ -32,62 +29,61 @@ ParallelScanResources& ParallelScanResourcePool::get_next_scan_resources_of_batc
         n_batch_ = 0;
     }
     const std::size_t lane = n_batch_++ % (1 + others_.size());
-    batch_->select_command_sequence(lane);
+    batch_->select_lane(lane);
     return lane == 0 ? first_ : others_[lane - 1];
 }
 
-void ParallelScanResourcePool::submit_batched_scan_commands() {
+void ParallelScanResourcePool::submit_batch() {
     if (!batch_) return;
     batch_.reset();
     scene_.renderer().stream().submit_commands();
 }
 
-Renderer& ParallelScanResourcePool::get_renderer(const ParallelScanResources& lane) {
+Renderer& ParallelScanResourcePool::renderer_of(const ParallelScanResources& lane) {
     return lane.copy ? *lane.copy : scene_.renderer();
 }
 
-void ParallelScanResourcePool::set_drop_network(const RayDropNetwork& network) {
+void ParallelScanResourcePool::use_network(const RayDropNetwork& network) {
     first_.refiner.reset();
     for (ParallelScanResources& lane : others_) lane.refiner.reset();
     if (!network.empty()) first_.refiner.emplace(device_, network);
 }
 
-RayDropRefiner& ParallelScanResourcePool::get_or_create_ray_drop_refiner(ParallelScanResources& lane) {
+RayDropRefiner& ParallelScanResourcePool::refiner_of(ParallelScanResources& lane) {
     if (!lane.refiner) lane.refiner.emplace(device_, first_.refiner->network());
     return *lane.refiner;
 }
 
-void ParallelScanResourcePool::set_parallel_scan_limit(int count) {
+void ParallelScanResourcePool::set_limit(int count) {
     most_ = count;
     while (std::ssize(others_) >= count) others_.pop_back();
 }
 
-std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_sensor_rays(
+std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(
     Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
     const std::function<float(std::size_t)>& get_no_return_probability) {
     // limits for the rays that stay in device memory; they need at most 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
     const auto matching_rays = std::ranges::find_if(
-        cached_sensor_rays, [&](const auto& rays) { return rays->is_ray_table_uploaded(ray_table, name); });
+        cached_sensor_rays, [&](const auto& rays) { return rays->is_uploaded(ray_table, name); });
     if (matching_rays != cached_sensor_rays.end()) {
         std::rotate(cached_sensor_rays.begin(), matching_rays, matching_rays + 1);
         return cached_sensor_rays.front();
     }
     // No pending scan may use the rays.
     const auto is_free = [&](const std::shared_ptr<DeviceSensorRays>& rays) {
-        return rays.use_count() == 1 &&
-               (rays->get_ray_table().size() == 0 || rays->get_sensor_name() == name);
+        return rays.use_count() == 1 && (rays->ray_table().size() == 0 || rays->sensor_name() == name);
     };
     auto free_entry = std::ranges::find_if(cached_sensor_rays, is_free);
     if (free_entry == cached_sensor_rays.end())
         free_entry = cached_sensor_rays.insert(free_entry, std::make_shared<DeviceSensorRays>(device));
     std::rotate(cached_sensor_rays.begin(), free_entry, free_entry + 1);
     const std::shared_ptr<DeviceSensorRays> rays = cached_sensor_rays.front();
-    rays->upload_ray_table(ray_table, name, get_no_return_probability);
+    rays->upload(ray_table, name, get_no_return_probability);
     std::size_t n_rays = 0, n_cached_sensors = 0;
     for (const auto& sensor_rays : cached_sensor_rays)
-        if ((n_rays += sensor_rays->get_ray_table().size()) <= kMostRays && n_cached_sensors < kMostSensors)
+        if ((n_rays += sensor_rays->ray_table().size()) <= kMostRays && n_cached_sensors < kMostSensors)
             ++n_cached_sensors;
     cached_sensor_rays.resize(std::max<std::size_t>(n_cached_sensors, 1));
     return rays;

@@ -32,7 +32,7 @@ struct ParallelScanResources {
         : cached_sensor_rays{std::make_shared<DeviceSensorRays>(device)}, points(device) {}
     /// @param get_no_return_probability probability that the sensor never gets a return
     /// along a ray
-    std::shared_ptr<DeviceSensorRays> upload_sensor_rays(
+    std::shared_ptr<DeviceSensorRays> upload_rays(
         Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
         const std::function<float(std::size_t)>& get_no_return_probability);
 };
@@ -42,22 +42,22 @@ class ParallelScanResourcePool {
 public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
-    ParallelScanResources& get_unbatched_scan_resources() { return first_; }
+    ParallelScanResources& single_lane() { return first_; }
     /// Begins a batch if there is none.
-    ParallelScanResources& get_next_scan_resources_of_batch();
+    ParallelScanResources& next_lane();
     bool has_open_batch() const { return batch_.has_value(); }
-    void submit_batched_scan_commands();
-    Renderer& get_renderer(const ParallelScanResources& lane);
+    void submit_batch();
+    Renderer& renderer_of(const ParallelScanResources& lane);
 
     /// An empty network turns the correction off.
-    void set_drop_network(const RayDropNetwork& network);
+    void use_network(const RayDropNetwork& network);
     /// Null if there is no network.
-    const RayDropNetwork* get_drop_network() const {
+    const RayDropNetwork* drop_network() const {
         return first_.refiner ? &first_.refiner->network() : nullptr;
     }
-    RayDropRefiner& get_or_create_ray_drop_refiner(ParallelScanResources& lane);
-    int get_parallel_scan_limit() const { return most_; }
-    void set_parallel_scan_limit(int count);
+    RayDropRefiner& refiner_of(ParallelScanResources& lane);
+    int parallel_limit() const { return most_; }
+    void set_limit(int count);
 
 private:
     Device& device_;

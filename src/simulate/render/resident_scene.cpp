@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kSweep_m = 10.0;  // maximum distance in metres that a sensor moves during a sweep
+constexpr double kMaxSweepMotion_m = 10.0;  // maximum distance in metres that a sensor moves during a sweep
 constexpr double kMiB = 1024.0 * 1024.0;
 
 }  // namespace
@@ -24,7 +24,7 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
     if (scene.blocks.empty())
-        renderer_.emplace(device, has_model_copy_ ? duplicate_shared_models(scene) : scene, model_, options_);
+        renderer_.emplace(device, has_model_copy_ ? unshare_models(scene) : scene, model_, options_);
 }
 
 void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
@@ -32,8 +32,8 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
     // frees memory before the new renderer allocates
     renderer_.reset();
     loaded_.clear();
-    Scene scene = copy_scene_with_loaded_blocks(scene_, block_indices);
-    if (has_model_copy_) scene = duplicate_shared_models(std::move(scene));
+    Scene scene = with_blocks(scene_, block_indices);
+    if (has_model_copy_) scene = unshare_models(std::move(scene));
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
     bytes_per_surfel_ =
@@ -42,8 +42,7 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
 }
 
 /// Adds other loaded blocks while they fit into memory, the most recently needed first.
-std::vector<std::size_t> ResidentScene::add_recently_needed_blocks(
-    std::vector<std::size_t> block_indices) const {
+std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> block_indices) const {
     double bytes = 0.0;
     for (const std::size_t i : block_indices) bytes += scene_.blocks[i].count * bytes_per_surfel_;
     std::vector<std::size_t> others;
@@ -61,27 +60,27 @@ std::vector<std::size_t> ResidentScene::add_recently_needed_blocks(
     return block_indices;
 }
 
-void ResidentScene::load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m) {
+void ResidentScene::load_near(const glm::vec3& sensor_position_m, double max_range_m) {
     ++scans_;
     std::vector<std::size_t> needed;
     for (std::size_t i = 0; i < scene_.blocks.size(); ++i) {
         if (scene_.blocks[i].count == 0 ||
-            scene_.blocks[i].compute_distance_to_box_m(sensor_position_m) > max_range_m + kSweep_m)
+            scene_.blocks[i].distance_m(sensor_position_m) > max_range_m + kMaxSweepMotion_m)
             continue;
         needed.push_back(i);
         last_needed_[i] = scans_;
     }
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
-        load_blocks(add_recently_needed_blocks(std::move(needed)));
+        load_blocks(add_recent_blocks(std::move(needed)));
 }
 
-std::unique_ptr<Renderer> ResidentScene::copy_scene_to_new_renderer() {
+std::unique_ptr<Renderer> ResidentScene::copy_renderer() {
     RendererOptions options = options_;
     options.stream = &renderer_->stream();
     return std::make_unique<Renderer>(device_, renderer_->download_scene(), model_, options);
 }
 
-const KernelTimes& ResidentScene::get_kernel_times() {
+const KernelTimes& ResidentScene::kernel_times() {
     if (renderer_ && past_.milliseconds.empty()) return renderer_->stream().times();
     times_ = past_;
     if (renderer_) times_.add_times(renderer_->stream().times());

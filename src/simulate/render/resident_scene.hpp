@@ -25,22 +25,22 @@ public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
 
     /// @throws DataError if the file of a block is invalid
-    void load_blocks_near_sensor(const glm::vec3& sensor_position_m, double max_range_m);
-    /// Call load_blocks_near_sensor() before.
+    void load_near(const glm::vec3& sensor_position_m, double max_range_m);
+    /// Call load_near() before.
     Renderer& renderer() { return *renderer_; }
-    bool has_loaded_renderer() const { return renderer_.has_value(); }
+    bool is_loaded() const { return renderer_.has_value(); }
     /// The scene must not have blocks. renderer() must outlive the copy, because both use
     /// the same stream.
     /// @throws DeviceError if memory is exhausted
-    std::unique_ptr<Renderer> copy_scene_to_new_renderer();
-    const KernelTimes& get_kernel_times();
+    std::unique_ptr<Renderer> copy_renderer();
+    const KernelTimes& kernel_times();
 
 private:
     void load_blocks(const std::vector<std::size_t>& block_indices);
-    std::vector<std::size_t> add_recently_needed_blocks(std::vector<std::size_t> block_indices) const;
+    std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> block_indices) const;
 
     Device& device_;
-    const ImageFormationModel model_;
+    const ImageModel model_;
     const RendererOptions options_;
     const double memory_bytes_;
     const bool has_model_copy_;

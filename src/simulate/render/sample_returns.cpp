@@ -19,48 +19,46 @@ constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
 
-RenderedIntensityImage make_rendered_intensity_image(const RenderedScan& scan) {
+RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
     const RangeImage& image = scan.image;
     const RangeImageRays rays{image.rows,          image.columns,
                               image.origin,        image.direction,
                               scan.median_range_m, is_full_turn(image.rows, image.columns, image.direction)};
     RenderedIntensityImage result{
-        image.rows, image.columns, image.intensity, scan.median_range_m, compute_range_spread(scan), {}, {}};
+        image.rows, image.columns, image.intensity, scan.median_range_m, range_spread(scan), {}, {}};
     result.circular = rays.circular;
     result.cosine.resize(image.direction.size());
     result.elevation_rad.resize(image.direction.size());
-    parallel_for_in_blocks(image.direction.size(), [&](std::size_t index) {
-        result.cosine[index] = static_cast<float>(compute_incidence_cosine(rays, index));
+    parallel_blocks(image.direction.size(), [&](std::size_t index) {
+        result.cosine[index] = static_cast<float>(incidence_cosine(rays, index));
         result.elevation_rad[index] = std::asin(std::clamp(image.direction[index].z, -1.0f, 1.0f));
     });
     return result;
 }
 
-void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                                        const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
-                                        const RangeLimits& limits) {
-    const std::uint64_t of_scan = hash_integer_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
-    const RenderedIntensityImage likely = make_rendered_intensity_image(scan);
+void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
+                    const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
+                    const RangeLimits& limits) {
+    const std::uint64_t of_scan = hash_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
+    const RenderedIntensityImage likely = make_noise_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
     std::vector<float> ranges_m = likely_m;
     std::vector<std::uint8_t> returning(likely_m.size());
-    parallel_for_in_blocks(ranges_m.size(), [&](std::size_t i) {
-        Random random(hash_integer_pair(of_scan, i));
-        bool returns =
-            likely_m[i] > 0.0f && random.sample_uniform_number() >= double(scan.image.drop_prob[i]);
-        const double cosine = double(likely.cosine[i]), sigma_m = range_noise.get_range_noise_sigma_m(
-                                                            double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
+    parallel_blocks(ranges_m.size(), [&](std::size_t i) {
+        Random random(hash_pair(of_scan, i));
+        bool returns = likely_m[i] > 0.0f && random.sample_uniform() >= double(scan.image.drop_prob[i]);
+        const double cosine = double(likely.cosine[i]),
+                     sigma_m = range_noise.lookup_sigma_m(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
         for (AdditionalReturns& echo : scan.second_returns)
             if (returns && echo.range_m[i] > 0.0f)
-                echo.range_m[i] = std::max(
-                    echo.range_m[i] +
-                        static_cast<float>(range_noise.get_range_noise_sigma_m(double(echo.range_m[i]), 1.0) *
-                                           random.sample_standard_normal()),
-                    1e-3f);
+                echo.range_m[i] =
+                    std::max(echo.range_m[i] +
+                                 static_cast<float>(range_noise.lookup_sigma_m(double(echo.range_m[i]), 1.0) *
+                                                    random.sample_normal()),
+                             1e-3f);
         const float noisy_m =
-            returns
-                ? std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_standard_normal()), 1e-3f)
-                : 0.0f;
+            returns ? std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_normal()), 1e-3f)
+                    : 0.0f;
         returns = returns && limits.contains(double(noisy_m));
         if (returns) ranges_m[i] = noisy_m;
         returning[i] = returns;
@@ -70,8 +68,8 @@ void replace_expected_returns_by_sample(RenderedScan& scan, const RangeNoiseTabl
                 echo.range_m[i] = echo.intensity[i] = 0.0f;
     });
     if (!intensity_scatter.empty()) {
-        const std::vector<float> drawn = sample_random_intensities(
-            intensity_scatter, likely, returning, hash_integer_pair(of_scan, kOfIntensities));
+        const std::vector<float> drawn =
+            draw_intensities(intensity_scatter, likely, returning, hash_pair(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }

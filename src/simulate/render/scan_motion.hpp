@@ -22,11 +22,10 @@ struct MotionDuringScan {
     std::vector<InstancePose> placed;  ///< [instances] poses and motions
 
     /// The origin moves with the sensor. The rotation of the LiDAR head does not move it.
-    RayMotion compute_ray_motion(const RenderedScan& scan, std::size_t ray) const;
+    RayMotion motion_of_ray(const RenderedScan& scan, std::size_t ray) const;
     /// In m/s. Ignores the limbs of a walking actor. 0 if the index is -1.
     /// @param after_s time after the reference time of the scan
-    glm::dvec3 compute_object_velocity(std::int32_t instance, double after_s,
-                                       const glm::dvec3& point_m) const;
+    glm::dvec3 object_velocity(std::int32_t instance, double after_s, const glm::dvec3& point_m) const;
 };
 
 }  // namespace relidar

@@ -9,11 +9,10 @@ namespace relidar {
 namespace {
 
 /// RayDropNetwork::image if the image has one pixel per ray; other values name a grid.
-constexpr const char* kNative = "native";
+constexpr const char* kNativeGrid = "native";
 
 /// @throws UsageError for a beam without divergence
-void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& sensor_config,
-                                    const SimulatedSensor& sensor) {
+void check_sub_rays(const RayTable& rays, const SensorConfig& sensor_config, const SimulatedSensor& sensor) {
     if (sensor.grid && sensor_config.returns > 1)
         fail<UsageError>(
             "sensor.returns: found 2 for {}, expected 1, because its range image has one range per pixel",
@@ -25,7 +24,7 @@ void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& se
     if (sensor_config.sub_rays == 1) return;
     if (sensor_config.sub_rays != 5 && sensor_config.sub_rays != 9)
         fail<UsageError>("sensor.sub_rays: found {}, expected 1, 5 or 9", sensor_config.sub_rays);
-    if (!(sensor_config.divergence_mrad > 0.0 || rays.find_max_divergence_rad() > 0.0))
+    if (!(sensor_config.divergence_mrad > 0.0 || rays.max_divergence_rad() > 0.0))
         fail<UsageError>("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
                          sensor.name);
     if (rays.size() * std::size_t(sensor_config.sub_rays) > kMaxRays)
@@ -33,23 +32,21 @@ void require_valid_sub_ray_settings(const RayTable& rays, const SensorConfig& se
                          sensor_config.sub_rays, rays.size(), kMaxRays);
 }
 
-bool can_apply_network_to_image(const RayDropNetwork* network, const std::string& image_name, int rows,
-                                int columns) {
+bool fits_network(const RayDropNetwork* network, const std::string& image_name, int rows, int columns) {
     if (!network || network->image != image_name) return false;
     // A network with 1 x 1 convolutions processes each ray separately.
-    const int side = network->taps == 1 ? 1 : std::max(2, network->compute_min_image_rows_and_columns());
+    const int side = network->taps == 1 ? 1 : std::max(2, network->min_image_size());
     return rows >= side && columns >= side;
 }
 
-ScanRenderPlan::RayDropStage choose_drop_network_stage(const RayDropNetwork* network,
-                                                       const SimulatedSensor& sensor, const RayTable& rays,
-                                                       bool has_sub_rays) {
+ScanRenderPlan::RayDropStage choose_drop_stage(const RayDropNetwork* network, const SimulatedSensor& sensor,
+                                               const RayTable& rays, bool has_sub_rays) {
     using enum ScanRenderPlan::RayDropStage;
-    if (can_apply_network_to_image(network, kNative, rays.rows, rays.columns) ||
-        (!sensor.grid && can_apply_network_to_image(network, sensor.name, rays.rows, rays.columns)))
+    if (fits_network(network, kNativeGrid, rays.rows, rays.columns) ||
+        (!sensor.grid && fits_network(network, sensor.name, rays.rows, rays.columns)))
         return has_sub_rays ? beams : device;
     const RangeImageGrid* grid = sensor.grid ? &*sensor.grid : nullptr;
-    return grid && can_apply_network_to_image(network, grid->name, grid->rows, grid->columns) ? cells : none;
+    return grid && fits_network(network, grid->name, grid->rows, grid->columns) ? cells : none;
 }
 
 }  // namespace
@@ -60,21 +57,20 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
     ScanRenderPlan plan{.beams = config.sensor};
     if (sensor.returns > 0) plan.beams.returns = sensor.returns;
     if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
-    require_valid_sub_ray_settings(rays, plan.beams, sensor);
+    check_sub_rays(rays, plan.beams, sensor);
     if (rays.size() == 0)
         fail<UsageError>(
             "cannot render {}: this sensor does not spin and defines no rays; use another sensor",
             sensor.name);
-    plan.network = choose_drop_network_stage(network, sensor, rays, plan.has_sub_rays());
+    plan.network = choose_drop_stage(network, sensor, rays, plan.has_sub_rays());
     plan.points_on_device = !has_random_sampling && settings.weather.is_clear() &&
                             settings.channels.empty() && !sensor.grid && !plan.has_sub_rays() &&
                             sensor.rays.size() > 0;
     return plan;
 }
 
-bool is_drop_correction_used(const RayDropNetwork* network, const SimulatedSensor& sensor) {
-    return choose_drop_network_stage(network, sensor, sensor.rays, false) !=
-           ScanRenderPlan::RayDropStage::none;
+bool corrects_drop(const RayDropNetwork* network, const SimulatedSensor& sensor) {
+    return choose_drop_stage(network, sensor, sensor.rays, false) != ScanRenderPlan::RayDropStage::none;
 }
 
 }  // namespace relidar

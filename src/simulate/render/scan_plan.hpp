@@ -36,6 +36,6 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
                          const ScanRenderSettings& settings, const RayDropNetwork* network,
                          bool has_random_sampling);
 
-bool is_drop_correction_used(const RayDropNetwork* network, const SimulatedSensor& sensor);
+bool corrects_drop(const RayDropNetwork* network, const SimulatedSensor& sensor);
 
 }  // namespace relidar

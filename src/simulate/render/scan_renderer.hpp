@@ -34,7 +34,7 @@ struct PendingPoints {
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< maximum range of the sensor
-    bool shows_background = true;
+    bool is_background_shown = true;
     double step = 0.0;  ///< step to which intensities are rounded (IntensityScatterModel)
     std::shared_ptr<DevicePointComputer::PointReadbackSlot> points = {};
     Renderer* renderer = nullptr;
@@ -43,7 +43,7 @@ struct PendingPoints {
 struct ScanRenderer::Impl {
     Device& device;
     const Config config;
-    const glm::dvec3 first_origin_m;  ///< origin that get_first_vehicle_position() returns
+    const glm::dvec3 first_origin_m;  ///< origin that first_position() returns
     ScanRenderSettings settings;
     SimulatedSweepBuilder sweeps;
     ResidentScene scene;
@@ -53,38 +53,36 @@ struct ScanRenderer::Impl {
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
-    Impl(Device& on, const Scene& all, const Config& settings_of_run, const LidarSequence& sequence);
+    Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& sequence);
     /// `drops` has the network's drop probabilities, if it ran on the device. They are
     /// valid until the next scan is traced.
     struct TracedScan {
         RenderedScan scan;
         std::span<const float> drops;
     };
-    ScanRenderPlan plan_steps_for_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const;
-    void prepare_scene_for_sweep(const ParallelScanResources& resources, const SimulatedSweep& sweep);
-    std::shared_ptr<DeviceSensorRays> record_trace_commands(ParallelScanResources& lane,
-                                                            const SimulatedSweep& sweep, const RayTable& rays,
-                                                            bool with_drop_network);
+    ScanRenderPlan plan_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const;
+    void prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep);
+    std::shared_ptr<DeviceSensorRays> record_trace(ParallelScanResources& lane, const SimulatedSweep& sweep,
+                                                   const RayTable& rays, bool with_drop_network);
     TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table,
                           bool with_drop_network = false);
-    RenderedScan trace_beams_with_sub_rays(const SimulatedSweep& sweep, SensorConfig beam_config);
-    std::vector<ActorVisibility> count_first_hits_per_instance(const RenderedScan& scan) const;
-    void count_unoccluded_hits_per_actor(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                                         std::vector<ActorVisibility>& actor_views);
-    void correct_drop_probabilities_with_network(RenderedScan& scan);
-    void apply_noise_and_weather(RenderedScan& scan, const SimulatedSweep& sweep,
-                                 std::optional<std::uint64_t> noise_seed);
+    RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
+    std::vector<ActorVisibility> count_first_hits(const RenderedScan& scan) const;
+    void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
+                          std::vector<ActorVisibility>& actor_views);
+    void correct_drop(RenderedScan& scan);
+    void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep,
+                     std::optional<std::uint64_t> noise_seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, std::optional<std::uint64_t> noise_seed);
 
-    PendingPoints record_point_rendering_commands(const SimulatedSweep& sweep,
-                                                  const Pose& dataset_from_points, const ScanRenderPlan& plan,
-                                                  SubmissionTiming submit_mode);
+    PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
+                                const ScanRenderPlan& plan, SubmissionTiming submit_mode);
     RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints reusable_memory = {});
-    void finish_pending_scans();
+    void finish_pending();
     void wait_for_device() noexcept;
-    bool is_optional_channel_enabled(const std::string& name) const;
-    LogObservedSpace get_space_observed_in_log(const SimulatedSensor& sensor) const;
-    ChannelInputs make_channel_inputs(const SimulatedSweep& sweep);
+    bool has_channel(const std::string& name) const;
+    LogObservedSpace observed_space_of(const SimulatedSensor& sensor) const;
+    ChannelInputs channel_inputs(const SimulatedSweep& sweep);
 };
 
 }  // namespace relidar

@@ -12,58 +12,51 @@ namespace {
 // A ray counts as observed if at least this share of its path was observed.
 constexpr float kMinObservedFraction = 0.5f;
 
-bool is_mostly_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
+bool is_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
 
-RayWithSurfaceRange get_ray_with_surface_range(const RenderedScan& scan, std::size_t ray_index) {
-    return {scan.get_firing_pose(ray_index), glm::dvec3(scan.image.origin[ray_index]),
+RayWithSurfaceRange surface_ray(const RenderedScan& scan, std::size_t ray_index) {
+    return {scan.firing_pose(ray_index), glm::dvec3(scan.image.origin[ray_index]),
             glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
 }
 
 /// The path ends at the surface that the ray hits, or at the maximum range.
-float compute_observed_path_fraction(const RayWithSurfaceRange& ray, const LogObservedSpace& observed_space) {
+float observed_share(const RayWithSurfaceRange& ray, const LogObservedSpace& observed_space) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= observed_space.world_offset_m;
     const double length_m = ray.met_m > 0.0f ? std::min(double(ray.met_m), observed_space.max_range_m)
                                              : observed_space.max_range_m;
-    return static_cast<float>(observed_space.coverage.compute_observed_fraction_of_segment(
+    return static_cast<float>(observed_space.coverage.observed_fraction(
         world_from_firing * ray.origin_m, world_from_firing * (ray.origin_m + length_m * ray.direction)));
 }
 
 }  // namespace
 
-double compute_fraction_of_unobserved_rays(std::size_t n_rays,
-                                           const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                                           const LogObservedSpace& observed_space) {
+double unobserved_share(std::size_t n_rays, const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
+                        const LogObservedSpace& observed_space) {
     std::vector<float> shares(n_rays);
-    parallel_for_in_blocks(n_rays, [&](std::size_t index) {
-        shares[index] = compute_observed_path_fraction(get_ray(index), observed_space);
-    });
-    return double(std::ranges::count_if(shares, is_mostly_unobserved)) / double(n_rays);
+    parallel_blocks(
+        n_rays, [&](std::size_t index) { shares[index] = observed_share(get_ray(index), observed_space); });
+    return double(std::ranges::count_if(shares, is_unobserved)) / double(n_rays);
 }
 
-std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
-                                                   const std::vector<std::size_t>& ray_indices,
-                                                   const LogObservedSpace& observed_space) {
+std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
+                                   const LogObservedSpace& observed_space) {
     std::vector<float> shares(ray_indices.size());
-    parallel_for_in_blocks(ray_indices.size(), [&](std::size_t index) {
-        shares[index] = compute_observed_path_fraction(get_ray_with_surface_range(scan, ray_indices[index]),
-                                                       observed_space);
+    parallel_blocks(ray_indices.size(), [&](std::size_t index) {
+        shares[index] = observed_share(surface_ray(scan, ray_indices[index]), observed_space);
     });
     return shares;
 }
 
-void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedSpace& observed_space) {
+void set_unseen_share(RenderedScan& scan, const LogObservedSpace& observed_space) {
     const std::size_t n = scan.median_range_m.size();
     if (observed_space.coverage.empty() || n == 0) return;
     const auto ray_at = [&](std::size_t index) {
-        return get_ray_with_surface_range(scan, DevicePointComputer::get_evenly_sampled_ray_index(index, n));
+        return surface_ray(scan, DevicePointComputer::sample_ray(index, n));
     };
-    if (const std::vector<float>* shares = find_channel_values<float>(scan.channels, "seen"))
-        scan.unseen_share =
-            double(std::ranges::count_if(*shares, is_mostly_unobserved)) / double(shares->size());
-    else
-        scan.unseen_share = compute_fraction_of_unobserved_rays(
-            DevicePointComputer::count_evenly_sampled_rays(n), ray_at, observed_space);
+    if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
+        scan.unseen_share = double(std::ranges::count_if(*shares, is_unobserved)) / double(shares->size());
+    else scan.unseen_share = unobserved_share(DevicePointComputer::sample_count(n), ray_at, observed_space);
 }
 
 }  // namespace relidar

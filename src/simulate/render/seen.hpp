@@ -13,7 +13,7 @@ namespace relidar {
 
 struct LogObservedSpace {
     const ObservedVoxelSet& coverage;  ///< observed space; empty if it is unknown
-    glm::dvec3 world_offset_m;         ///< see LidarSequence::world_offset_m
+    glm::dvec3 world_offset_m;         ///< see Log::world_offset_m
     double max_range_m;                ///< maximum range of the simulated sensor
 };
 
@@ -23,17 +23,15 @@ struct RayWithSurfaceRange {
     float met_m;                     ///< range of the surface that the ray hits; 0 if the ray hits nothing
 };
 /// A ray counts as unobserved if the log observed less than half of its path.
-double compute_fraction_of_unobserved_rays(std::size_t n_rays,
-                                           const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                                           const LogObservedSpace& observed_space);
+double unobserved_share(std::size_t n_rays, const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
+                        const LogObservedSpace& observed_space);
 
 /// [rays] 0..1. A path ends at the surface that the ray hits, or at the maximum range.
-std::vector<float> compute_observed_path_fractions(const RenderedScan& scan,
-                                                   const std::vector<std::size_t>& ray_indices,
-                                                   const LogObservedSpace& observed_space);
+std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
+                                   const LogObservedSpace& observed_space);
 
 /// Uses the channel "seen" if the scan has it, otherwise a sample of the rays. Sets no
 /// value if the observed space is unknown.
-void estimate_and_set_unobserved_fraction(RenderedScan& scan, const LogObservedSpace& observed_space);
+void set_unseen_share(RenderedScan& scan, const LogObservedSpace& observed_space);
 
 }  // namespace relidar

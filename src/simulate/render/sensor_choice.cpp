@@ -21,28 +21,25 @@ namespace {
 /// Minimum sum of blending weights along a ray that is projected into the image.
 constexpr float kLeastWeight = 0.05f;
 
-RangeLimits get_configured_range_limits(const Config& config, const LidarSequence& sequence) {
-    return {config.dataset.min_range_m, replace_automatic_max_range(config, sequence).dataset.max_range_m};
+RangeLimits configured_limits(const Config& config, const Log& sequence) {
+    return {config.dataset.min_range_m, with_max_range(config, sequence).dataset.max_range_m};
 }
 
 /// Returns no rays if the pattern has different rays in each scan.
 template <class Make>
-RayTable make_rays_if_time_invariant(const std::optional<SensorPattern>& pattern, const Make& make_table) {
-    return pattern && summarise_scan_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
+RayTable fixed_rays(const std::optional<SensorPattern>& pattern, const Make& make_table) {
+    return pattern && summarise_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
 }
 
-bool is_rolling_shutter_simulated(const Config& config, const LidarSequence& sequence) {
+bool has_rolling_shutter(const Config& config, const Log& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
 
-SimulatedSensor make_simulated_log_sensor(const Config& config, const LidarSequence& sequence,
-                                          int lidar_index) {
+SimulatedSensor make_log_sensor(const Config& config, const Log& sequence, int lidar_index) {
     const Lidar& log_lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = log_lidar.sensor;
-    const RangeLimits limits =
-        intersect_range_limits(sensor.range_limits(), get_configured_range_limits(config, sequence));
-    return {.rays = make_rays_if_time_invariant(log_lidar.pattern,
-                                                [&] { return make_nominal_rays(log_lidar, 0.0); }),
+    const RangeLimits limits = intersect(sensor.range_limits(), configured_limits(config, sequence));
+    return {.rays = fixed_rays(log_lidar.pattern, [&] { return make_lidar_rays(log_lidar, 0.0); }),
             .is_log_lidar = true,
             .follows_sweeps = config.render.follow_sweeps && !log_lidar.pattern,
             .beams = sensor.beams,
@@ -50,71 +47,68 @@ SimulatedSensor make_simulated_log_sensor(const Config& config, const LidarSeque
             .limits = limits,
             .name = sensor.name,
             .lidar = lidar_index,
-            .rolling_shutter = is_rolling_shutter_simulated(config, sequence)};
+            .rolling_shutter = has_rolling_shutter(config, sequence)};
 }
 
-SimulatedSensor make_simulated_grid_sensor(const RangeImageGrid& grid, const Config& config,
-                                           const LidarSequence& sequence, int lidar_index) {
+SimulatedSensor make_grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& sequence,
+                                 int lidar_index) {
     const std::string& method = config.sensor.grid_method;
-    const RangeLimits limits =
-        intersect_range_limits({0.0, grid.max_range_m}, get_configured_range_limits(config, sequence));
+    const RangeLimits limits = intersect({0.0, grid.max_range_m}, configured_limits(config, sequence));
     if (method == "cast")
         return {.rays = make_rays(grid),
                 .limits = limits,
                 .name = grid.name,
                 .lidar = lidar_index,
-                .rolling_shutter = is_rolling_shutter_simulated(config, sequence)};
+                .rolling_shutter = has_rolling_shutter(config, sequence)};
     if (method != "project") {
         fail<UsageError>("sensor.grid_method: found \"{}\", expected project or cast", method);
     }
-    SimulatedSensor choice = make_simulated_log_sensor(config, sequence, lidar_index);
+    SimulatedSensor choice = make_log_sensor(config, sequence, lidar_index);
     choice.grid = grid;
-    choice.limits = intersect_range_limits(choice.limits, limits);
+    choice.limits = intersect(choice.limits, limits);
     choice.name = grid.name;
     return choice;
 }
 
-void copy_ray_to_grid_cell(const RenderedScan& source_scan, std::size_t ray_index, RenderedScan& target_scan,
-                           std::size_t cell_index) {
-    const glm::vec3 &origin = source_scan.image.origin[ray_index],
-                    &direction = source_scan.image.direction[ray_index];
-    for_each_channel_pair(
+void copy_to_cell(const RenderedScan& source_scan, std::size_t ray, RenderedScan& target_scan,
+                  std::size_t cell_index) {
+    const glm::vec3 &origin = source_scan.image.origin[ray], &direction = source_scan.image.direction[ray];
+    for_all_channels(
         source_scan, target_scan,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>) {
                 if (channel.join == ChannelMergeRule::drop) return;
                 if (channel.join == ChannelMergeRule::range)
-                    return void(of_cells[cell_index] = glm::length(origin + of_rays[ray_index] * direction));
+                    return void(of_cells[cell_index] = glm::length(origin + of_rays[ray] * direction));
             }
-            of_cells[cell_index] = of_rays[ray_index];
+            of_cells[cell_index] = of_rays[ray];
         });
-    target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray_index];
+    target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray];
 }
 
 /// A pixel returns if any of its rays returns, so it gets the minimum.
-void merge_drop_probability_into_cell(const RenderedScan& source_scan, std::size_t ray_index,
-                                      RenderedScan& target_scan, std::size_t cell_index) {
-    for_each_channel_pair(
+void merge_drop(const RenderedScan& source_scan, std::size_t ray, RenderedScan& target_scan,
+                std::size_t cell_index) {
+    for_all_channels(
         source_scan, target_scan,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>)
                 if (channel.join == ChannelMergeRule::drop)
-                    of_cells[cell_index] = std::min(of_cells[cell_index], of_rays[ray_index]);
+                    of_cells[cell_index] = std::min(of_cells[cell_index], of_rays[ray]);
         });
 }
 
 }  // namespace
 
-bool fires_rays_at_different_times(const SimulatedSensor& sensor, const Config& config) {
+bool is_rolling(const SimulatedSensor& sensor, const Config& config) {
     return sensor.rolling_shutter && config.sensor.rolling_shutter != RollingShutter::no;
 }
 
-SimulatedSensor copy_sensor_with_azimuths_of_sweep(const SimulatedSensor& sensor,
-                                                   std::span<const LidarFrame> frames,
-                                                   std::span<const Lidar> lidars, double time_s) {
+SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Frame> frames,
+                             std::span<const Lidar> lidars, double time_s) {
     constexpr double kSameTime_s = 1e-3;
     if (!sensor.follows_sweeps) return sensor;
-    const auto is_now = [&](const LidarFrame& f) {
+    const auto is_now = [&](const Frame& f) {
         return f.lidar == sensor.lidar && !f.azimuth_shift_rad.empty() &&
                std::abs(f.time_s - time_s) < kSameTime_s;
     };
@@ -123,75 +117,70 @@ SimulatedSensor copy_sensor_with_azimuths_of_sweep(const SimulatedSensor& sensor
     if (sweep == frames.end() || sensor.rays.size() != head.beams.size() * sweep->azimuth_shift_rad.size())
         return sensor;
     SimulatedSensor result = sensor;
-    result.rays = rotate_firings_by_azimuth_shifts(std::move(result.rays), head, sweep->azimuth_shift_rad);
+    result.rays = rotate_firings(std::move(result.rays), head, sweep->azimuth_shift_rad);
     result.follows_sweeps = false;
     return result;
 }
 
-SimulatedSensor make_sensor_from_config(const Config& config, const LidarSequence& sequence, int lidar) {
-    if (config.sensor.grid == "native") return make_simulated_log_sensor(config, sequence, lidar);
-    return make_simulated_grid_sensor(get_range_image_grid_by_name(config.sensor.grid), config, sequence,
-                                      lidar);
+SimulatedSensor make_sensor(const Config& config, const Log& sequence, int lidar) {
+    if (config.sensor.grid == "native") return make_log_sensor(config, sequence, lidar);
+    return make_grid_sensor(find_grid(config.sensor.grid), config, sequence, lidar);
 }
 
-SimulatedSensor make_simulated_sensor(const SensorModel& sensor, int lidar) {
-    const std::optional<SensorPattern> pattern = get_non_spinning_pattern(sensor);
-    return {.rays = make_rays_if_time_invariant(pattern, [&] { return make_rays(sensor); }),
+SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar) {
+    const std::optional<SensorPattern> pattern = other_pattern(sensor);
+    return {.rays = fixed_rays(pattern, [&] { return make_rays(sensor); }),
             .pattern = pattern,
             .limits = sensor.limits,
             .name = sensor.name,
             .lidar = lidar};
 }
 
-SimulatedSensor make_simulated_sensor(const MountedSensor& mounted, int lidar) {
-    SimulatedSensor choice = make_simulated_sensor(mounted.sensor, lidar);
+SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar) {
+    SimulatedSensor choice = simulate_sensor(mounted.sensor, lidar);
     choice.returns = mounted.returns;
     return choice;
 }
 
-SimulatedSensor find_or_load_sensor(const std::string& name_or_file, const Config& config,
-                                    const LidarSequence& sequence, int lidar) {
-    if (find_name_ignoring_case(name_or_file, {"native"}))
-        return make_simulated_log_sensor(config, sequence, lidar);
-    if (find_name_ignoring_case(name_or_file, {make_kitti360_grid().name}))
-        return make_simulated_grid_sensor(make_kitti360_grid(), config, sequence, lidar);
-    return make_simulated_sensor(find_sensor(name_or_file, {"native"}), lidar);
+SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& sequence,
+                              int lidar) {
+    if (find_name(name_or_file, {"native"})) return make_log_sensor(config, sequence, lidar);
+    if (find_name(name_or_file, {kitti360_grid().name}))
+        return make_grid_sensor(kitti360_grid(), config, sequence, lidar);
+    return simulate_sensor(find_sensor(name_or_file, {"native"}), lidar);
 }
 
-RenderedScan project_points_into_grid_image(const RenderedScan& scan, const RangeImageGrid& grid) {
+RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) {
     const RayTable cells = make_rays(grid);
     const std::size_t n = cells.size();
-    require_valid_channel_names_and_sizes(scan.channels, scan.median_range_m.size(),
-                                          "a scan that is projected onto the grid");
-    RenderedScan result = make_scan_without_measurements(cells, scan);
-    for_each_channel_pair(
-        scan, result,
-        [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
-            of_cells.assign(n, get_value_of_rays_without_hit<T>(channel));
-        });
+    check_channels(scan.channels, scan.median_range_m.size(), "a scan that is projected onto the grid");
+    RenderedScan result = empty_scan(cells, scan);
+    for_all_channels(scan, result,
+                     [n]<class T>(const ChannelInfo& channel, const std::vector<T>&,
+                                  std::vector<T>& of_cells) { of_cells.assign(n, empty_value<T>(channel)); });
     result.time_offset_s.assign(n, 0.0f);
     // [cells] drop probability of the ray that the pixel shows; 2 without a ray
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
         const glm::vec3 point = scan.end_of(i);
-        const std::optional<int> cell = project_to_pixel_index(grid, glm::dvec3(point));
+        const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(point));
         if (!cell) continue;
         const std::size_t c = std::size_t(*cell);
         const float drop = scan.image.drop_prob[i];
-        merge_drop_probability_into_cell(scan, i, result, c);
+        merge_drop(scan, i, result, c);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const bool is_nearer = glm::length(point) < result.median_range_m[c];
         bool wins = returns;
         if (returns == winner_returns) wins = returns ? is_nearer : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;
         winner_drop[c] = drop;
-        copy_ray_to_grid_cell(scan, i, result, c);
+        copy_to_cell(scan, i, result, c);
     }
     return result;
 }
 
-RangeImage make_measured_image(const Config& config, const Scan& scan) {
+RangeImage measured_image(const Config& config, const Scan& scan) {
     RangeImage image;
     if (config.sensor.grid == "native") {
         image = {scan.rays.rows,
@@ -202,12 +191,12 @@ RangeImage make_measured_image(const Config& config, const Scan& scan) {
                  to_vector(scan.rays.origin),
                  to_vector(scan.rays.direction)};
     } else {
-        const RangeImageGrid grid = get_range_image_grid_by_name(config.sensor.grid);
+        const RangeImageGrid grid = find_grid(config.sensor.grid);
         std::vector<glm::vec3> points;
         std::vector<float> intensity;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             if (!(scan.range_m[i] > 0.0f)) continue;
-            points.push_back(scan.compute_return_point_in_sensor_frame(i));
+            points.push_back(scan.return_point(i));
             intensity.push_back(scan.intensity[i]);
         }
         const ProjectedRangeImage binned = project_points(grid, points, intensity);

@@ -20,22 +20,22 @@ namespace {
 template <class Values>
 bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
-    constexpr std::size_t kPart = 1 << 14;  // number of values in each parallel part
+    constexpr std::size_t kValuesPerTask = 1 << 14;  // number of values in each parallel part
     std::atomic<bool> same{true};
-    parallel_for_ranges(first.size(), kPart, [&](std::size_t begin, std::size_t end) {
+    parallel_ranges(first.size(), kValuesPerTask, [&](std::size_t begin, std::size_t end) {
         if (same && std::memcmp(&first[begin], &second[begin], (end - begin) * sizeof(first[0])) != 0)
             same = false;
     });
     return same;
 }
 
-std::uint32_t parse_range_kind(const std::string& range_kind_name) {
+std::uint32_t range_kind_number(const std::string& range_kind_name) {
     if (range_kind_name == "expected") return RELIDAR_RANGE_EXPECTED;
     if (range_kind_name == "mode") return RELIDAR_RANGE_MODE;
     return range_kind_name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
-std::uint32_t get_drop_network_channel_number(const std::string& channel_name) {
+std::uint32_t channel_number(const std::string& channel_name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
         {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
@@ -46,26 +46,23 @@ std::uint32_t get_drop_network_channel_number(const std::string& channel_name) {
     for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (channel_name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
     fail("the ray-drop network needs the unknown input \"{}\"; `relidar refine RUN` trains it again",
-         shorten_for_error_message(channel_name));
+         quote(channel_name));
 }
 
 }  // namespace
 
-std::vector<std::uint32_t> list_drop_network_channel_numbers(const std::vector<std::string>& channel_names) {
+std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channel_names) {
     std::vector<std::uint32_t> result;
-    for (const std::string& name : channel_names) result.push_back(get_drop_network_channel_number(name));
+    for (const std::string& name : channel_names) result.push_back(channel_number(name));
     return result;
 }
 
-std::vector<shared::SensorPose> list_poses_between_time_offsets(const PoseTrack& world_from_sensor,
-                                                                double sweep_time_s, double first_offset_s,
-                                                                double last_offset_s) {
+std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double sweep_time_s,
+                                              double first_offset_s, double last_offset_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
-    const std::size_t
-        first = world_from_sensor.find_poses_before_and_after_time(sweep_time_s + first_offset_s).left,
-        last = std::min(
-            world_from_sensor.find_poses_before_and_after_time(sweep_time_s + last_offset_s).left + 1,
-            pose.size() - 1);
+    const std::size_t first = world_from_sensor.find_segment(sweep_time_s + first_offset_s).left,
+                      last = std::min(world_from_sensor.find_segment(sweep_time_s + last_offset_s).left + 1,
+                                      pose.size() - 1);
     std::vector<shared::SensorPose> poses;
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
@@ -86,7 +83,7 @@ std::vector<shared::SensorPose> list_poses_between_time_offsets(const PoseTrack&
     return poses;
 }
 
-PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame) {
+PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame) {
     const Pose frame_from_world = inverse(world_from_frame);
     for (Pose& pose : track.pose) pose = frame_from_world * pose;
     return track;
@@ -100,18 +97,18 @@ DeviceSensorRays::DeviceSensorRays(Device& device)
       no_surfaces_(device, std::span<const shared::RenderedSurface>(std::array{shared::RenderedSurface{}}),
                    "surfaces of no rays") {}
 
-bool DeviceSensorRays::is_ray_table_uploaded(const RayTable& rays, const std::string& sensor_name) const {
+bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& sensor_name) const {
     return sensor_name == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
            are_bytes_equal(rays.direction, table_.direction) && are_bytes_equal(rays.origin, table_.origin) &&
            are_bytes_equal(rays.time_offset_s, table_.time_offset_s) &&
            are_bytes_equal(rays.channel, table_.channel);
 }
 
-void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string& sensor_name,
-                                        const std::function<float(std::size_t)>& get_no_return_probability) {
-    if (is_ray_table_uploaded(rays, sensor_name)) return;
+void DeviceSensorRays::upload(const RayTable& rays, const std::string& sensor_name,
+                              const std::function<float(std::size_t)>& get_no_return_probability) {
+    if (is_uploaded(rays, sensor_name)) return;
     std::vector<shared::SensorRay> all(rays.size());
-    parallel_for_in_blocks(all.size(), [&](std::size_t index) {
+    parallel_blocks(all.size(), [&](std::size_t index) {
         all[index] = {.origin = rays.origin[index],
                       .direction = rays.direction[index],
                       .time_offset_s = rays.time_offset_s[index],
@@ -119,7 +116,7 @@ void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string&
                       .channel = rays.channel[index]};
     });
     if (all.size() > measured_.size()) {  // measured_ is allocated last
-        table_ = {};  // if an allocation below fails, is_ray_table_uploaded() then returns false
+        table_ = {};                      // if an allocation below fails, is_uploaded() then returns false
         rays_ = {};
         fired_ = {};
         measured_ = {};  // frees the old arrays before allocating larger ones
@@ -137,32 +134,29 @@ void DeviceSensorRays::upload_ray_table(const RayTable& rays, const std::string&
     last_s_ = *last;
 }
 
-std::vector<shared::SensorPose> DeviceSensorRays::list_poses_during_sweep(const PoseTrack& world_from_sensor,
-                                                                          double sweep_time_s) const {
-    return list_poses_between_time_offsets(world_from_sensor, sweep_time_s, double(first_s_),
-                                           double(last_s_));
+std::vector<shared::SensorPose> DeviceSensorRays::sweep_poses(const PoseTrack& world_from_sensor,
+                                                              double sweep_time_s) const {
+    return poses_between(world_from_sensor, sweep_time_s, double(first_s_), double(last_s_));
 }
 
-void DeviceSensorRays::record_ray_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
-                                                     double sweep_time_s) {
-    const auto poses = this->list_poses_during_sweep(world_from_sensor, sweep_time_s);
+void DeviceSensorRays::place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s) {
+    const auto poses = this->sweep_poses(world_from_sensor, sweep_time_s);
     run(stream, fire_, table_.size(),
         {.rays = rays_.address(),
-         .poses = stream.impl().stage_host_values_for_kernels(poses),
+         .poses = stream.impl().stage_values(poses),
          .fired = fired_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_poses = std::uint32_t(poses.size())});
 }
 
-RayBatch DeviceSensorRays::get_world_ray_batch() const {
+RayBatch DeviceSensorRays::world_batch() const {
     return {.rays = &fired_,
             .n_rays = std::uint32_t(table_.size()),
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
-void DeviceSensorRays::record_measurement_of_rendered_rays(Stream& stream,
-                                                           const RenderedBatch& rendered_batch,
-                                                           const RayMeasurementOptions& options) {
+void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& rendered_batch,
+                                      const RayMeasurementOptions& options) {
     std::vector<shared::SensorBeam> beams;
     for (const Beam& beam : options.beams)
         beams.push_back({.range_offset_m = float(beam.range_offset_m),
@@ -178,23 +172,23 @@ void DeviceSensorRays::record_measurement_of_rendered_rays(Stream& stream,
          .fired = fired_.address(),
          .rendered = rendered_batch.rendered->address(),
          .surfaces = surfaces.address(),
-         .beams = stream.impl().stage_host_values_for_kernels(beams),
-         .response = stream.impl().stage_host_values_for_kernels(response),
+         .beams = stream.impl().stage_values(beams),
+         .response = stream.impl().stage_values(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
          .n_surfaces = std::uint32_t(surfaces.size()),
          .n_beams = std::uint32_t(beams.size()),
          .n_response = std::uint32_t(response.size()),
-         .range_kind = parse_range_kind(options.range),
+         .range_kind = range_kind_number(options.range),
          .min_weight = options.min_weight,
          .min_range_m = float(options.limits.min_m),
          .max_range_m = float(options.limits.max_m)});
     refined_ = nullptr;
 }
 
-void DeviceSensorRays::record_ray_drop_inference(Stream& stream, RayDropInference& network,
-                                                 const glm::vec3& relative_sensor_position_m) {
-    const std::vector<std::uint32_t> channels = list_drop_network_channel_numbers(network.network().inputs);
+void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network,
+                                   const glm::vec3& relative_sensor_position_m) {
+    const std::vector<std::uint32_t> channels = channel_numbers(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.submit_and_wait();
         samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(),
@@ -203,32 +197,30 @@ void DeviceSensorRays::record_ray_drop_inference(Stream& stream, RayDropInferenc
     run(stream, drop_channels_, table_.size(),
         {.rays = rays_.address(),
          .measured = measured_.address(),
-         .channels =
-             stream.impl().stage_host_values_for_kernels(channels).cast_content_tag<shared::DropChannels>(),
+         .channels = stream.impl().stage_values(channels).cast_tag<shared::DropChannels>(),
          .samples = samples_.address(),
          .origin = relative_sensor_position_m,
          .n_channels = std::uint32_t(channels.size()),
          .n_rays = std::uint32_t(table_.size())});
-    refined_ = &network.record_network_evaluation(stream, table_.rows, table_.columns,
-                                                  is_full_turn(table_.rows, table_.columns, table_.direction),
-                                                  samples_);
+    refined_ = &network.record_drops(stream, table_.rows, table_.columns,
+                                     is_full_turn(table_.rows, table_.columns, table_.direction), samples_);
 }
 
-std::span<const float> DeviceSensorRays::wait_for_drop_probabilities(Stream& stream) {
-    return {static_cast<const float*>(refined_readback_->wait_for_copied_bytes(stream)), table_.size()};
+std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
+    return {static_cast<const float*>(refined_readback_->wait_for_bytes(stream)), table_.size()};
 }
 
-std::span<const shared::MeasuredRay> DeviceSensorRays::wait_for_measurements(Stream& stream) {
+std::span<const shared::MeasuredRay> DeviceSensorRays::wait_measured(Stream& stream) {
     const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
-                               std::size_t n_bytes, const char* description) {
-        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), description);
-        readback->record_copy_to_host(stream, source, n_bytes);
+                               std::size_t n_bytes, const char* text) {
+        if (!readback) readback.emplace(device_, rays_.size() * (n_bytes / table_.size()), text);
+        readback->record_copy(stream, source, n_bytes);
     };
     read_back(readback_, measured_.buffer(), table_.size() * sizeof(shared::MeasuredRay), "measured rays");
     if (refined_)
         read_back(refined_readback_, refined_->buffer(), table_.size() * sizeof(float), "drop probabilities");
     stream.submit_commands();
-    return {static_cast<const shared::MeasuredRay*>(readback_->wait_for_copied_bytes(stream)), table_.size()};
+    return {static_cast<const shared::MeasuredRay*>(readback_->wait_for_bytes(stream)), table_.size()};
 }
 
 }  // namespace relidar

@@ -36,36 +36,32 @@ public:
     /// @param sensor_name another name forces an upload
     /// @param get_no_return_probability probability that the sensor never gets a return
     /// along a ray
-    void upload_ray_table(const RayTable& rays, const std::string& sensor_name,
-                          const std::function<float(std::size_t)>& get_no_return_probability);
-    /// Then get_world_ray_batch() returns the rays at their firing times.
+    void upload(const RayTable& rays, const std::string& sensor_name,
+                const std::function<float(std::size_t)>& get_no_return_probability);
+    /// Then world_batch() returns the rays at their firing times.
     /// @param world_from_sensor a single pose if the sensor does not move
-    void record_ray_transform_to_world(Stream& stream, const PoseTrack& world_from_sensor,
-                                       double sweep_time_s);
-    RayBatch get_world_ray_batch() const;
-    void record_measurement_of_rendered_rays(Stream& stream, const RenderedBatch& rendered_batch,
-                                             const RayMeasurementOptions& options);
-    /// Then get_drop_probability_address() has the result.
+    void place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);
+    RayBatch world_batch() const;
+    void record_measure(Stream& stream, const RenderedBatch& rendered_batch,
+                        const RayMeasurementOptions& options);
+    /// Then drop_address() has the result.
     /// @param relative_sensor_position_m relative to the first vehicle position of the
     /// log
     /// @throws DataError if the image or the channels do not match the network
-    void record_ray_drop_inference(Stream& stream, RayDropInference& network,
-                                   const glm::vec3& relative_sensor_position_m);
+    void record_drop(Stream& stream, RayDropInference& network, const glm::vec3& relative_sensor_position_m);
     /// @return [rays] valid until the next call
-    std::span<const shared::MeasuredRay> wait_for_measurements(Stream& stream);
-    /// Call wait_for_measurements() first. Valid until the next call of that function.
-    std::span<const float> wait_for_drop_probabilities(Stream& stream);
+    std::span<const shared::MeasuredRay> wait_measured(Stream& stream);
+    /// Call wait_measured() first. Valid until the next call of that function.
+    std::span<const float> wait_drop(Stream& stream);
 
-    bool is_ray_table_uploaded(const RayTable& rays, const std::string& sensor_name) const;
-    const RayTable& get_ray_table() const { return table_; }
-    const std::string& get_sensor_name() const { return sensor_; }
-    const Array<shared::SensorRay>& get_device_rays() const { return rays_; }
-    const Array<shared::MeasuredRay>& get_device_measurements() const { return measured_; }
-    Address<float, shared::DropProbabilities> get_drop_probability_address() const {
-        return get_device_address_or_null(refined_);
-    }
-    std::vector<shared::SensorPose> list_poses_during_sweep(const PoseTrack& world_from_sensor,
-                                                            double sweep_time_s) const;
+    bool is_uploaded(const RayTable& rays, const std::string& sensor_name) const;
+    const RayTable& ray_table() const { return table_; }
+    const std::string& sensor_name() const { return sensor_; }
+    const Array<shared::SensorRay>& device_rays() const { return rays_; }
+    const Array<shared::MeasuredRay>& device_measured() const { return measured_; }
+    Address<float, shared::DropProbabilities> drop_address() const { return address_or_null(refined_); }
+    std::vector<shared::SensorPose> sweep_poses(const PoseTrack& world_from_sensor,
+                                                double sweep_time_s) const;
 
 private:
     Device& device_;
@@ -82,19 +78,18 @@ private:
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
     Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
     /// null if the network did not run after the last
-    /// record_measurement_of_rendered_rays()
+    /// record_measure()
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 
 /// Returns RELIDAR_DROP_*.
 /// @throws DataError for an unknown input
-std::vector<std::uint32_t> list_drop_network_channel_numbers(const std::vector<std::string>& channel_names);
+std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channel_names);
 
 /// Also has one pose before the first ray and one after the last ray.
 /// @param first_offset_s firing times, relative to `sweep_time_s`
-std::vector<shared::SensorPose> list_poses_between_time_offsets(const PoseTrack& world_from_sensor,
-                                                                double sweep_time_s, double first_offset_s,
-                                                                double last_offset_s);
-PoseTrack convert_track_to_frame(PoseTrack track, const Pose& world_from_frame);
+std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double sweep_time_s,
+                                              double first_offset_s, double last_offset_s);
+PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar

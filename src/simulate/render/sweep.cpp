@@ -14,10 +14,11 @@ namespace {
 
 // Maximum time between the firing of a ray and the nearest end of the path.
 constexpr double kBeyondPath_s = 1.0;
-constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
+constexpr double kMaxCoordinate =
+    1e10;  // limit for coordinates in metres and for times in seconds since 1970
 
 /// @throws DataError if poses or times are invalid
-void require_valid_track_poses_and_times(const PoseTrack& track, const std::string& object_name) {
+void check_track(const PoseTrack& track, const std::string& object_name) {
     const auto refuse = [&](const std::string& found, const char* expected) {
         fail("cannot render a scan: the poses of {} are invalid: found {}, expected {}", object_name, found,
              expected);
@@ -29,7 +30,8 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
-        for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
+        for (const double x : {t.x, t.y, t.z, track.time_s[i]})
+            is_pose = is_pose && std::abs(x) <= kMaxCoordinate;
         if (!is_pose)
             refuse(fmt::format("an invalid pose at entry {}", i),
                    "a unit quaternion, and coordinates and times of at most 1e10");
@@ -41,10 +43,10 @@ void require_valid_track_poses_and_times(const PoseTrack& track, const std::stri
     }
 }
 
-void require_sweep_on_path(const SimulatedSweep& sweep) {
+void check_path(const SimulatedSweep& sweep) {
     const std::vector<double>& times_s = sweep.world_from_sensor.time_s;
-    if (times_s.size() < 2 || sweep.get_rays().size() == 0) return;
-    const auto [first, last] = std::ranges::minmax(sweep.get_rays().time_offset_s);
+    if (times_s.size() < 2 || sweep.rays().size() == 0) return;
+    const auto [first, last] = std::ranges::minmax(sweep.rays().time_offset_s);
     if (sweep.time_s + double(first) >= times_s.front() - kBeyondPath_s &&
         sweep.time_s + double(last) <= times_s.back() + kBeyondPath_s)
         return;
@@ -55,21 +57,20 @@ void require_sweep_on_path(const SimulatedSweep& sweep) {
         kBeyondPath_s);
 }
 
-std::vector<LidarFrame> copy_frames_that_have_azimuth_shifts(const LidarSequence& sequence) {
-    std::vector<LidarFrame> frames;
-    for (const LidarFrame& frame : sequence.frames)
-        if (!frame.azimuth_shift_rad.empty()) frames.push_back(copy_frame_without_scan(frame));
+std::vector<Frame> frames_with_shifts(const Log& sequence) {
+    std::vector<Frame> frames;
+    for (const Frame& frame : sequence.frames)
+        if (!frame.azimuth_shift_rad.empty()) frames.push_back(strip_scan(frame));
     return frames;
 }
 
 }  // namespace
 
-SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& scene,
-                                             const LidarSequence& sequence)
+SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& sequence)
     : config_(config),
-      layout_(copy_scene_without_surfels(scene)),
+      layout_(strip_surfels(scene)),
       log_world_from_vehicle_(sequence.world_from_vehicle),
-      shifted_(copy_frames_that_have_azimuth_shifts(sequence)),
+      shifted_(frames_with_shifts(sequence)),
       shown_(scene.instances.size(), true) {
     log_.lidars = sequence.lidars;
     log_.boxes = sequence.boxes;
@@ -77,27 +78,25 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
     log_.intensity_response = sequence.intensity_response;
 }
 
-void SimulatedSweepBuilder::set_visible_instances(const std::vector<bool>& shown) {
+void SimulatedSweepBuilder::show_instances(const std::vector<bool>& shown) {
     if (shown.size() != shown_.size())
         fail<UsageError>("cannot select the objects to render: found {} values, expected {}", shown.size(),
                          shown_.size());
     shown_ = shown;
 }
 
-SimulatedSensor SimulatedSweepBuilder::copy_sensor_with_logged_azimuths(const SimulatedSensor& sensor,
-                                                                        double time_s) const {
-    return copy_sensor_with_azimuths_of_sweep(sensor, shifted_, log_.lidars, time_s);
+SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor, double time_s) const {
+    return follow_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
 /// Sets the vehicle track of the log so that the sensor follows `world_from_sensor`.
 /// @param world_from_actor if null, uses the tracks of the run
-SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSensor& sensor, double time_s,
-                                                             PoseTrack world_from_sensor,
-                                                             const ActorTracksByName* world_from_actor) {
+SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor, double time_s,
+                                                  PoseTrack world_from_sensor,
+                                                  const ActorTracksByName* world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
-    log_.world_from_vehicle =
-        compute_mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
-    log_.rolling_shutter = fires_rays_at_different_times(sensor, config_);
+    log_.world_from_vehicle = mount_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
+    log_.rolling_shutter = is_rolling(sensor, config_);
     lidar.pattern = sensor.pattern;
     // Without a pattern, find_sweep_start() uses the log's spinning LiDAR.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
@@ -108,57 +107,53 @@ SimulatedSweep SimulatedSweepBuilder::make_sweep_along_track(const SimulatedSens
         rays = makes_rays ? make_rays(*sensor.pattern, time_s) : sensor.rays;
         if (!log_.rolling_shutter) std::ranges::fill(rays->time_offset_s, 0.0f);
     }
-    SimulatedSweep sweep{sensor, time_s, std::move(rays), log_.get_world_from_sensor(sensor.lidar)};
-    if (log_.rolling_shutter) require_sweep_on_path(sweep);
-    sweep.pose = sweep.world_from_sensor.interpolate_pose(time_s);
+    SimulatedSweep sweep{sensor, time_s, std::move(rays), log_.lidar_track(sensor.lidar)};
+    if (log_.rolling_shutter) check_path(sweep);
+    sweep.pose = sweep.world_from_sensor.pose_at(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
-    sweep.instances = world_from_actor ? compute_instance_poses(layout_, log_, now, *world_from_actor)
-                                       : compute_instance_poses(layout_, log_, now);
+    sweep.instances = world_from_actor ? pose_instances(layout_, log_, now, *world_from_actor)
+                                       : pose_instances(layout_, log_, now);
     for (std::size_t i = 0; i < sweep.instances.size(); ++i)
         sweep.instances[i].present = sweep.instances[i].present && shown_[i];
     return sweep;
 }
 
-SimulatedSweep SimulatedSweepBuilder::make_sweep_on_recorded_path(const SimulatedSensor& sensor,
-                                                                  double time_s, const Pose& sensor_offset) {
+SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& sensor, double time_s,
+                                                       const Pose& sensor_offset) {
     log_.world_from_vehicle = log_world_from_vehicle_;
     const bool is_elsewhere =
         sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
-    const PoseTrack track = log_.get_world_from_sensor(sensor.lidar);
-    return make_sweep_along_track(
-        sensor, time_s,
-        is_elsewhere ? compute_mounted_track(subdivide_turning_segments(track), sensor_offset) : track,
-        nullptr);
+    const PoseTrack track = log_.lidar_track(sensor.lidar);
+    return along_track(sensor, time_s,
+                       is_elsewhere ? mount_track(subdivide_turns(track), sensor_offset) : track, nullptr);
 }
 
-SimulatedSweep SimulatedSweepBuilder::make_sweep_of_request(const SimulatedSensor& sensor,
-                                                            const ScanRequest& request) {
+SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, const ScanRequest& request) {
     const auto in_world = [&](const PoseTrack& dataset_from_thing, const std::string& thing) {
-        require_valid_track_poses_and_times(dataset_from_thing, thing);
-        return add_offset_to_track_positions(dataset_from_thing, -log_.world_offset_m);
+        check_track(dataset_from_thing, thing);
+        return shift_track(dataset_from_thing, -log_.world_offset_m);
     };
-    if (!(std::abs(request.time_s) <= kFarthest)) {
+    if (!(std::abs(request.time_s) <= kMaxCoordinate)) {
         fail("cannot render a scan: time_s: found {}, expected a finite time of at most {:.0e} s",
-             request.time_s, kFarthest);
+             request.time_s, kMaxCoordinate);
     }
     PoseTrack world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
     ActorTracksByName world_from_actor;
     if (request.dataset_from_actor)
         for (const auto& [name, track] : *request.dataset_from_actor)
             world_from_actor[name] = in_world(track, "actor " + name);
-    return make_sweep_along_track(sensor, request.time_s, std::move(world_from_sensor),
-                                  request.dataset_from_actor ? &world_from_actor : nullptr);
+    return along_track(sensor, request.time_s, std::move(world_from_sensor),
+                       request.dataset_from_actor ? &world_from_actor : nullptr);
 }
 
-float SimulatedSweepBuilder::get_permanent_drop_probability(const SimulatedSensor& sensor,
-                                                            std::uint16_t channel,
-                                                            const glm::vec3& direction) const {
+float SimulatedSweepBuilder::permanent_drop(const SimulatedSensor& sensor, std::uint16_t channel,
+                                            const glm::vec3& direction) const {
     const auto log_beam_number =
-        sensor.is_log_lidar ? log_.find_global_beam_number(sensor.lidar, channel) : std::nullopt;
-    return log_beam_number ? layout_.sensor_drop.get_drop_probability(*log_beam_number, direction) : 0.0f;
+        sensor.is_log_lidar ? log_.find_global_beam(sensor.lidar, channel) : std::nullopt;
+    return log_beam_number ? layout_.sensor_drop.probability_of(*log_beam_number, direction) : 0.0f;
 }
 
-RangeLimits SimulatedSweepBuilder::get_range_limits(const SimulatedSensor& sensor) const {
+RangeLimits SimulatedSweepBuilder::limits_of(const SimulatedSensor& sensor) const {
     return {sensor.limits.min_m,
             std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config_.dataset.max_range_m};
 }

@@ -20,46 +20,44 @@ struct SimulatedSweep {
     Pose pose = {};                    ///< pose of the sensor at `time_s`
     std::vector<InstancePose> instances = {};
 
-    const RayTable& get_rays() const { return changed_rays ? *changed_rays : sensor.rays; }
+    const RayTable& rays() const { return changed_rays ? *changed_rays : sensor.rays; }
 };
 
 class SimulatedSweepBuilder {
 public:
     /// @param config must outlive this object
-    SimulatedSweepBuilder(const Config& config, const Scene& scene, const LidarSequence& sequence);
+    SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& sequence);
     /// @throws UsageError if the number of instances is wrong
-    void set_visible_instances(const std::vector<bool>& shown);
+    void show_instances(const std::vector<bool>& shown);
     /// Copies the azimuths that the LiDAR of the log measured in the sweep at `time_s`.
-    SimulatedSensor copy_sensor_with_logged_azimuths(const SimulatedSensor& sensor, double time_s) const;
+    SimulatedSensor follow_log(const SimulatedSensor& sensor, double time_s) const;
     /// The vehicle drives along its recorded path.
     /// @param sensor must outlive the sweep
     /// @param sensor_offset relative to the recorded mounting
-    SimulatedSweep make_sweep_on_recorded_path(const SimulatedSensor& sensor, double time_s,
-                                               const Pose& sensor_offset);
+    SimulatedSweep on_recorded_path(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset);
     /// @throws DataError if poses or times are invalid
-    SimulatedSweep make_sweep_of_request(const SimulatedSensor& sensor, const ScanRequest& request);
+    SimulatedSweep of_request(const SimulatedSensor& sensor, const ScanRequest& request);
 
-    const LidarSequence& get_log() const { return log_; }
-    const Scene& get_scene_layout() const { return layout_; }
-    bool shows_background() const {
+    const Log& sequence() const { return log_; }
+    const Scene& layout() const { return layout_; }
+    bool is_background_shown() const {
         return shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());
     }
     /// For example because the vehicle blocks the view.
-    float get_permanent_drop_probability(const SimulatedSensor& sensor, std::uint16_t channel,
-                                         const glm::vec3& direction) const;
-    RangeLimits get_range_limits(const SimulatedSensor& sensor) const;
+    float permanent_drop(const SimulatedSensor& sensor, std::uint16_t channel,
+                         const glm::vec3& direction) const;
+    RangeLimits limits_of(const SimulatedSensor& sensor) const;
 
 private:
     const Config& config_;
     const Scene layout_;  ///< models, instances and sensor drop, without surfels
-    LidarSequence log_;   ///< the log; during a sweep, its vehicle has the poses of this sweep
+    Log log_;             ///< the log; during a sweep, its vehicle has the poses of this sweep
     const PoseTrack log_world_from_vehicle_;
-    const std::vector<LidarFrame> shifted_;
+    const std::vector<Frame> shifted_;
     std::vector<bool> shown_;  ///< [instances]
 
-    SimulatedSweep make_sweep_along_track(const SimulatedSensor& sensor, double time_s,
-                                          PoseTrack world_from_sensor,
-                                          const ActorTracksByName* world_from_actor);
+    SimulatedSweep along_track(const SimulatedSensor& sensor, double time_s, PoseTrack world_from_sensor,
+                               const ActorTracksByName* world_from_actor);
 };
 
 }  // namespace relidar

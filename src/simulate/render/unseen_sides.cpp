@@ -18,8 +18,8 @@ namespace {
 constexpr std::size_t kFewestRays = 5;
 
 /// Range, and axis of the side. Infinity if the ray misses the box or starts inside.
-std::pair<double, int> find_ray_entry_into_box(const glm::dvec3& origin, const glm::dvec3& direction,
-                                               const glm::dvec3& box_half_size_m) {
+std::pair<double, int> enter_box(const glm::dvec3& origin, const glm::dvec3& direction,
+                                 const glm::dvec3& box_half_size_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
     for (int k = 0; k < 3; ++k) {
@@ -56,40 +56,35 @@ struct PartlyObservedActor {
 
     /// All coordinates are in the box frame.
     /// @param range_m 0 if the ray has no return
-    void count_ray_on_unobserved_side(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction,
-                                      double range_m, bool hits_actor) {
+    void count_ray(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction, double range_m,
+                   bool hits_actor) {
         if (hits_actor && range_m > 0.0)
-            if (const auto side =
-                    surface->find_box_side_with_mirrored_surfels(ray_origin + range_m * ray_direction))
+            if (const auto side = surface->find_mirrored_side(ray_origin + range_m * ray_direction))
                 ++n_completed[std::size_t(*side)];
-        const auto [enter_m, axis] = find_ray_entry_into_box(ray_origin, ray_direction, half_m);
+        const auto [enter_m, axis] = enter_box(ray_origin, ray_direction, half_m);
         if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;
         for (std::size_t s = 0; s < kBoxSides; ++s)
             if (kSideFrames[s].normal == axis &&
-                -kSideFrames[s].sign * ray_direction[axis] >= get_min_incidence_cosine(BoxSide(s)) &&
+                -kSideFrames[s].sign * ray_direction[axis] >= min_cosine(BoxSide(s)) &&
                 side_coverage[s] < kUnseenSide)
                 ++n_through[s];
     }
 };
 
-std::vector<PartlyObservedActor> find_boxes_with_unobserved_sides(const RenderedScan& scan,
-                                                                  const Scene& scene,
-                                                                  const LidarSequence& sequence) {
+std::vector<PartlyObservedActor> partly_observed(const RenderedScan& scan, const Scene& scene,
+                                                 const Log& sequence) {
     std::vector<PartlyObservedActor> boxes;
     if (scan.time_offset_s.empty()) return boxes;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
     for (std::size_t i = 0; i < scene.instances.size(); ++i) {
         const ModelInstance& instance = scene.instances[i];
         const std::optional<ObservedBoxSurface>& surface = scene.models[instance.model].surface;
-        const BoxTrack* box =
-            instance.track.empty() ? nullptr : find_box_track_by_id(sequence, instance.track);
-        if (!box || !box->is_observed_at_time(scan.time_s) || !surface) continue;
-        const ObservedSideFractions side_coverage = surface->compute_covered_fraction_of_each_side();
-        if (format_unobserved_sides(side_coverage).empty() && !surface->is_completed) continue;
-        const glm::dvec3 begin_m =
-                             box->world_from_box.interpolate_pose(scan.time_s + double(first_s)).translation,
-                         end_m =
-                             box->world_from_box.interpolate_pose(scan.time_s + double(last_s)).translation;
+        const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
+        if (!box || !box->is_observed(scan.time_s) || !surface) continue;
+        const ObservedSideFractions side_coverage = surface->covered_sides();
+        if (list_unseen_sides(side_coverage).empty() && !surface->is_completed) continue;
+        const glm::dvec3 begin_m = box->world_from_box.pose_at(scan.time_s + double(first_s)).translation,
+                         end_m = box->world_from_box.pose_at(scan.time_s + double(last_s)).translation;
         boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*surface, std::int32_t(i),
                          side_coverage, 0.5 * (begin_m + end_m),
                          0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
@@ -99,21 +94,21 @@ std::vector<PartlyObservedActor> find_boxes_with_unobserved_sides(const Rendered
 
 }  // namespace
 
-std::vector<UnobservedActorSide> find_unobserved_actor_sides(const RenderedScan& scan, const Scene& scene,
-                                                             const LidarSequence& sequence) {
-    std::vector<PartlyObservedActor> boxes = find_boxes_with_unobserved_sides(scan, scene, sequence);
+std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
+                                                   const Log& sequence) {
+    std::vector<PartlyObservedActor> boxes = partly_observed(scan, scene, sequence);
     FiringPoseInterpolator firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -sequence.world_offset_m});
     for (std::size_t i = 0; !boxes.empty() && i < scan.image.range_m.size(); ++i) {
-        const Pose& world_from_firing = firing.compute_firing_pose(i);
+        const Pose& world_from_firing = firing.pose_of(i);
         const glm::dvec3 origin = world_from_firing * glm::dvec3(scan.image.origin[i]),
                          direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
         for (PartlyObservedActor& box : boxes) {
             if (!box.is_ray_near_box(origin, direction)) continue;
             const Pose box_from_world =
-                inverse(box.world_from_box->interpolate_pose(scan.time_s + double(scan.time_offset_s[i])));
-            box.count_ray_on_unobserved_side(box_from_world * origin, box_from_world.rotation * direction,
-                                             double(scan.median_range_m[i]),
-                                             !scan.instance.empty() && scan.instance[i] == box.instance);
+                inverse(box.world_from_box->pose_at(scan.time_s + double(scan.time_offset_s[i])));
+            box.count_ray(box_from_world * origin, box_from_world.rotation * direction,
+                          double(scan.median_range_m[i]),
+                          !scan.instance.empty() && scan.instance[i] == box.instance);
         }
     }
     std::vector<UnobservedActorSide> sides;

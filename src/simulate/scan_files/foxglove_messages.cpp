@@ -43,37 +43,38 @@ struct ProtobufEnumType {
     std::initializer_list<const char*> values;  ///< names of the values 0, 1, ...
 };
 
-constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".google.protobuf.Duration";
-constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
+constexpr const char *kTimestampType = ".google.protobuf.Timestamp",
+                     *kDurationType = ".google.protobuf.Duration";
+constexpr const char *kPoseType = ".foxglove.Pose", *kVectorType = ".foxglove.Vector3",
                      *kQuaternion = ".foxglove.Quaternion";
 
 /// Shapes that relidar never writes have no fields: readers expect a list for each kind
 /// of shape, even if it is empty.
-const std::initializer_list<ProtobufMessageType> kMessages = {
+const std::initializer_list<ProtobufMessageType> kMessageTypes = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
-    {"Pose", {{1, "position", kMessage, kVector}, {2, "orientation", kMessage, kQuaternion}}},
+    {"Pose", {{1, "position", kMessage, kVectorType}, {2, "orientation", kMessage, kQuaternion}}},
     {"Color", {{1, "r", kDouble}, {2, "g", kDouble}, {3, "b", kDouble}, {4, "a", kDouble}}},
     {"PackedElementField",
      {{1, "name", kString}, {2, "offset", kFixed32}, {3, "type", kEnum, ".foxglove.NumericType"}}},
     {"PointCloud",
-     {{1, "timestamp", kMessage, kTimestamp},
+     {{1, "timestamp", kMessage, kTimestampType},
       {2, "frame_id", kString},
-      {3, "pose", kMessage, kPose},
+      {3, "pose", kMessage, kPoseType},
       {4, "point_stride", kFixed32},
       {5, "fields", kMessage, ".foxglove.PackedElementField", true},
       {6, "data", kBytes}}},
     {"FrameTransform",
-     {{1, "timestamp", kMessage, kTimestamp},
+     {{1, "timestamp", kMessage, kTimestampType},
       {2, "parent_frame_id", kString},
       {3, "child_frame_id", kString},
-      {4, "translation", kMessage, kVector},
+      {4, "translation", kMessage, kVectorType},
       {5, "rotation", kMessage, kQuaternion}}},
     {"FrameTransforms", {{1, "transforms", kMessage, ".foxglove.FrameTransform", true}}},
     {"KeyValuePair", {{1, "key", kString}, {2, "value", kString}}},
     {"CubePrimitive",
-     {{1, "pose", kMessage, kPose},
-      {2, "size", kMessage, kVector},
+     {{1, "pose", kMessage, kPoseType},
+      {2, "size", kMessage, kVectorType},
       {3, "color", kMessage, ".foxglove.Color"}}},
     {"ArrowPrimitive", {}},
     {"SpherePrimitive", {}},
@@ -83,14 +84,14 @@ const std::initializer_list<ProtobufMessageType> kMessages = {
     {"TextPrimitive", {}},
     {"ModelPrimitive", {}},
     {"SceneEntityDeletion",
-     {{1, "timestamp", kMessage, kTimestamp},
+     {{1, "timestamp", kMessage, kTimestampType},
       {2, "type", kEnum, ".foxglove.SceneEntityDeletionType"},
       {3, "id", kString}}},
     {"SceneEntity",
-     {{1, "timestamp", kMessage, kTimestamp},
+     {{1, "timestamp", kMessage, kTimestampType},
       {2, "frame_id", kString},
       {3, "id", kString},
-      {4, "lifetime", kMessage, kDuration},
+      {4, "lifetime", kMessage, kDurationType},
       {5, "frame_locked", kBool},
       {6, "metadata", kMessage, ".foxglove.KeyValuePair", true},
       {7, "arrows", kMessage, ".foxglove.ArrowPrimitive", true},
@@ -106,17 +107,17 @@ const std::initializer_list<ProtobufMessageType> kMessages = {
       {2, "entities", kMessage, ".foxglove.SceneEntity", true}}},
 };
 
-const std::initializer_list<ProtobufEnumType> kEnums = {
+const std::initializer_list<ProtobufEnumType> kEnumTypes = {
     {"NumericType", {"UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"}},
     {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
 };
 
-const std::initializer_list<ProtobufMessageType> kTimes = {
+const std::initializer_list<ProtobufMessageType> kTimeTypes = {
     {"Timestamp", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
 };
 
-constexpr int kOptional = 1, kRepeated = 3;  // labels of fields in descriptor.proto
+constexpr int kLabelOptional = 1, kLabelRepeated = 3;  // labels of fields in descriptor.proto
 
 /// Returns the bytes that `write` writes.
 template <class Write>
@@ -127,21 +128,21 @@ std::string encode(const Write& write) {
     return bytes;
 }
 
-std::string make_message_descriptor(const ProtobufMessageType& message) {
+std::string describe_message(const ProtobufMessageType& message) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, message.name);
         for (const ProtobufField& field : message.fields)
             writer.add_message(2, encode([&](pbf_writer& of_field) {
                                    of_field.add_string(1, field.name);
                                    of_field.add_int32(3, field.number);
-                                   of_field.add_enum(4, field.repeated ? kRepeated : kOptional);
+                                   of_field.add_enum(4, field.repeated ? kLabelRepeated : kLabelOptional);
                                    of_field.add_enum(5, field.type);
                                    if (*field.type_name) of_field.add_string(6, field.type_name);
                                }));
     });
 }
 
-std::string make_enum_descriptor(const ProtobufEnumType& type) {
+std::string describe_enum(const ProtobufEnumType& type) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, type.name);
         int number = 0;
@@ -153,45 +154,42 @@ std::string make_enum_descriptor(const ProtobufEnumType& type) {
     });
 }
 
-std::string make_file_descriptor(const char* file_name, const char* package, const char* imported_file_name,
-                                 std::initializer_list<ProtobufMessageType> messages,
-                                 std::initializer_list<ProtobufEnumType> enums) {
+std::string describe_file(const char* file_name, const char* package, const char* imported_file_name,
+                          std::initializer_list<ProtobufMessageType> messages,
+                          std::initializer_list<ProtobufEnumType> enums) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, file_name);
         writer.add_string(2, package);
         if (*imported_file_name) writer.add_string(3, imported_file_name);
-        for (const ProtobufMessageType& message : messages)
-            writer.add_message(4, make_message_descriptor(message));
-        for (const ProtobufEnumType& type : enums) writer.add_message(5, make_enum_descriptor(type));
+        for (const ProtobufMessageType& message : messages) writer.add_message(4, describe_message(message));
+        for (const ProtobufEnumType& type : enums) writer.add_message(5, describe_enum(type));
         writer.add_string(12, "proto3");
     });
 }
 
-std::string make_timestamp_message(std::uint64_t time_ns) {
+std::string encode_time(std::uint64_t time_ns) {
     return encode([&](pbf_writer& writer) {
         writer.add_int64(1, std::int64_t(time_ns / 1'000'000'000));
         writer.add_int32(2, std::int32_t(time_ns % 1'000'000'000));
     });
 }
 
-std::string encode_doubles_as_fields_1_to_n(std::initializer_list<double> values) {
+std::string encode_doubles(std::initializer_list<double> values) {
     return encode([&](pbf_writer& writer) {
         protozero::pbf_tag_type number = 0;
         for (const double value : values) writer.add_double(++number, value);
     });
 }
 
-std::string make_vector_message(const glm::dvec3& vector) {
-    return encode_doubles_as_fields_1_to_n({vector.x, vector.y, vector.z});
-}
-std::string make_quaternion_message(const glm::dquat& quaternion) {
-    return encode_doubles_as_fields_1_to_n({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
+std::string encode_vector(const glm::dvec3& vector) { return encode_doubles({vector.x, vector.y, vector.z}); }
+std::string encode_rotation(const glm::dquat& quaternion) {
+    return encode_doubles({quaternion.x, quaternion.y, quaternion.z, quaternion.w});
 }
 
-std::string make_pose_message(const Pose& pose) {
+std::string encode_pose(const Pose& pose) {
     return encode([&](pbf_writer& writer) {
-        writer.add_message(1, make_vector_message(pose.translation));
-        writer.add_message(2, make_quaternion_message(pose.rotation));
+        writer.add_message(1, encode_vector(pose.translation));
+        writer.add_message(2, encode_rotation(pose.rotation));
     });
 }
 
@@ -206,72 +204,73 @@ const FoxglovePointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFlo
                                            {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
                                            {"ring", 24, kUint16},  {"return", 26, kUint8}};
 // Bytes per point without optional channels: a multiple of 4.
-constexpr std::uint32_t kStride = 28;
+constexpr std::uint32_t kBytesPerPoint = 28;
 
-std::vector<FoxglovePointField> list_point_fields(const LidarPoints& cloud) {
+std::vector<FoxglovePointField> point_fields(const LidarPoints& cloud) {
     std::vector<FoxglovePointField> fields(std::begin(kPointFields), std::end(kPointFields));
-    std::uint32_t offset = kStride;
-    for (const auto& [name, is_integer] : list_channel_columns(cloud.channels)) {
+    std::uint32_t offset = kBytesPerPoint;
+    for (const auto& [name, is_integer] : list_columns(cloud.channels)) {
         fields.push_back({name, offset, is_integer ? kInt32Number : kFloat32});
         offset += 4;
     }
     return fields;
 }
 
-std::string pack_points_to_bytes(const LidarPoints& cloud) {
+std::string pack_points(const LidarPoints& cloud) {
     std::string bytes;
-    bytes.reserve(cloud.size() * kStride);
+    bytes.reserve(cloud.size() * kBytesPerPoint);
     for (std::size_t i = 0; i < cloud.size(); ++i) {
-        append_binary_value(bytes, cloud.position_m[i]);
-        append_binary_value(bytes, cloud.intensity[i]);
-        append_binary_value(bytes, cloud.time_offset_s[i]);
-        append_binary_value(bytes, cloud.instance[i]);
-        append_binary_value(bytes, cloud.ring[i]);
-        append_binary_value(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
-        append_binary_value(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
-        append_channel_values(bytes, cloud.channels, i);
+        append_raw(bytes, cloud.position_m[i]);
+        append_raw(bytes, cloud.intensity[i]);
+        append_raw(bytes, cloud.time_offset_s[i]);
+        append_raw(bytes, cloud.instance[i]);
+        append_raw(bytes, cloud.ring[i]);
+        append_raw(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
+        append_raw(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
+        append_values(bytes, cloud.channels, i);
     }
     return bytes;
 }
 
-std::string make_point_cloud_message(const RecordedCloud& recorded, const std::string& frame_id) {
+std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame_id) {
     const LidarPoints& cloud = recorded.points;
     return encode([&](pbf_writer& writer) {
-        writer.add_message(1, make_timestamp_message(recorded.stamp_ns));
+        writer.add_message(1, encode_time(recorded.stamp_ns));
         writer.add_string(2, frame_id);
-        writer.add_message(3, make_pose_message({}));
-        const std::vector<FoxglovePointField> fields = list_point_fields(cloud);
-        writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
+        writer.add_message(3, encode_pose({}));
+        const std::vector<FoxglovePointField> fields = point_fields(cloud);
+        writer.add_fixed32(
+            4, fields.size() == std::size(kPointFields) ? kBytesPerPoint : fields.back().offset + 4);
         for (const FoxglovePointField& field : fields)
             writer.add_message(5, encode([&](pbf_writer& element) {
                                    element.add_string(1, field.name);
                                    element.add_fixed32(2, field.offset);
                                    element.add_enum(3, field.type);
                                }));
-        writer.add_bytes(6, pack_points_to_bytes(cloud));
+        writer.add_bytes(6, pack_points(cloud));
     });
 }
 
 /// A foxglove.FrameTransforms message with one transform.
-std::string make_frame_transform_message(std::uint64_t time_ns, const std::string& parent_frame,
-                                         const std::string& child_frame, const Pose& parent_from_child) {
+std::string encode_transform(std::uint64_t time_ns, const std::string& parent_frame,
+                             const std::string& child_frame, const Pose& parent_from_child) {
     return encode([&](pbf_writer& transforms) {
         transforms.add_message(1, encode([&](pbf_writer& writer) {
-                                   writer.add_message(1, make_timestamp_message(time_ns));
+                                   writer.add_message(1, encode_time(time_ns));
                                    writer.add_string(2, parent_frame);
                                    writer.add_string(3, child_frame);
-                                   writer.add_message(4, make_vector_message(parent_from_child.translation));
-                                   writer.add_message(5, make_quaternion_message(parent_from_child.rotation));
+                                   writer.add_message(4, encode_vector(parent_from_child.translation));
+                                   writer.add_message(5, encode_rotation(parent_from_child.rotation));
                                }));
     });
 }
 
-std::string make_box_message(const RecordedActor& actor) {
+std::string encode_box(const RecordedActor& actor) {
     return encode([&](pbf_writer& writer) {
-        writer.add_message(1, make_pose_message(actor.faced.world_from_box));
-        writer.add_message(2, make_vector_message(actor.size_m));
+        writer.add_message(1, encode_pose(actor.faced.world_from_box));
+        writer.add_message(2, encode_vector(actor.size_m));
         // translucent so that the points inside the box stay visible
-        writer.add_message(3, encode_doubles_as_fields_1_to_n({1.0, 0.6, 0.1, 0.3}));
+        writer.add_message(3, encode_doubles({1.0, 0.6, 0.1, 0.3}));
     });
 }
 
@@ -280,13 +279,13 @@ std::string format_vector(const glm::dvec3& vector) {
 }
 
 /// The new boxes replace all earlier boxes. Velocities are in the world frame.
-std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
+std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     // SceneEntityDeletionType ALL deletes all earlier boxes.
-    constexpr int kAll = 1;
+    constexpr int kDeleteAll = 1;
     return encode([&](pbf_writer& writer) {
         writer.add_message(1, encode([&](pbf_writer& deletion) {
-                               deletion.add_message(1, make_timestamp_message(stamp_ns));
-                               deletion.add_enum(2, kAll);
+                               deletion.add_message(1, encode_time(stamp_ns));
+                               deletion.add_enum(2, kDeleteAll);
                            }));
         for (const RecordedActor& actor : actors) {
             const auto& [time_ns, world_from_box, velocity] = actor.faced;
@@ -299,7 +298,7 @@ std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<R
                 metadata.emplace_back("visible_share", fmt::format("{:.6g}", *actor.visible_share));
             std::string of_actor;
             pbf_writer entity(of_actor);
-            entity.add_message(1, make_timestamp_message(time_ns));
+            entity.add_message(1, encode_time(time_ns));
             entity.add_string(2, kWorldFrame);
             entity.add_string(3, actor.name);
             for (const auto& [key, value] : metadata) {
@@ -309,63 +308,60 @@ std::string make_actor_boxes_message(std::uint64_t stamp_ns, const std::vector<R
                 pair.add_string(2, value);
                 entity.add_message(6, bytes);
             }
-            entity.add_message(8, make_box_message(actor));
+            entity.add_message(8, encode_box(actor));
             writer.add_message(2, of_actor);
         }
     });
 }
 
-std::vector<RecordedMessage> make_vehicle_transform_messages(const RecordedSweep& moment) {
+std::vector<RecordedMessage> vehicle_transforms(const RecordedSweep& moment) {
     std::vector<RecordedMessage> messages;
     for (const RecordedPose& pose : moment.poses)
-        messages.push_back(
-            {pose.time_ns, make_frame_transform_message(pose.time_ns, kWorldFrame, kVehicleFrame,
-                                                        pose.world_from_vehicle)});
+        messages.push_back({pose.time_ns, encode_transform(pose.time_ns, kWorldFrame, kVehicleFrame,
+                                                           pose.world_from_vehicle)});
     return messages;
 }
 
 /// Each scan repeats this message, so that playback can start anywhere. Concatenated
 /// protobuf messages are one message with all list entries.
-std::vector<RecordedMessage> make_sensor_mounting_messages(const RecordedRig& rig,
-                                                           const RecordedSweep& moment) {
+std::vector<RecordedMessage> sensor_transforms(const RecordedRig& rig, const RecordedSweep& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)
-        bytes += make_frame_transform_message(moment.first_ns, kVehicleFrame, sensor.frame_id,
-                                              sensor.vehicle_from_sensor);
+        bytes +=
+            encode_transform(moment.first_ns, kVehicleFrame, sensor.frame_id, sensor.vehicle_from_sensor);
     return {{moment.first_ns, bytes}};
 }
 
-std::vector<RecordedMessage> make_scene_update_messages(const RecordedSweep& moment) {
+std::vector<RecordedMessage> scene_updates(const RecordedSweep& moment) {
     std::vector<RecordedMessage> messages;
     for (const auto& [stamp_ns, actors] : moment.actors)
-        messages.push_back({moment.last_ns, make_actor_boxes_message(stamp_ns, actors)});
+        messages.push_back({moment.last_ns, encode_scene_update(stamp_ns, actors)});
     return messages;
 }
 
 }  // namespace
 
-std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig) {
+std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig) {
     // All topics have the same definition: a FileDescriptorSet with all message types.
     constexpr const char *kTimesFile = "google/protobuf/times.proto", *kFile = "foxglove/relidar.proto";
     std::string definition;
     pbf_writer writer(definition);
-    writer.add_message(1, make_file_descriptor(kTimesFile, "google.protobuf", "", kTimes, {}));
-    writer.add_message(1, make_file_descriptor(kFile, "foxglove", kTimesFile, kMessages, kEnums));
+    writer.add_message(1, describe_file(kTimesFile, "google.protobuf", "", kTimeTypes, {}));
+    writer.add_message(1, describe_file(kFile, "foxglove", kTimesFile, kMessageTypes, kEnumTypes));
     const std::string transforms = "foxglove.FrameTransforms";
     std::vector<RecordedTopic> topics{
         {"/tf_static",
          transforms,
          definition,
          {},
-         [rig](const RecordedSweep& moment) { return make_sensor_mounting_messages(rig, moment); }},
-        {"/tf", transforms, definition, {}, make_vehicle_transform_messages},
-        {"/actors", "foxglove.SceneUpdate", definition, {}, make_scene_update_messages}};
+         [rig](const RecordedSweep& moment) { return sensor_transforms(rig, moment); }},
+        {"/tf", transforms, definition, {}, vehicle_transforms},
+        {"/actors", "foxglove.SceneUpdate", definition, {}, scene_updates}};
     for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
         const std::string frame = rig.world ? kWorldFrame : rig.sensors[s].frame_id;
         topics.push_back(
             {rig.sensors[s].topic, "foxglove.PointCloud", definition, {}, [=](const RecordedSweep& moment) {
-                 return std::vector<RecordedMessage>{
-                     {moment.last_ns, make_point_cloud_message(moment.clouds[s], frame)}};
+                 return std::vector<RecordedMessage>{{moment.last_ns, encode_cloud(moment.clouds[s], frame)}};
              }});
     }
     return topics;

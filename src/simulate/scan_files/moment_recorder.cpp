@@ -13,15 +13,14 @@ namespace relidar::scan_files {
 namespace {
 
 // ROS stores seconds as a signed 32-bit integer.
-constexpr std::int64_t kLatest_ns = 2'147'483'647'000'000'000;
+constexpr std::int64_t kMaxStamp_ns = 2'147'483'647'000'000'000;
 // Transforms end this much later than the last ray, because times of points are rounded.
-constexpr double kRounding_s = 2e-8;
+constexpr double kStampRounding_s = 2e-8;
 // Readers interpolate between poses. If a sensor is 2 m from the vehicle's origin and
 // turns with 1 rad/s, the error is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 
-void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& track, double first_s,
-                              double last_s) {
+void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
     if (track.time_s.size() < 2) return;
@@ -30,7 +29,7 @@ void append_pose_sample_times(std::vector<double>& times_s, const PoseTrack& tra
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> new_actors) {
+void merge_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
         const auto existing_actor = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
         if (existing_actor == merged_actors.end()) {
@@ -44,33 +43,33 @@ void merge_recorded_actors(std::vector<RecordedActor>& merged_actors, std::vecto
 
 /// Floats have errors of some nanoseconds. The stamp of a ray at -0.05 s must not be 1 ns
 /// too small.
-double round_firing_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
+double round_time(float time_s) { return 1e-8 * std::round(1e8 * double(time_s)); }
 
 }  // namespace
 
-SweepInterval find_sweep_interval(std::span<const RenderedScan> scans) {
+SweepInterval sweep_interval(std::span<const RenderedScan> scans) {
     SweepInterval all{INFINITY, -INFINITY};
     for (const RenderedScan& scan : scans) {
         const std::vector<float>& offsets_s = scan.time_offset_s;
         const auto [first, last] = offsets_s.empty() ? std::ranges::min_max_result<float>{0.0f, 0.0f}
                                                      : std::ranges::minmax(offsets_s);
-        all = {std::min(all.first_s, scan.time_s + round_firing_time(first)),
-               std::max(all.last_s, scan.time_s + round_firing_time(last) + kRounding_s)};
+        all = {std::min(all.first_s, scan.time_s + round_time(first)),
+               std::max(all.last_s, scan.time_s + round_time(last) + kStampRounding_s)};
     }
     return all;
 }
 
-SweepInterval require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns) {
-    const SweepInterval all = find_sweep_interval(scans);
-    if (std::abs(scans[0].time_s) < 4e9 && make_time_stamp_ns(all.first_s, time_shift_ns) >= 0 &&
-        make_time_stamp_ns(all.last_s, time_shift_ns) < kLatest_ns)
+SweepInterval check_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns) {
+    const SweepInterval all = sweep_interval(scans);
+    if (std::abs(scans[0].time_s) < 4e9 && to_stamp_ns(all.first_s, time_shift_ns) >= 0 &&
+        to_stamp_ns(all.last_s, time_shift_ns) < kMaxStamp_ns)
         return all;
     fail("cannot record a scan at {} s: found stamps from {:.3f} to {:.3f} s, expected 1970 to 2037",
          scans[0].time_s, all.first_s + 1e-9 * double(time_shift_ns),
          all.last_s + 1e-9 * double(time_shift_ns));
 }
 
-RecordedRig SweepRecorder::make_recorded_rig() const {
+RecordedRig SweepRecorder::recorded_rig() const {
     RecordedRig rig;
     rig.world = sensors_.front().frame == PointCoordinateFrame::world;
     for (const ScanOutputOptions& format : sensors_)
@@ -78,71 +77,69 @@ RecordedRig SweepRecorder::make_recorded_rig() const {
     return rig;
 }
 
-std::uint64_t SweepRecorder::make_time_stamp_ns(double time_s) const {
-    return std::uint64_t(scan_files::make_time_stamp_ns(time_s, sensors_.front().time_shift_ns));
+std::uint64_t SweepRecorder::to_stamp_ns(double time_s) const {
+    return std::uint64_t(scan_files::to_stamp_ns(time_s, sensors_.front().time_shift_ns));
 }
 
-RecordedSweep SweepRecorder::convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans) {
+RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
     if (scans.size() != sensors_.size())
         fail<UsageError>("cannot write a recording: found {} scans, expected {}, one for each sensor",
                          scans.size(), sensors_.size());
-    const SweepInterval all = require_storable_times(scans, sensors_.front().time_shift_ns);
+    const SweepInterval all = check_times(scans, sensors_.front().time_shift_ns);
     if (last_scan_s_ && scans[0].time_s < *last_scan_s_)
         fail("cannot write a recording: found a scan at {} s, expected times that do not decrease",
              scans[0].time_s);
     last_scan_s_ = scans[0].time_s;
-    RecordedSweep moment{make_time_stamp_ns(all.first_s), make_time_stamp_ns(all.last_s), {}, {}, {}};
+    RecordedSweep moment{to_stamp_ns(all.first_s), to_stamp_ns(all.last_s), {}, {}, {}};
     std::vector<double> times_s;
-    append_pose_sample_times(times_s, scans[0].track, all.first_s, all.last_s);
+    add_pose_times(times_s, scans[0].track, all.first_s, all.last_s);
     for (std::size_t s = 0; s < scans.size(); ++s) {
-        const auto [first_s, last_s] = scans.size() == 1 ? all : find_sweep_interval(scans.subspan(s, 1));
+        const auto [first_s, last_s] = scans.size() == 1 ? all : sweep_interval(scans.subspan(s, 1));
         times_s.push_back(first_s);
         times_s.push_back(last_s);
-        moment.clouds.push_back(make_point_cloud(scans[s], sensors_[s], first_s));
-        merge_recorded_actors(moment.actors[make_time_stamp_ns(first_s)],
-                              list_recorded_actors(scans[s], first_s));
+        moment.clouds.push_back(make_cloud(scans[s], sensors_[s], first_s));
+        merge_actors(moment.actors[to_stamp_ns(first_s)], recorded_actors(scans[s], first_s));
     }
-    moment.poses = compute_vehicle_poses(scans[0], std::move(times_s));
+    moment.poses = vehicle_poses(scans[0], std::move(times_s));
     return moment;
 }
 
 /// @param scan scan of the first sensor
-std::vector<RecordedPose> SweepRecorder::compute_vehicle_poses(const RenderedScan& scan,
-                                                               std::vector<double> times_s) {
+std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan,
+                                                       std::vector<double> times_s) {
     std::ranges::sort(times_s);
-    const Pose sensor_from_vehicle = inverse(make_recorded_rig().sensors.front().vehicle_from_sensor);
+    const Pose sensor_from_vehicle = inverse(recorded_rig().sensors.front().vehicle_from_sensor);
     const auto world_from_vehicle = [&](double t_s) {
-        return interpolate_sensor_pose_in_scan(scan, t_s) * sensor_from_vehicle;
+        return sensor_pose_at(scan, t_s) * sensor_from_vehicle;
     };
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
-        const std::uint64_t time_ns = make_time_stamp_ns(t_s);
+        const std::uint64_t time_ns = to_stamp_ns(t_s);
         // Sweeps can overlap in time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
-        poses.push_back({time_ns, world_from_vehicle(t_s), compute_object_velocity(world_from_vehicle, t_s)});
+        poses.push_back({time_ns, world_from_vehicle(t_s), object_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
     }
     return poses;
 }
 
-RecordedCloud SweepRecorder::make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
-                                              double first_s) const {
-    RecordedCloud cloud{make_time_stamp_ns(first_s),
-                        convert_scan_to_points(scan, format.config,
-                                               compute_world_from_output_frame(
-                                                   format, interpolate_sensor_pose_in_scan(scan, first_s)))};
+RecordedCloud SweepRecorder::make_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
+                                        double first_s) const {
+    RecordedCloud cloud{
+        to_stamp_ns(first_s),
+        place_points(scan, format.config, world_from_output(format, sensor_pose_at(scan, first_s)))};
     for (float& time_s : cloud.points.time_offset_s)
         time_s = static_cast<float>(std::max(0.0, double(time_s) - (first_s - scan.time_s)));
     return cloud;
 }
 
-std::vector<RecordedActor> SweepRecorder::list_recorded_actors(const RenderedScan& scan,
-                                                               double cloud_time_s) const {
+std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan,
+                                                          double cloud_time_s) const {
     std::vector<RecordedActor> actors;
-    for (const ActorInScan& actor : find_actors_present_in_scan(scan, sensors_.front())) {
+    for (const ActorInScan& actor : find_actors(scan, sensors_.front())) {
         const auto state = [&](double t_s) {
-            return BoxState{make_time_stamp_ns(t_s), actor.world_from_box(t_s),
-                            compute_object_velocity(actor.world_from_box, t_s)};
+            return BoxState{to_stamp_ns(t_s), actor.world_from_box(t_s),
+                            object_velocity(actor.world_from_box, t_s)};
         };
         const BoxTrack& box = *actor.box;
         actors.push_back({box.id, box.category, box.size_m, !box.is_moving(), state(actor.faced_s),

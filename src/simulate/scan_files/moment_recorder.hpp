@@ -16,21 +16,20 @@ namespace relidar::scan_files {
 class SweepRecorder {
 public:
     explicit SweepRecorder(std::vector<ScanOutputOptions> sensors) : sensors_(std::move(sensors)) {}
-    RecordedRig make_recorded_rig() const;
+    RecordedRig recorded_rig() const;
     /// @param scans one scan per sensor, all with the same time
     /// @throws DataError if times decrease, or if the file format cannot represent them
-    RecordedSweep convert_scans_to_recorded_sweep(std::span<const RenderedScan> scans);
+    RecordedSweep record(std::span<const RenderedScan> scans);
 
 private:
     std::vector<ScanOutputOptions> sensors_;
     std::optional<double> last_scan_s_;  ///< time of the previous scan in the log
     std::optional<std::uint64_t> last_pose_ns_;
 
-    std::uint64_t make_time_stamp_ns(double time_s) const;
-    std::vector<RecordedPose> compute_vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
-    RecordedCloud make_point_cloud(const RenderedScan& scan, const ScanOutputOptions& format,
-                                   double first_s) const;
-    std::vector<RecordedActor> list_recorded_actors(const RenderedScan& scan, double cloud_time_s) const;
+    std::uint64_t to_stamp_ns(double time_s) const;
+    std::vector<RecordedPose> vehicle_poses(const RenderedScan& scan, std::vector<double> times_s);
+    RecordedCloud make_cloud(const RenderedScan& scan, const ScanOutputOptions& format, double first_s) const;
+    std::vector<RecordedActor> recorded_actors(const RenderedScan& scan, double cloud_time_s) const;
 };
 
 }  // namespace relidar::scan_files

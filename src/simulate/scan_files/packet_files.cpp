@@ -19,10 +19,9 @@ PacketFileWriter::PacketFileWriter(fs::path folder, const std::vector<ScanOutput
     : packets_(sensors) {
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         std::string name = kPacketsStem;
-        if (sensors.size() > 1) name += "_" + make_valid_topic_name(sensors[s].frame_id);
-        const fs::path path = folder / (name + ".pcap"), temporary = make_unique_temporary_path(path);
-        files_.push_back(
-            {path, temporary, PcapWriter(temporary, packets_.get_packet_encoder(s).get_udp_port() + int(s))});
+        if (sensors.size() > 1) name += "_" + to_topic_name(sensors[s].frame_id);
+        const fs::path path = folder / (name + ".pcap"), temporary = make_temp_path(path);
+        files_.push_back({path, temporary, PcapWriter(temporary, packets_.encoder(s).udp_port() + int(s))});
     }
 }
 
@@ -36,31 +35,29 @@ void PacketFileWriter::write_packets(const std::vector<std::vector<SensorPacket>
         files_[s].capture.write_packets(packets_per_sensor[s]);
 }
 
-void PacketFileWriter::write_scans_as_packets(std::span<const RenderedScan> scans) {
-    write_packets(packets_.encode_scans_as_packets(scans));
-}
+void PacketFileWriter::write(std::span<const RenderedScan> scans) { write_packets(packets_.encode(scans)); }
 
 void PacketFileWriter::finish_writing() {
-    write_packets(packets_.flush_remaining_packets());
+    write_packets(packets_.flush());
     for (std::size_t s = 0; s < files_.size(); ++s) {
         OpenPacketFile& file = files_[s];
         file.capture.close_file();
-        write_file_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
-        const PacketCalibrationFile calibration = packets_.get_packet_encoder(s).get_packet_calibration();
+        write_atomically(file.path, [&](const fs::path& target) { fs::rename(file.temporary, target); });
+        const PacketCalibrationFile calibration = packets_.encoder(s).calibration_file();
         if (calibration.ending.empty()) continue;
         calibrations_.push_back(fs::path(file.path).replace_extension(calibration.ending));
         write_text_file(calibrations_.back(), calibration.text);
     }
 }
 
-std::vector<std::string> PacketFileWriter::list_packet_file_names() const {
+std::vector<std::string> PacketFileWriter::file_names() const {
     std::vector<std::string> names;
     for (const OpenPacketFile& file : files_) names.push_back(file.path.filename().string());
     for (const fs::path& file : calibrations_) names.push_back(file.filename().string());
     return names;
 }
 
-bool PacketFileWriter::is_packet_file_name(const fs::path& file_name) {
+bool PacketFileWriter::is_packet_file(const fs::path& file_name) {
     const std::string stem = file_name.stem().string(), ending = file_name.extension().string();
     return (stem == kPacketsStem || stem.starts_with(std::string(kPacketsStem) + "_")) &&
            (ending == ".pcap" || ending == ".json" || ending == ".csv");

@@ -27,10 +27,10 @@ public:
     PacketFileWriter(const PacketFileWriter&) = delete;
     PacketFileWriter& operator=(const PacketFileWriter&) = delete;
 
-    void write_scans_as_packets(std::span<const RenderedScan> scans);
+    void write(std::span<const RenderedScan> scans);
     void finish_writing();
-    std::vector<std::string> list_packet_file_names() const;
-    static bool is_packet_file_name(const std::filesystem::path& file_name);
+    std::vector<std::string> file_names() const;
+    static bool is_packet_file(const std::filesystem::path& name);
 
 private:
     struct OpenPacketFile {

@@ -7,8 +7,7 @@
 
 namespace relidar::scan_files {
 
-std::optional<Pose> compute_world_from_output_frame(const ScanOutputOptions& format,
-                                                    const Pose& world_from_deskewed) {
+std::optional<Pose> world_from_output(const ScanOutputOptions& format, const Pose& world_from_deskewed) {
     if (format.frame == PointCoordinateFrame::world) return Pose{};
     return format.deskew ? std::optional(world_from_deskewed) : std::nullopt;
 }
@@ -19,19 +18,18 @@ ScanInOutputFrame::ScanInOutputFrame(const RenderedScan& rendered, const ScanOut
       format(options),
       frame(frame_number),
       notes(std::move(file_notes)),
-      dataset_from_points_(compute_world_from_output_frame(options, rendered.world_from_sensor)) {}
+      dataset_from_points_(world_from_output(options, rendered.world_from_sensor)) {}
 
 const PlacedRays& ScanInOutputFrame::rays() {
     if (rays_) return *rays_;
-    LidarPoints ends =
-        convert_scan_to_points(scan, format.config, dataset_from_points_, PointSelection::rays);
+    LidarPoints ends = place_points(scan, format.config, dataset_from_points_, PointSelection::rays);
     rays_ = {scan.image.origin, scan.image.direction, std::move(ends.position_m), scan.channels};
     if (!dataset_from_points_) return *rays_;
     for (std::size_t k = 0; k < rays_->channels.size(); ++k)
         rays_->channels[k].values = std::move(ends.channels[k].values);
     FiringPoseInterpolator target(scan, inverse(*dataset_from_points_));
     for (std::size_t i = 0; i < rays_->origin.size(); ++i) {
-        const Pose& target_from_firing = target.compute_firing_pose(i);
+        const Pose& target_from_firing = target.pose_of(i);
         glm::vec3 &origin = rays_->origin[i], &direction = rays_->direction[i];
         origin = glm::vec3(target_from_firing * glm::dvec3(origin));
         direction = glm::vec3(glm::normalize(target_from_firing.rotation * glm::dvec3(direction)));
@@ -40,7 +38,7 @@ const PlacedRays& ScanInOutputFrame::rays() {
 }
 
 const LidarPoints& ScanInOutputFrame::points() {
-    if (!points_) points_ = convert_scan_to_points(scan, format.config, dataset_from_points_);
+    if (!points_) points_ = place_points(scan, format.config, dataset_from_points_);
     return *points_;
 }
 

@@ -30,7 +30,7 @@ public:
     /// @param file_notes metadata of the files
     ScanInOutputFrame(const RenderedScan& rendered, const ScanOutputOptions& options, int frame_number,
                       FileMetadata file_notes = {});
-    /// @throws DataError if require_valid_channel_names_and_sizes() finds an invalid
+    /// @throws DataError if check_channels() finds an invalid
     /// channel
     const PlacedRays& rays();
     /// Returns one point for each return of the scan.
@@ -52,9 +52,9 @@ private:
 /// Calls visit(info, values) for each channel of the output files, in the order of the
 /// files. Second returns have the channels range_2 and intensity_2.
 template <class Visit>
-void for_each_channel_written_to_files(ScanInOutputFrame& placed_scan, Visit&& visit) {
+void for_each_channel(ScanInOutputFrame& placed_scan, Visit&& visit) {
     const RenderedScan& scan = placed_scan.scan;
-    const BasicChannels& basic = get_basic_channels();
+    const BasicChannels& basic = basic_channels();
     visit(basic.range, scan.image.range_m);
     visit(basic.median_range, scan.median_range_m);
     visit(basic.intensity, scan.image.intensity);
@@ -71,7 +71,7 @@ void for_each_channel_written_to_files(ScanInOutputFrame& placed_scan, Visit&& v
         std::visit([&](const auto& values) { visit(channel.info, values); }, channel.values);
         ChannelInfo of_second = channel.info;
         of_second.name += "_2";
-        if (count_channel_values(channel.second) > 0)
+        if (count_values(channel.second) > 0)
             std::visit([&](const auto& values) { visit(of_second, values); }, channel.second);
     }
 }
@@ -81,7 +81,6 @@ void for_each_channel_written_to_files(ScanInOutputFrame& placed_scan, Visit&& v
 /// frame at the firing time of its ray.
 /// @param world_from_deskewed pose of the sensor frame in which deskewed
 /// (motion-compensated) points are expressed
-std::optional<Pose> compute_world_from_output_frame(const ScanOutputOptions& format,
-                                                    const Pose& world_from_deskewed);
+std::optional<Pose> world_from_output(const ScanOutputOptions& format, const Pose& world_from_deskewed);
 
 }  // namespace relidar::scan_files

@@ -23,7 +23,7 @@ struct PointFileField {
     char pcd_type;
 };
 
-std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
+std::vector<PointFileField> list_fields(const LidarPoints& points) {
     const bool is_empty = points.size() == 0;
     std::vector<PointFileField> fields;
     for (const char* name : {"x", "y", "z", "intensity"}) fields.push_back({name, "float", 4, 'F'});
@@ -31,12 +31,12 @@ std::vector<PointFileField> list_point_file_fields(const LidarPoints& points) {
     if (is_empty || !points.time_offset_s.empty()) fields.push_back({"time", "float", 4, 'F'});
     if (is_empty || !points.instance.empty()) fields.push_back({"instance", "int", 4, 'I'});
     if (!points.return_number.empty()) fields.push_back({"return", "uint8", 1, 'U'});
-    for (const auto& [name, is_integer] : list_channel_columns(points.channels))
+    for (const auto& [name, is_integer] : list_columns(points.channels))
         fields.push_back({name, is_integer ? "int" : "float", 4, is_integer ? 'I' : 'F'});
     return fields;
 }
 
-void require_equal_point_array_lengths(const LidarPoints& points) {
+void check_lengths(const LidarPoints& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
             fail("cannot write a point cloud: the array {} has {} values, expected {}, one for each point",
@@ -47,23 +47,23 @@ void require_equal_point_array_lengths(const LidarPoints& points) {
     check("time", points.time_offset_s.size());
     check("instance", points.instance.size());
     check("return", points.return_number.size());
-    require_valid_channel_names_and_sizes(points.channels, points.size(), "a point cloud");
+    check_channels(points.channels, points.size(), "a point cloud");
 }
 
-std::string pack_point_records(const LidarPoints& points) {
+std::string pack_records(const LidarPoints& points) {
     std::string bytes;
     bytes.reserve(points.size() * 26);
     const auto append_if_present = [&](const auto& values, std::size_t index) {
-        if (!values.empty()) append_binary_value(bytes, values[index]);
+        if (!values.empty()) append_raw(bytes, values[index]);
     };
     for (std::size_t i = 0; i < points.size(); ++i) {
-        append_binary_value(bytes, points.position_m[i]);
-        append_binary_value(bytes, points.intensity[i]);
+        append_raw(bytes, points.position_m[i]);
+        append_raw(bytes, points.intensity[i]);
         append_if_present(points.ring, i);
         append_if_present(points.time_offset_s, i);
         append_if_present(points.instance, i);
         append_if_present(points.return_number, i);
-        append_channel_values(bytes, points.channels, i);
+        append_values(bytes, points.channels, i);
     }
     return bytes;
 }
@@ -71,25 +71,24 @@ std::string pack_point_records(const LidarPoints& points) {
 }  // namespace
 
 void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
-    require_equal_point_array_lengths(points);
+    check_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
-    for (const auto& note : notes)
-        text += fmt::format("comment {}\n", codecs::format_metadata_line(note));
+    for (const auto& note : notes) text += fmt::format("comment {}\n", codecs::metadata_line(note));
     text += fmt::format("element vertex {}\n", points.size());
-    for (const PointFileField& field : list_point_file_fields(points)) {
+    for (const PointFileField& field : list_fields(points)) {
         std::string ply_name = field.name;
         for (const char* axis : {"x", "y", "z"})  // normals have the names nx, ny and nz
             if (field.name == std::string("normal_") + axis) ply_name = std::string("n") + axis;
         text += fmt::format("property {} {}\n", field.ply_type, ply_name);
     }
-    codecs::write_file(path, text + "end_header\n" + pack_point_records(points));
+    codecs::write_file(path, text + "end_header\n" + pack_records(points));
 }
 
 void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
-    require_equal_point_array_lengths(points);
+    check_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
-    for (const auto& note : notes) header += fmt::format("# {}\n", codecs::format_metadata_line(note));
-    for (const PointFileField& field : list_point_file_fields(points)) {
+    for (const auto& note : notes) header += fmt::format("# {}\n", codecs::metadata_line(note));
+    for (const PointFileField& field : list_fields(points)) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
         types += fmt::format(" {}", field.pcd_type);
@@ -103,12 +102,12 @@ void write_pcd(const std::filesystem::path& path, const LidarPoints& points, con
     for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) viewpoint.push_back(fmt::format("{}", v));
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
                           fmt::join(viewpoint, " "), n);
-    codecs::write_file(path, header + pack_point_records(points));
+    codecs::write_file(path, header + pack_records(points));
 }
 
 void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points) {
-    require_equal_point_array_lengths(points);
-    codecs::write_file(path, pack_point_records({points.position_m, points.intensity}));
+    check_lengths(points);
+    codecs::write_file(path, pack_records({points.position_m, points.intensity}));
 }
 
 }  // namespace relidar

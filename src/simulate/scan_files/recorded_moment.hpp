@@ -62,13 +62,13 @@ struct RecordedActor {
 struct SweepInterval {
     double first_s, last_s;
 };
-SweepInterval find_sweep_interval(std::span<const RenderedScan> scans);
-inline std::int64_t make_time_stamp_ns(double time_s, std::int64_t time_shift_ns) {
+SweepInterval sweep_interval(std::span<const RenderedScan> scans);
+inline std::int64_t to_stamp_ns(double time_s, std::int64_t time_shift_ns) {
     return time_shift_ns + std::llround(1e9 * time_s);
 }
-/// @return find_sweep_interval(scans)
+/// @return sweep_interval(scans)
 /// @throws DataError if a time is before 1970 or after 2038
-SweepInterval require_storable_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns);
+SweepInterval check_times(std::span<const RenderedScan> scans, std::int64_t time_shift_ns);
 
 struct RecordedCloud {
     std::uint64_t stamp_ns;  ///< firing time of the first ray

@@ -5,7 +5,7 @@
 
 namespace relidar::scan_files {
 
-std::span<const RecordingFormat> list_recording_formats() {
+std::span<const RecordingFormat> recording_formats() {
     // rosbag2 reads the quality-of-service policies as numbers because of the empty
     // metadata entry `serialized_metadata`.
     static const RecordingFormat formats[] = {
@@ -16,7 +16,7 @@ std::span<const RecordingFormat> list_recording_formats() {
          "protobuf",
          "protobuf",
          {},
-         list_foxglove_topics},
+         foxglove_topics},
         {"rosbag",
          "rosbag.mcap",
          R"(a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
@@ -25,13 +25,12 @@ and sensors, and the boxes of actors. --deskew moves points to the time of the f
          "ros2msg",
          "cdr",
          {{"rosbag2", {{"serialized_metadata", ""}}}},
-         list_ros_topics},
+         ros_topics},
     };
     return formats;
 }
 
-std::vector<ScanMessage> make_messages_in_time_order(std::span<const RecordedTopic> topics,
-                                                     const RecordedSweep& moment) {
+std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& moment) {
     std::vector<ScanMessage> messages;
     for (std::size_t topic = 0; topic < topics.size(); ++topic)
         for (auto& [time_ns, bytes] : topics[topic].messages(moment))

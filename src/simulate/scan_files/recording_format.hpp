@@ -36,13 +36,12 @@ struct RecordingFormat {
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
-std::span<const RecordingFormat> list_recording_formats();
+std::span<const RecordingFormat> recording_formats();
 
 /// Messages with the same time are in the order of the topics.
-std::vector<ScanMessage> make_messages_in_time_order(std::span<const RecordedTopic> topics,
-                                                     const RecordedSweep& moment);
+std::vector<ScanMessage> sorted_messages(std::span<const RecordedTopic> topics, const RecordedSweep& moment);
 
-std::vector<RecordedTopic> list_foxglove_topics(const RecordedRig& rig);
-std::vector<RecordedTopic> list_ros_topics(const RecordedRig& rig);
+std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
+std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
 
 }  // namespace relidar::scan_files

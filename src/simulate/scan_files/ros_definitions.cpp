@@ -10,18 +10,18 @@
 namespace relidar::scan_files {
 namespace {
 
-constexpr const char* kXyz = "float64 x\nfloat64 y\nfloat64 z\n";
+constexpr const char* kXyzDefinition = "float64 x\nfloat64 y\nfloat64 z\n";
 
-const std::map<std::string, std::string>& get_ros_message_definitions() {
+const std::map<std::string, std::string>& message_texts() {
     static const std::map<std::string, std::string> types = {
         {"builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"},
         {"std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"},
         {"unique_identifier_msgs/UUID", "uint8[16] uuid\n"},
-        {"geometry_msgs/Vector3", kXyz},
-        {"geometry_msgs/Point", kXyz},
+        {"geometry_msgs/Vector3", kXyzDefinition},
+        {"geometry_msgs/Point", kXyzDefinition},
         {"geometry_msgs/Point32", "float32 x\nfloat32 y\nfloat32 z\n"},
         {"geometry_msgs/Polygon", "geometry_msgs/Point32[] points\n"},
-        {"geometry_msgs/Quaternion", std::string(kXyz) + "float64 w\n"},
+        {"geometry_msgs/Quaternion", std::string(kXyzDefinition) + "float64 w\n"},
         {"geometry_msgs/Pose", "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"},
         {"geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose pose\nfloat64[36] covariance\n"},
         {"geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"},
@@ -73,16 +73,16 @@ const std::map<std::string, std::string>& get_ros_message_definitions() {
 
 }  // namespace
 
-std::string make_ros_message_definition(const std::string& message_type) {
-    constexpr std::string_view kMessages = "/msg/";
-    const std::size_t middle = message_type.find(kMessages);
+std::string ros_definition(const std::string& message_type) {
+    constexpr std::string_view kMessageFolder = "/msg/";
+    const std::size_t middle = message_type.find(kMessageFolder);
     const bool is_short = middle == std::string::npos;
     std::vector<std::string> types{is_short ? message_type
                                             : message_type.substr(0, middle) +
-                                                  message_type.substr(middle + kMessages.size() - 1)};
+                                                  message_type.substr(middle + kMessageFolder.size() - 1)};
     std::string definition;
     for (std::size_t i = 0; i < types.size(); ++i) {
-        const std::string& fields = get_ros_message_definitions().at(types[i]);
+        const std::string& fields = message_texts().at(types[i]);
         if (i > 0) definition += std::string(80, '=') + "\nMSG: " + types[i] + "\n";
         definition += fields;
         std::istringstream lines(fields);

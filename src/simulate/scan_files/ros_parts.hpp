@@ -11,13 +11,12 @@
 
 namespace relidar::scan_files {
 
-constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
+constexpr std::uint64_t kNsPerSecond = 1'000'000'000;  // nanoseconds per second
 // All elements are 0, because simulated poses and velocities are exact.
-constexpr int kCovariance = 36;
+constexpr int kCovarianceValues = 36;
 
 inline void add_time(codecs::CdrWriter& cdr, std::uint64_t time_ns) {
-    cdr.append_aligned_number(std::int32_t(time_ns / kNanoseconds))
-        .append_aligned_number(std::uint32_t(time_ns % kNanoseconds));
+    cdr.add_number(std::int32_t(time_ns / kNsPerSecond)).add_number(std::uint32_t(time_ns % kNsPerSecond));
 }
 inline void add_header(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& frame_id) {
     add_time(cdr, stamp_ns);
@@ -25,31 +24,31 @@ inline void add_header(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std
 }
 
 inline void add_vector(codecs::CdrWriter& cdr, const glm::dvec3& vector) {
-    cdr.append_aligned_number(vector.x).append_aligned_number(vector.y).append_aligned_number(vector.z);
+    cdr.add_number(vector.x).add_number(vector.y).add_number(vector.z);
 }
 inline void add_pose(codecs::CdrWriter& cdr, const Pose& pose) {
     add_vector(cdr, pose.translation);
-    cdr.append_aligned_number(pose.rotation.x)
-        .append_aligned_number(pose.rotation.y)
-        .append_aligned_number(pose.rotation.z)
-        .append_aligned_number(pose.rotation.w);
+    cdr.add_number(pose.rotation.x)
+        .add_number(pose.rotation.y)
+        .add_number(pose.rotation.z)
+        .add_number(pose.rotation.w);
 }
-inline void add_zero_covariance(codecs::CdrWriter& cdr) {
-    for (int i = 0; i < kCovariance; ++i) cdr.append_aligned_number(0.0);
+inline void add_covariance(codecs::CdrWriter& cdr) {
+    for (int i = 0; i < kCovarianceValues; ++i) cdr.add_number(0.0);
 }
-inline void add_velocity_with_covariance(codecs::CdrWriter& cdr, const Velocity& velocity) {
+inline void add_velocity(codecs::CdrWriter& cdr, const Velocity& velocity) {
     add_vector(cdr, velocity.linear_mps);
     add_vector(cdr, velocity.angular_radps);
-    add_zero_covariance(cdr);
+    add_covariance(cdr);
 }
 
-std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index);
-std::vector<RecordedTopic> list_ros_actor_topics();
+std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index);
+std::vector<RecordedTopic> ros_actor_topics();
 /// Definition of a message type such as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry",
 /// followed by those of all types that it contains.
-std::string make_ros_message_definition(const std::string& message_type);
+std::string ros_definition(const std::string& type);
 /// @param is_latched true if subscribers that join later receive the last message
-RecordedTopic make_ros_topic(const std::string& name, const std::string& message_type,
+RecordedTopic make_ros_topic(const std::string& name, const std::string& type,
                              std::function<std::vector<RecordedMessage>(const RecordedSweep&)> make_messages,
                              bool is_latched = false);
 

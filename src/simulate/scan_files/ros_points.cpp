@@ -15,21 +15,21 @@ struct RosField {
 };
 constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
 /// Names of Velodyne drivers. Optional channels follow.
-const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
-                                      {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
-                                      {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
+const std::vector<RosField> kPlainFields = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
+                                            {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
+                                            {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
 /// PointXYZIRCAEDT, the point type of Autoware and Nebula.
-const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},
-                                         {"z", 8, kRosFloat32},          {"intensity", 12, kRosUint8},
-                                         {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
-                                         {"azimuth", 16, kRosFloat32},   {"elevation", 20, kRosFloat32},
-                                         {"distance", 24, kRosFloat32},  {"time_stamp", 28, kRosUint32}};
+const std::vector<RosField> kAutowareFields = {
+    {"x", 0, kRosFloat32},         {"y", 4, kRosFloat32},          {"z", 8, kRosFloat32},
+    {"intensity", 12, kRosUint8},  {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
+    {"azimuth", 16, kRosFloat32},  {"elevation", 20, kRosFloat32}, {"distance", 24, kRosFloat32},
+    {"time_stamp", 28, kRosUint32}};
 
 /// as Nebula defines them
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
 /// Angles in radians. Azimuth increases from the x axis to the left.
-std::string pack_autoware_points(const LidarPoints& cloud) {
+std::string pack_autoware(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
@@ -38,29 +38,27 @@ std::string pack_autoware_points(const LidarPoints& cloud) {
         ReturnType return_type = kStrongest;
         if (is_second && i > 0)
             return_type = glm::length(p) > glm::length(cloud.position_m[i - 1]) ? kLast : kSecondStrongest;
-        append_binary_value(bytes, p);
-        append_binary_value(bytes,
-                            std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
-        append_binary_value(bytes, std::uint8_t(return_type));
-        append_binary_value(bytes, cloud.ring[i]);
-        append_binary_value(bytes, std::atan2(p.y, p.x));
-        append_binary_value(bytes, std::atan2(p.z, std::hypot(p.x, p.y)));
-        append_binary_value(bytes, glm::length(p));
-        append_binary_value(bytes,
-                            std::uint32_t(std::llround(1e9 * std::max(0.0, double(cloud.time_offset_s[i])))));
+        append_raw(bytes, p);
+        append_raw(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
+        append_raw(bytes, std::uint8_t(return_type));
+        append_raw(bytes, cloud.ring[i]);
+        append_raw(bytes, std::atan2(p.y, p.x));
+        append_raw(bytes, std::atan2(p.z, std::hypot(p.x, p.y)));
+        append_raw(bytes, glm::length(p));
+        append_raw(bytes, std::uint32_t(std::llround(1e9 * std::max(0.0, double(cloud.time_offset_s[i])))));
     }
     return bytes;
 }
 
-std::string pack_velodyne_points(const LidarPoints& cloud) {
+std::string pack_velodyne(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
-        append_binary_value(bytes, cloud.position_m[i]);
-        append_binary_value(bytes, cloud.intensity[i]);
-        append_binary_value(bytes, cloud.time_offset_s[i]);
-        append_binary_value(bytes, cloud.ring[i]);
-        append_binary_value(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
-        append_channel_values(bytes, cloud.channels, i);
+        append_raw(bytes, cloud.position_m[i]);
+        append_raw(bytes, cloud.intensity[i]);
+        append_raw(bytes, cloud.time_offset_s[i]);
+        append_raw(bytes, cloud.ring[i]);
+        append_raw(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
+        append_values(bytes, cloud.channels, i);
     }
     return bytes;
 }
@@ -71,47 +69,47 @@ struct RosPointType {
     std::string (*points)(const LidarPoints&);
     bool has_channels;
 };
-const RosPointType kPlainType{kPlain, 24, pack_velodyne_points, true},
-    kAutowareType{kAutoware, 32, pack_autoware_points, false};
+const RosPointType kPlainType{kPlainFields, 24, pack_velodyne, true},
+    kAutowareType{kAutowareFields, 32, pack_autoware, false};
 
-std::string make_point_cloud2_message(const RecordedCloud& recorded, const std::string& frame_id,
-                                      const RosPointType& point_type) {
+std::string encode_cloud2(const RecordedCloud& recorded, const std::string& frame_id,
+                          const RosPointType& point_type) {
     const LidarPoints& cloud = recorded.points;
     const std::string points = point_type.points(cloud);
     std::vector<RosField> fields = point_type.fields;
     std::uint32_t step = point_type.step;
     for (const auto& [name, is_integer] :
-         point_type.has_channels ? list_channel_columns(cloud.channels) : std::vector<ChannelColumn>{}) {
+         point_type.has_channels ? list_columns(cloud.channels) : std::vector<ChannelColumn>{}) {
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
     codecs::CdrWriter cdr;
     add_header(cdr, recorded.stamp_ns, frame_id);
-    cdr.append_aligned_number(std::uint32_t(1))
-        .append_aligned_number(std::uint32_t(cloud.size()))
-        .append_aligned_number(std::uint32_t(fields.size()));
+    cdr.add_number(std::uint32_t(1))
+        .add_number(std::uint32_t(cloud.size()))
+        .add_number(std::uint32_t(fields.size()));
     for (const RosField& field : fields)
         cdr.append_string(field.name)
-            .append_aligned_number(field.offset)
-            .append_aligned_number(field.type)
-            .append_aligned_number(std::uint32_t(1));
-    cdr.append_aligned_number(std::uint8_t(0))
-        .append_aligned_number(step)
-        .append_aligned_number(std::uint32_t(points.size()))
-        .append_byte_sequence(points)
-        .append_aligned_number(std::uint8_t(1));
-    return cdr.take_encoded_message();
+            .add_number(field.offset)
+            .add_number(field.type)
+            .add_number(std::uint32_t(1));
+    cdr.add_number(std::uint8_t(0))
+        .add_number(step)
+        .add_number(std::uint32_t(points.size()))
+        .add_bytes(points)
+        .add_number(std::uint8_t(1));
+    return cdr.take_message();
 }
 
 }  // namespace
 
-std::vector<RecordedTopic> list_ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index) {
+std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index) {
     const std::string& topic = rig.sensors[sensor_index].topic;
     const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor_index].frame_id;
     const auto of_type = [&](const std::string& name, const RosPointType& type) {
         return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedSweep& moment) {
             return std::vector<RecordedMessage>{
-                {moment.last_ns, make_point_cloud2_message(moment.clouds[sensor_index], frame, type)}};
+                {moment.last_ns, encode_cloud2(moment.clouds[sensor_index], frame, type)}};
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};

@@ -12,13 +12,13 @@
 namespace relidar::scan_files {
 
 /// Has the boxes of actors if their visibility was computed.
-std::string make_scan_entry_json(int frame_number, const RenderedScan& scan, const ScanOutputOptions& format,
-                                 const std::vector<std::string>& file_names);
+std::string entry_json(int frame_number, const RenderedScan& scan, const ScanOutputOptions& format,
+                       const std::vector<std::string>& file_names);
 
 /// Also removes half-written files of a killed process.
 /// @throws DataError if a file cannot be removed
-void remove_scan_files(const std::filesystem::path& folder);
+void remove_scans(const std::filesystem::path& folder);
 /// For a folder without single scans.
-void write_list_of_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
+void write_recordings(const std::filesystem::path& folder, const std::vector<std::string>& names);
 
 }  // namespace relidar::scan_files

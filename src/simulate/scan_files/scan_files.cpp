@@ -27,9 +27,9 @@ namespace {
 namespace fs = std::filesystem;
 using scan_files::ScanInOutputFrame;
 
-constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
+constexpr const char* kUnitsText = "metres, seconds; intensity and drop_prob 0 to 1";
 
-std::vector<double> get_row_major_matrix(const Pose& pose) {
+std::vector<double> row_major(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     std::vector<double> numbers;
     for (int row = 0; row < 4; ++row)
@@ -37,35 +37,32 @@ std::vector<double> get_row_major_matrix(const Pose& pose) {
     return numbers;
 }
 
-std::string describe_point_coordinate_frame(const ScanOutputOptions& output_options) {
+std::string describe_frame(const ScanOutputOptions& output_options) {
     if (output_options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
-    return are_points_in_one_coordinate_frame(output_options)
-               ? "sensor at time_s: x forward, y left, z up"
-               : "sensor at each ray's firing time: x forward, y left, z up";
+    return has_common_frame(output_options) ? "sensor at time_s: x forward, y left, z up"
+                                            : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
-FileMetadata make_scan_file_metadata(const ScanOutputOptions& format, int frame_number,
-                                     const RenderedScan& scan) {
+FileMetadata scan_metadata(const ScanOutputOptions& format, int frame_number, const RenderedScan& scan) {
     return {{"relidar", RELIDAR_VERSION},
             {"run", format.run},
             {"sensor", format.sensor},
             {"frame_number", fmt::format("{}", frame_number)},
             {"time_s", fmt::format("{}", scan.time_s)},
-            {"points_in", describe_point_coordinate_frame(format)},
+            {"points_in", describe_frame(format)},
             {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
-            {"world_from_sensor",
-             fmt::format("{}", fmt::join(get_row_major_matrix(scan.world_from_sensor), " "))},
-            {"units", kUnits}};
+            {"world_from_sensor", fmt::format("{}", fmt::join(row_major(scan.world_from_sensor), " "))},
+            {"units", kUnitsText}};
 }
 
 template <class T>
-NamedArray make_image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
+NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<T>& values) {
     return make_array(name, {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns)},
                       values.data(), values.size());
 }
 
-NamedArray make_image_array(const std::string& name, const RangeImage& image,
-                            const std::vector<glm::vec3>& values) {
+NamedArray image_array(const std::string& name, const RangeImage& image,
+                       const std::vector<glm::vec3>& values) {
     const float* first = values.empty() ? nullptr : &values.front().x;
     return make_array(name,
                       {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3},
@@ -76,25 +73,24 @@ std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {
     const RenderedScan& scan = output_scan.scan;
     const ScanOutputOptions& format = output_scan.format;
     const RangeImage& image = scan.image;
-    const std::vector<double> pose = get_row_major_matrix(scan.world_from_sensor);
+    const std::vector<double> pose = row_major(scan.world_from_sensor);
     const bool world = format.frame == PointCoordinateFrame::world;
-    const std::int32_t number = output_scan.frame,
-                       deskewed = are_points_in_one_coordinate_frame(format) ? 1 : 0;
+    const std::int32_t number = output_scan.frame, deskewed = has_common_frame(format) ? 1 : 0;
     const scan_files::PlacedRays& rays = output_scan.rays();
     std::vector<NamedArray> arrays{make_text_array("instance_names", format.instance_names),
-                                   make_image_array("directions", image, rays.direction),
-                                   make_image_array("origin", image, rays.origin),
-                                   make_image_array("points", image, rays.end_m),
+                                   image_array("directions", image, rays.direction),
+                                   image_array("origin", image, rays.origin),
+                                   image_array("points", image, rays.end_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
-                                   make_single_text_array("frame", world ? "world" : "sensor"),
+                                   single_text("frame", world ? "world" : "sensor"),
                                    make_array("deskewed", {}, &deskewed, 1),
-                                   make_single_text_array("sensor", format.sensor),
-                                   make_single_text_array("run", format.run),
-                                   make_single_text_array("units", kUnits)};
-    for_each_channel_written_to_files(output_scan, [&](const ChannelInfo& channel, const auto& values) {
-        arrays.push_back(make_image_array(channel.name, image, values));
+                                   single_text("sensor", format.sensor),
+                                   single_text("run", format.run),
+                                   single_text("units", kUnitsText)};
+    for_each_channel(output_scan, [&](const ChannelInfo& channel, const auto& values) {
+        arrays.push_back(image_array(channel.name, image, values));
     });
     if (scan.unseen_share) arrays.push_back(make_array("unseen", {}, &*scan.unseen_share, 1));
     return arrays;
@@ -115,8 +111,8 @@ void write_exr_file(const fs::path& path, ScanInOutputFrame& output_scan) {
     };
     add("origin", output_scan.rays().origin);
     add("direction", output_scan.rays().direction);
-    for_each_channel_written_to_files(
-        output_scan, [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
+    for_each_channel(output_scan,
+                     [&](const ChannelInfo& channel, const auto& values) { add(channel.name, values); });
     const RangeImage& image = output_scan.scan.image;
     write_exr(path, image.rows, image.columns, channels, output_scan.notes);
 }
@@ -129,7 +125,7 @@ void write_pcd_file(const fs::path& path, ScanInOutputFrame& scan) {
 }
 void write_bin_file(const fs::path& path, ScanInOutputFrame& scan) { write_kitti_bin(path, scan.points()); }
 void write_png_file(const fs::path& path, ScanInOutputFrame& scan) {
-    write_png(path, draw_scan_picture(scan.scan), scan.notes);
+    write_png(path, draw_scan(scan.scan), scan.notes);
 }
 
 struct ScanFileFormat {
@@ -141,7 +137,7 @@ constexpr const char* kPointsHelp =
     R"(the points of rays with drop_prob < 0.5, where half of the light is absorbed (the
 median range). With --set render.points=range they use the mean range, which lies between two
 surfaces at edges. The VIEWPOINT of a pcd is the pose in the dataset's world.)";
-constexpr ScanFileFormat kFormats[] = {
+constexpr ScanFileFormat kScanFormats[] = {
     {"npz", R"(range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
 origin, points [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s; instance_names.
 Metres, seconds.)",
@@ -154,10 +150,10 @@ Metres, seconds.)",
 
 }  // namespace
 
-std::vector<std::string> list_scan_formats() {
+std::vector<std::string> scan_formats() {
     std::vector<std::string> names;
-    for (const ScanFileFormat& format : kFormats) names.emplace_back(format.name);
-    for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats())
+    for (const ScanFileFormat& format : kScanFormats) names.emplace_back(format.name);
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats())
         names.emplace_back(format.name);
     names.emplace_back(scan_files::kPacketFormat);
     return names;
@@ -165,12 +161,12 @@ std::vector<std::string> list_scan_formats() {
 
 std::string make_scan_format_help() {
     std::vector<std::pair<std::string, std::string>> rows;
-    for (const ScanFileFormat& format : kFormats) {
+    for (const ScanFileFormat& format : kScanFormats) {
         if (!rows.empty() && rows.back().second == format.help)
             rows.back().first += fmt::format(", {}", format.name);
         else rows.emplace_back(format.name, format.help);
     }
-    for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats())
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats())
         rows.emplace_back(format.name, fmt::format("DIR/{}, {}", format.file, format.help));
     rows.emplace_back(scan_files::kPacketFormat, scan_files::kPacketHelp);
     std::string text;
@@ -178,16 +174,15 @@ std::string make_scan_format_help() {
     return text;
 }
 
-std::int64_t compute_time_shift_ns(const TrainedRun& run, const SimulatedSensor& sensor,
-                                   double first_scan_s) {
+std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor, double first_scan_s) {
     if (!run.sequence.frames.empty())
         first_scan_s = std::min(first_scan_s, run.sequence.frames.front().time_s);
-    double first_ray_s = sensor.pattern ? -get_scan_period_s(*sensor.pattern) : 0.0;
+    double first_ray_s = sensor.pattern ? -scan_period_s(*sensor.pattern) : 0.0;
     for (const float t : sensor.rays.time_offset_s) first_ray_s = std::min(first_ray_s, 1.01 * double(t));
-    return compute_time_shift_ns(run.sequence, first_scan_s + first_ray_s);
+    return time_shift_of(run.sequence, first_scan_s + first_ray_s);
 }
 
-ScanOutputOptions make_default_output_options(const TrainedRun& run, const SimulatedSensor& sensor) {
+ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor) {
     ScanOutputOptions format;
     for (const ModelInstance& instance : run.scene.instances) {
         format.instance_names.push_back(instance.track.empty() ? "background" : instance.track);
@@ -199,39 +194,38 @@ ScanOutputOptions make_default_output_options(const TrainedRun& run, const Simul
     format.world_offset_m = run.sequence.world_offset_m;
     const Lidar& lidar = run.sequence.lidars[std::size_t(sensor.lidar)];
     format.vehicle_from_lidar = lidar.vehicle_from_sensor;
-    format.rolling_shutter = fires_rays_at_different_times(sensor, run.config);
-    set_topic_and_frame_id_from_name(format, lidar.name);
+    format.rolling_shutter = is_rolling(sensor, run.config);
+    name_topics(format, lidar.name);
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
     if (sensor.is_log_lidar && !lidar.pattern) format.packets.sensor = lidar.sensor;
-    format.time_shift_ns = compute_time_shift_ns(run, sensor);
+    format.time_shift_ns = time_shift_of(run, sensor);
     format.config = run.config;
     if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
     return format;
 }
 
-bool are_points_in_one_coordinate_frame(const ScanOutputOptions& output_options) {
+bool has_common_frame(const ScanOutputOptions& output_options) {
     return output_options.frame == PointCoordinateFrame::world || output_options.deskew ||
            !output_options.rolling_shutter;
 }
 
-std::vector<NamedArray> make_scan_arrays(const RenderedScan& scan, int frame_number,
-                                         const ScanOutputOptions& format) {
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame_number,
+                                    const ScanOutputOptions& format) {
     ScanInOutputFrame placed(scan, format, frame_number);
     return make_npz_arrays(placed);
 }
 
-bool ScanFolderWriter::is_output_format_selected(const std::string& format) const {
+bool ScanFolderWriter::has_format(const std::string& format) const {
     return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
 }
 
 void ScanFolderWriter::write_scan(int frame_number, const RenderedScan& scan) {
-    ScanInOutputFrame placed(scan, format_, frame_number,
-                             make_scan_file_metadata(format_, frame_number, scan));
+    ScanInOutputFrame placed(scan, format_, frame_number, scan_metadata(format_, frame_number, scan));
     std::vector<std::string> files;
-    for (const ScanFileFormat& format : kFormats) {
-        if (!is_output_format_selected(format.name)) continue;
+    for (const ScanFileFormat& format : kScanFormats) {
+        if (!has_format(format.name)) continue;
         files.push_back(fmt::format("frame_{:06}.{}", frame_number, format.name));
         format.write(folder_ / files.back(), placed);
     }
@@ -239,7 +233,7 @@ void ScanFolderWriter::write_scan(int frame_number, const RenderedScan& scan) {
     for (const ScanChannel& channel : scan.channels)
         if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end())
             channels_.push_back(channel.info);
-    entries_.push_back(scan_files::make_scan_entry_json(frame_number, scan, format_, files));
+    entries_.push_back(scan_files::entry_json(frame_number, scan, format_, files));
 }
 
 }  // namespace relidar

@@ -26,37 +26,37 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr const char *kSummary = "scans.json", *kSummaryFormat = "relidar scans";
+constexpr const char *kSummaryName = "scans.json", *kSummaryFormat = "relidar scans";
 // exists while a rendering is not finished
-constexpr const char* kUnfinished = ".unfinished_scans";
+constexpr const char* kUnfinishedName = ".unfinished_scans";
 
-bool is_output_file_name(const fs::path& name) {
+bool is_output_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
-    if (name == kSummary || scan_files::PacketFileWriter::is_packet_file_name(name) ||
-        std::ranges::any_of(scan_files::list_recording_formats(), is_named))
+    if (name == kSummaryName || scan_files::PacketFileWriter::is_packet_file(name) ||
+        std::ranges::any_of(scan_files::recording_formats(), is_named))
         return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
-    const std::vector<std::string> formats = list_scan_formats();
+    const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&
            stem.find_first_not_of("0123456789", prefix.size()) == std::string::npos && !extension.empty() &&
            std::find(formats.begin(), formats.end(), extension.substr(1)) != formats.end();
 }
 
-std::vector<fs::path> list_output_files(const fs::path& folder) {
+std::vector<fs::path> output_files(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;
     for (const auto& entry : fs::directory_iterator(folder, failed))
-        if (is_output_file_name(entry.path().filename())) files.push_back(entry.path());
+        if (is_output_name(entry.path().filename())) files.push_back(entry.path());
     std::sort(files.begin(), files.end());
     return files;
 }
 
-std::set<std::string> read_listed_names(const fs::path& folder) {
-    std::ifstream file(folder / kSummary);
+std::set<std::string> listed_names(const fs::path& folder) {
+    std::ifstream file(folder / kSummaryName);
     const Json json = Json::parse(file, nullptr, false);
     std::set<std::string> names;
     if (!json.is_object() || json.value("format", Json()) != kSummaryFormat) return names;
-    names.insert(kSummary);
+    names.insert(kSummaryName);
     const auto add = [&](const Json& list) {
         for (const Json& name : list)
             if (name.is_string()) names.insert(name.get<std::string>());
@@ -67,7 +67,7 @@ std::set<std::string> read_listed_names(const fs::path& folder) {
     return names;
 }
 
-Json make_matrix_json(const Pose& pose) {
+Json matrix_json(const Pose& pose) {
     const glm::dmat4 columns = to_matrix(pose);
     Json rows = Json::array();
     for (int row = 0; row < 4; ++row)
@@ -76,7 +76,7 @@ Json make_matrix_json(const Pose& pose) {
 }
 
 /// Numbers and booleans keep their type. Other values become strings.
-Json make_settings_json(const Config& config) {
+Json settings_json(const Config& config) {
     Json json = Json::object();
     for (const ConfigKey& key : list_config_keys(config)) {
         const Json value = Json::parse(key.value, nullptr, false);
@@ -85,12 +85,12 @@ Json make_settings_json(const Config& config) {
     return json;
 }
 
-Json make_channels_json(const std::vector<ChannelInfo>& channels) {
+Json channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
     const auto add = [&](const ChannelInfo& channel) {
         json[channel.name] = {{"unit", channel.unit}, {"meaning", channel.meaning}};
     };
-    std::ranges::for_each(list_channels_written_to_files(), add);
+    std::ranges::for_each(file_channels(), add);
     std::ranges::for_each(channels, add);
     return json;
 }
@@ -99,21 +99,19 @@ Json make_channels_json(const std::vector<ChannelInfo>& channels) {
 
 ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, JoinExistingTag)
     : folder_(std::move(folder)), format_(std::move(format)) {
-    const std::vector<std::string> supported_formats = list_scan_formats();
+    const std::vector<std::string> supported_formats = scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(supported_formats.begin(), supported_formats.end(), name) == supported_formats.end())
             fail<UsageError>("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
-                             format_name_suggestion(name, supported_formats),
-                             fmt::join(supported_formats, ", "));
-    create_folder_and_require_writable(folder_);
-    channels_ = parse_channel_names(format_.config.render.channels);
+                             did_you_mean(name, supported_formats), fmt::join(supported_formats, ", "));
+    prepare_folder(folder_);
+    channels_ = parse_channels(format_.config.render.channels);
 }
 
-ScanFolderWriter ScanFolderWriter::join_folder_of_other_process(fs::path folder,
-                                                                ScanOutputOptions output_options) {
+ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOptions output_options) {
     ScanFolderWriter joined(std::move(folder), std::move(output_options), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
-        if (is_recording_format(name))
+        if (is_recording(name))
             fail<UsageError>("the format {} stores all scans in one file; expected a single process", name);
     return joined;
 }
@@ -122,28 +120,27 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
     : ScanFolderWriter(std::move(folder), std::move(format), JoinExistingTag{}) {
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
     // The marker of an interrupted rendering stays if there are scans.
-    unfinished_marker_ = {new fs::path(folder_ / kUnfinished), [](const fs::path* marker) {
+    unfinished_marker_ = {new fs::path(folder_ / kUnfinishedName), [](const fs::path* marker) {
                               std::error_code failed;
-                              if (list_output_files(marker->parent_path()).empty())
-                                  fs::remove(*marker, failed);
+                              if (output_files(marker->parent_path()).empty()) fs::remove(*marker, failed);
                               delete marker;
                           }};
     write_text_file(*unfinished_marker_, "relidar has not finished the scans in this folder\n");
 }
 
-void ScanFolderWriter::finish_scan_folder() {
-    if (recordings_) recordings_->finish_recording_files();
-    write_summary_file();
-    fs::remove(folder_ / kUnfinished);
+void ScanFolderWriter::finish() {
+    if (recordings_) recordings_->finish();
+    write_summary();
+    fs::remove(folder_ / kUnfinishedName);
 }
 
-void ScanFolderWriter::write_summary_file() const {
+void ScanFolderWriter::write_summary() const {
     const Config& config = format_.config;
     const bool world = format_.frame == PointCoordinateFrame::world;
     const std::string range = config.render.points == "median" ? "median" : config.render.range;
     const Json points = {
         {"frame", world ? "world" : "sensor"},
-        {"deskewed", are_points_in_one_coordinate_frame(format_)},
+        {"deskewed", has_common_frame(format_)},
         {"range", range},
         {"returned", "drop_prob < 0.5"},
         {"returns", config.sensor.returns == 2 ? "1: the strongest return, 2: the last return, or the second "
@@ -159,35 +156,35 @@ void ScanFolderWriter::write_summary_file() const {
          {{"name", format_.sensor},
           {"min_range_m", format_.limits.min_m},
           {"max_range_m", format_.limits.max_m}}},
-        {"sensor_offset", make_matrix_json(format_.offset)},
+        {"sensor_offset", matrix_json(format_.offset)},
         {"trajectory", format_.trajectory.empty() ? Json() : Json(format_.trajectory)},
         {"time_shift_ns", format_.time_shift_ns},
         {"units", "metres, seconds; times of points are relative to time_s; intensity, drop_prob: 0 to 1"},
         {"points", points},
-        {"channels", make_channels_json(channels_)},
+        {"channels", channels_json(channels_)},
         {"instances", format_.instance_names},
         {"only", format_.only},
         {"sample", format_.sample ? Json(*format_.sample) : Json()},
         {"weather", format_weather(format_.weather)},
         {"recordings", Json::array()},
         {"scans", Json::array()},
-        {"settings", make_settings_json(config)}};
+        {"settings", settings_json(config)}};
     if (recordings_) json["recordings"] = recordings_->list_file_names();
     for (const std::string& entry : entries_) json["scans"].push_back(Json::parse(entry));
-    write_text_file(folder_ / kSummary, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
+    write_text_file(folder_ / kSummaryName, json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n");
 }
 
 namespace {
 
-Json make_actor_boxes_json(const std::vector<ActorBox>& boxes) {
+Json boxes_json(const std::vector<ActorBox>& boxes) {
     Json json = Json::array();
     for (const ActorBox& box : boxes)
         json.push_back({{"track", box.track},
                         {"category", box.category},
-                        {"class", get_name(parse_object_kind(box.category))},
+                        {"class", name_of(parse_kind(box.category))},
                         {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
                         {"time_s", box.time_s},
-                        {"world_from_box", make_matrix_json(box.dataset_from_box)},
+                        {"world_from_box", matrix_json(box.dataset_from_box)},
                         {"velocity_mps", {box.velocity_mps.x, box.velocity_mps.y, box.velocity_mps.z}},
                         {"points", box.n_points},
                         {"visible_share", box.visible_share}});
@@ -196,58 +193,58 @@ Json make_actor_boxes_json(const std::vector<ActorBox>& boxes) {
 
 }  // namespace
 
-std::string scan_files::make_scan_entry_json(int frame_number, const RenderedScan& scan,
-                                             const ScanOutputOptions& format,
-                                             const std::vector<std::string>& file_names) {
-    const std::vector<float>& range_m = select_point_ranges(scan, format.config);
+std::string scan_files::entry_json(int frame_number, const RenderedScan& scan,
+                                   const ScanOutputOptions& format,
+                                   const std::vector<std::string>& file_names) {
+    const std::vector<float>& range_m = point_ranges(scan, format.config);
     std::size_t n_points = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
         n_points += is_ray_returned(scan.image.drop_prob[i], range_m[i]);
     Json sides = Json::array(), completed = Json::array();
     for (const UnobservedActorSide& unseen : scan.unseen_sides)
         (unseen.is_completed ? completed : sides)
-            .push_back({{"track", unseen.track}, {"side", get_name(unseen.side)}, {"rays", unseen.n_rays}});
+            .push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
     const Json entry = {{"frame_number", frame_number},
                         {"time_s", scan.time_s},
-                        {"world_from_sensor", make_matrix_json(scan.world_from_sensor)},
+                        {"world_from_sensor", matrix_json(scan.world_from_sensor)},
                         {"rays", scan.image.range_m.size()},
                         {"points", n_points},
                         {"dropped", scan.image.range_m.size() - n_points},
                         {"unseen", scan.unseen_share ? Json(*scan.unseen_share) : Json()},
                         {"unseen_sides", sides},
                         {"completed_sides", completed},
-                        {"boxes", make_actor_boxes_json(find_actor_boxes(scan, format))},
+                        {"boxes", boxes_json(actor_boxes_of(scan, format))},
                         {"files", file_names}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
 std::vector<fs::path> list_scan_files(const fs::path& folder) {
-    std::vector<fs::path> files = list_output_files(folder);
+    std::vector<fs::path> files = output_files(folder);
     std::error_code failed;
-    if (files.empty() || fs::exists(folder / kUnfinished, failed)) return files;
-    const std::set<std::string> listed = read_listed_names(folder);
+    if (files.empty() || fs::exists(folder / kUnfinishedName, failed)) return files;
+    const std::set<std::string> listed = listed_names(folder);
     std::erase_if(files, [&](const fs::path& file) { return !listed.contains(file.filename().string()); });
     return files;
 }
 
-fs::path find_foreign_scan_file(const fs::path& folder) {
+fs::path find_foreign_file(const fs::path& folder) {
     const std::vector<fs::path> ours = list_scan_files(folder);
-    for (const fs::path& file : list_output_files(folder))
+    for (const fs::path& file : output_files(folder))
         if (!std::ranges::binary_search(ours, file)) return file;
     return {};
 }
 
-void scan_files::write_list_of_recordings(const fs::path& folder, const std::vector<std::string>& names) {
+void scan_files::write_recordings(const fs::path& folder, const std::vector<std::string>& names) {
     const Json json = {{"format", kSummaryFormat},
                        {"version", 1},
                        {"relidar", RELIDAR_VERSION},
                        {"recordings", names},
                        {"scans", Json::array()}};
-    write_text_file(folder / kSummary, json.dump(1) + "\n");
+    write_text_file(folder / kSummaryName, json.dump(1) + "\n");
 }
 
-void scan_files::remove_scan_files(const fs::path& folder) {
-    if (const fs::path foreign = find_foreign_scan_file(folder); !foreign.empty())
+void scan_files::remove_scans(const fs::path& folder) {
+    if (const fs::path foreign = find_foreign_file(folder); !foreign.empty())
         fail<UsageError>("cannot write scans to {}: found {}, which is not listed in a scans.json",
                          folder.string(), foreign.filename().string());
     for (const fs::path& file : list_scan_files(folder)) {
@@ -255,7 +252,7 @@ void scan_files::remove_scan_files(const fs::path& folder) {
         fs::remove(file, failed);
         if (failed) fail("cannot remove {} of an earlier rendering: {}", file.string(), failed.message());
     }
-    remove_temporary_files(folder);
+    remove_temp(folder);
 }
 
 }  // namespace relidar

@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& config) {
+Scan to_measured(const RenderedScan& scan, const Config& config) {
     const RangeImage& image = scan.image;
     Scan measured;
     measured.rays.rows = image.rows;
@@ -18,7 +18,7 @@ Scan convert_rendered_to_measured_scan(const RenderedScan& scan, const Config& c
     measured.rays.direction = to_scan_array(image.direction);
     measured.rays.time_offset_s = to_scan_array(scan.time_offset_s);
     measured.rays.channel = to_scan_array(scan.ring);
-    measured.range_m = to_scan_array(select_point_ranges(scan, config));
+    measured.range_m = to_scan_array(point_ranges(scan, config));
     measured.intensity = to_scan_array(image.intensity);
     measured.second_returns = scan.second_returns;
     for (std::size_t i = 0; i < measured.range_m.size(); ++i) {
@@ -40,7 +40,7 @@ ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
     for (const ScanOutputOptions& format : sensors) {
         if (!format.packets.sensor)
             fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", format.sensor,
-                             format_packet_sensor_names());
+                             packet_sensors());
         const PacketOptions options{.start_ns = format.time_shift_ns,
                                     .returns = format.config.sensor.returns,
                                     .ouster_profile = format.packets.ouster_profile};
@@ -51,26 +51,25 @@ ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
 
 ScanPacketEncoder::~ScanPacketEncoder() = default;
 
-std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode_scans_as_packets(
-    std::span<const RenderedScan> scans) {
+std::vector<std::vector<SensorPacket>> ScanPacketEncoder::encode(std::span<const RenderedScan> scans) {
     if (scans.size() != impl_->encoders.size())
         fail<UsageError>("cannot write packets: found {} scans, expected {}, one of each sensor",
                          scans.size(), impl_->encoders.size());
-    scan_files::require_storable_times(scans, impl_->sensors.front().time_shift_ns);
+    scan_files::check_times(scans, impl_->sensors.front().time_shift_ns);
     std::vector<std::vector<SensorPacket>> packets;
     for (std::size_t s = 0; s < scans.size(); ++s)
-        packets.push_back(impl_->encoders[s]->encode_scan_as_packets(
-            convert_rendered_to_measured_scan(scans[s], impl_->sensors[s].config), scans[s].time_s));
+        packets.push_back(
+            impl_->encoders[s]->add_scan(to_measured(scans[s], impl_->sensors[s].config), scans[s].time_s));
     return packets;
 }
 
-std::vector<std::vector<SensorPacket>> ScanPacketEncoder::flush_remaining_packets() {
+std::vector<std::vector<SensorPacket>> ScanPacketEncoder::flush() {
     std::vector<std::vector<SensorPacket>> packets;
-    for (const auto& encoder : impl_->encoders) packets.push_back(encoder->flush_remaining_packets());
+    for (const auto& encoder : impl_->encoders) packets.push_back(encoder->flush());
     return packets;
 }
 
-const PacketEncoder& ScanPacketEncoder::get_packet_encoder(std::size_t sensor_index) const {
+const PacketEncoder& ScanPacketEncoder::encoder(std::size_t sensor_index) const {
     return *impl_->encoders[sensor_index];
 }
 

@@ -13,12 +13,12 @@ namespace {
 
 // Ratio of width to height.
 constexpr double kPictureAspect = 8.0;
-constexpr float kFarthest_m = 80.0f;
+constexpr float kMaxColourRange_m = 80.0f;
 // Rays without image rows are drawn in lines of this length.
 constexpr int kRaysPerLine = 2048;
 
 /// The last line ends with dropped rays. Has only the values that a picture shows.
-RangeImage arrange_rays_in_picture_rows(const RangeImage& image) {
+RangeImage arrange_rows(const RangeImage& image) {
     RangeImage lines;
     lines.columns = kRaysPerLine;
     lines.rows = (image.columns + kRaysPerLine - 1) / kRaysPerLine;
@@ -34,50 +34,48 @@ RangeImage arrange_rays_in_picture_rows(const RangeImage& image) {
 
 }  // namespace
 
-std::vector<float> make_returned_pixel_mask(const RangeImage& image) {
+std::vector<float> return_mask(const RangeImage& image) {
     std::vector<float> mask(image.range_m.size());
     for (std::size_t i = 0; i < mask.size(); ++i)
         mask[i] = is_ray_returned(image.drop_prob[i], image.range_m[i]) ? 1.0f : 0.0f;
     return mask;
 }
 
-Image draw_range_picture(const RangeImage& image, double max_range_m) {
+Image draw_range(const RangeImage& image, double max_range_m) {
     std::vector<float> square_roots = image.range_m;
     for (float& v : square_roots) v = std::sqrt(std::max(v, 0.0f));
     return apply_colour_map(square_roots, image.rows, image.columns, 0.0f,
-                            static_cast<float>(std::sqrt(max_range_m)), "turbo",
-                            make_returned_pixel_mask(image));
+                            static_cast<float>(std::sqrt(max_range_m)), "turbo", return_mask(image));
 }
 
-Image draw_intensity_picture(const RangeImage& image) {
+Image draw_intensity(const RangeImage& image) {
     return apply_colour_map(image.intensity, image.rows, image.columns, 0.0f, 1.0f, "gray",
-                            make_returned_pixel_mask(image));
+                            return_mask(image));
 }
-Image draw_ray_drop_picture(const RangeImage& image) {
+Image draw_drop(const RangeImage& image) {
     return apply_colour_map(image.drop_prob, image.rows, image.columns, 0.0f, 1.0f, "gray");
 }
 
-int compute_vertical_stretch_factor(const RangeImage& image) {
+int stretch_factor(const RangeImage& image) {
     return std::max(1, static_cast<int>(std::lround(image.columns / (kPictureAspect * image.rows))));
 }
 
 namespace {
 
-Image draw_channels_of_image(const RangeImage& image) {
+Image draw_channels(const RangeImage& image) {
     float farthest = 1.0f;
     for (const float range : image.range_m) farthest = std::max(farthest, range);
-    return stack_images_vertically(
-        {draw_range_picture(image, static_cast<double>(std::min(farthest, kFarthest_m))),
-         draw_intensity_picture(image), draw_ray_drop_picture(image)},
-        compute_vertical_stretch_factor(image));
+    return stack_images({draw_range(image, static_cast<double>(std::min(farthest, kMaxColourRange_m))),
+                         draw_intensity(image), draw_drop(image)},
+                        stretch_factor(image));
 }
 
 }  // namespace
 
-Image draw_scan_picture(const RenderedScan& scan) {
+Image draw_scan(const RenderedScan& scan) {
     if (scan.image.rows == 1 && scan.image.columns > kRaysPerLine)
-        return draw_channels_of_image(arrange_rays_in_picture_rows(scan.image));
-    return draw_channels_of_image(scan.image);
+        return draw_channels(arrange_rows(scan.image));
+    return draw_channels(scan.image);
 }
 
 }  // namespace relidar

@@ -36,7 +36,7 @@ public:
     RecordingFileWriter(fs::path path, const RecordingFormat& format, const RecordedRig& rig,
                         const FileMetadata& notes)
         : path_(std::move(path)),
-          temporary_(make_unique_temporary_path(path_)),
+          temporary_(make_temp_path(path_)),
           writer_(temporary_, format.profile),
           topics_(format.topics(rig)) {
         std::map<std::string, std::uint16_t> schemas;
@@ -57,19 +57,19 @@ public:
         fs::remove(temporary_, failed);
     }
 
-    void write_sweep_messages(const RecordedSweep& moment) {
-        for (const ScanMessage& message : make_messages_in_time_order(topics_, moment)) {
+    void write(const RecordedSweep& moment) {
+        for (const ScanMessage& message : sorted_messages(topics_, moment)) {
             // Log times must not decrease, although sweeps can overlap.
             last_logged_ns_ = std::max(last_logged_ns_, message.time_ns);
             writer_.add_message(channels_[message.topic], last_logged_ns_, message.bytes);
         }
         // A chunk per scan, because players display all messages of a scan together.
-        writer_.write_pending_chunk();
+        writer_.write_chunk();
     }
 
     void finish_writing() {
-        writer_.write_summary_and_close();
-        write_file_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
+        writer_.finish();
+        write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
     }
 
 private:
@@ -88,17 +88,17 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool is_valid_topic_character(char character) {
+bool is_topic_char(char character) {
     return std::isalnum(static_cast<unsigned char>(character)) != 0 || character == '_';
 }
 
 /// One or more words, each after a slash; a word does not begin with a digit.
-bool is_valid_topic_name(const std::string& topic) {
+bool is_topic_name(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
         const bool begins_word = topic[i - 1] == '/';
         if (topic[i] == '/' ? begins_word
-                            : !is_valid_topic_character(topic[i]) ||
+                            : !is_topic_char(topic[i]) ||
                                   (begins_word && std::isdigit(static_cast<unsigned char>(topic[i]))))
             return false;
     }
@@ -106,10 +106,10 @@ bool is_valid_topic_name(const std::string& topic) {
 }
 
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
-void require_valid_topic_and_frame_names(const scan_files::RecordedRig& rig) {
+void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
-        if (!is_valid_topic_name(sensor.topic))
+        if (!is_topic_name(sensor.topic))
             fail<UsageError>(
                 "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points",
                 sensor.topic);
@@ -121,7 +121,7 @@ void require_valid_topic_and_frame_names(const scan_files::RecordedRig& rig) {
     }
 }
 
-void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& topics) {
+void check_unique_topics(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> topic_names;
     for (const scan_files::RecordedTopic& topic : topics)
         if (!topic_names.insert(topic.name).second)
@@ -130,19 +130,18 @@ void require_unique_topic_names(const std::vector<scan_files::RecordedTopic>& to
                 topic.name, fmt::join(topic_names, ", "));
 }
 
-const char* describe_recording_coordinate_frame(const ScanOutputOptions& output_options) {
+const char* describe_rig_frame(const ScanOutputOptions& output_options) {
     if (output_options.frame == PointCoordinateFrame::world) return "world";
-    return are_points_in_one_coordinate_frame(output_options) ? "sensor at the stamp"
-                                                              : "sensor at each ray's firing time";
+    return has_common_frame(output_options) ? "sensor at the stamp" : "sensor at each ray's firing time";
 }
 
-std::string format_exact_seconds(std::int64_t time_ns) {
+std::string format_seconds(std::int64_t time_ns) {
     constexpr std::int64_t kSecond_ns = 1'000'000'000;
     const std::string seconds = fmt::format("{}", time_ns / kSecond_ns);
     return time_ns % kSecond_ns == 0 ? seconds : fmt::format("{}.{:09}", seconds, time_ns % kSecond_ns);
 }
 
-FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
+FileMetadata recording_metadata(const std::vector<ScanOutputOptions>& sensors) {
     const ScanOutputOptions& format = sensors.front();
     std::vector<std::string> names;
     for (const ScanOutputOptions& sensor : sensors)
@@ -152,31 +151,31 @@ FileMetadata make_recording_metadata(const std::vector<ScanOutputOptions>& senso
             {"dataset", format.config.dataset.path},
             {"sensor", fmt::format("{}", fmt::join(names, ", "))},
             {"trajectory", format.trajectory},
-            {"time_shift_s", format_exact_seconds(format.time_shift_ns)},
-            {"points_in", describe_recording_coordinate_frame(format)},
+            {"time_shift_s", format_seconds(format.time_shift_ns)},
+            {"points_in", describe_rig_frame(format)},
             {"units", "metres, seconds; intensity 0 to 1"}};
 }
 
 }  // namespace
 
-std::string make_valid_topic_name(const std::string& name) {
+std::string to_topic_name(const std::string& name) {
     std::string word = name;
     std::ranges::replace_if(
-        word, [](char character) { return !is_valid_topic_character(character); }, '_');
+        word, [](char character) { return !is_topic_char(character); }, '_');
     if (!word.empty() && std::isdigit(static_cast<unsigned char>(word.front())))
         word.insert(word.begin(), '_');
     return word;
 }
 
-void set_topic_and_frame_id_from_name(ScanOutputOptions& output_options, const std::string& sensor_name) {
+void name_topics(ScanOutputOptions& output_options, const std::string& sensor_name) {
     output_options.topic =
-        sensor_name.empty() ? "/lidar/points" : "/lidar/" + make_valid_topic_name(sensor_name) + "/points";
+        sensor_name.empty() ? "/lidar/points" : "/lidar/" + to_topic_name(sensor_name) + "/points";
     output_options.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
 }
 
-bool is_recording_format(const std::string& format) {
+bool is_recording(const std::string& format) {
     return format == scan_files::kPacketFormat ||
-           std::ranges::any_of(scan_files::list_recording_formats(),
+           std::ranges::any_of(scan_files::recording_formats(),
                                [&](const auto& known) { return format == known.name; });
 }
 
@@ -189,40 +188,40 @@ struct ScanRecordingsWriter::Impl {
 };
 
 ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutputOptions> sensors) {
-    scan_files::remove_scan_files(folder);
+    scan_files::remove_scans(folder);
     impl_ = std::make_shared<Impl>(Impl{scan_files::SweepRecorder(sensors), folder, {}, {}, {}});
     const std::vector<std::string>& requested_formats = sensors.front().formats;
-    const scan_files::RecordedRig rig = impl_->recorder.make_recorded_rig();
-    for (const scan_files::RecordingFormat& format : scan_files::list_recording_formats()) {
+    const scan_files::RecordedRig rig = impl_->recorder.recorded_rig();
+    for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) {
         if (std::ranges::find(requested_formats, format.name) == requested_formats.end()) continue;
-        require_valid_topic_and_frame_names(rig);
-        require_unique_topic_names(format.topics(rig));
+        check_names(rig);
+        check_unique_topics(format.topics(rig));
         impl_->names.emplace_back(format.file);
         impl_->files.push_back(std::make_unique<scan_files::RecordingFileWriter>(
-            folder / format.file, format, rig, make_recording_metadata(sensors)));
+            folder / format.file, format, rig, recording_metadata(sensors)));
     }
     if (std::ranges::find(requested_formats, scan_files::kPacketFormat) == requested_formats.end()) return;
     impl_->packets = std::make_unique<scan_files::PacketFileWriter>(folder, sensors);
 }
 
 void ScanRecordingsWriter::write_scans(std::span<const RenderedScan> scans) {
-    if (impl_->packets) impl_->packets->write_scans_as_packets(scans);
+    if (impl_->packets) impl_->packets->write(scans);
     if (impl_->files.empty()) return;
-    const scan_files::RecordedSweep moment = impl_->recorder.convert_scans_to_recorded_sweep(scans);
-    for (const auto& file : impl_->files) file->write_sweep_messages(moment);
+    const scan_files::RecordedSweep moment = impl_->recorder.record(scans);
+    for (const auto& file : impl_->files) file->write(moment);
 }
 
-void ScanRecordingsWriter::finish_recording_files() {
+void ScanRecordingsWriter::finish() {
     for (const auto& file : impl_->files) file->finish_writing();
     if (impl_->packets) impl_->packets->finish_writing();
     const std::vector<std::string> names = list_file_names();
-    if (!names.empty()) scan_files::write_list_of_recordings(impl_->folder, names);
+    if (!names.empty()) scan_files::write_recordings(impl_->folder, names);
 }
 
 std::vector<std::string> ScanRecordingsWriter::list_file_names() const {
     std::vector<std::string> names = impl_->names;
     if (impl_->packets)
-        for (const std::string& name : impl_->packets->list_packet_file_names()) names.push_back(name);
+        for (const std::string& name : impl_->packets->file_names()) names.push_back(name);
     return names;
 }
 
@@ -233,7 +232,7 @@ struct ScanMessageEncoder::Impl {
 
 ScanMessageEncoder::ScanMessageEncoder(std::vector<ScanOutputOptions> sensors)
     : impl_(std::make_shared<Impl>(Impl{scan_files::SweepRecorder(std::move(sensors)), {}})) {
-    impl_->topics = scan_files::list_foxglove_topics(impl_->recorder.make_recorded_rig());
+    impl_->topics = scan_files::foxglove_topics(impl_->recorder.recorded_rig());
 }
 
 std::vector<ScanTopic> ScanMessageEncoder::list_topics() const {
@@ -245,9 +244,8 @@ std::vector<ScanTopic> ScanMessageEncoder::list_topics() const {
     return topics;
 }
 
-std::vector<ScanMessage> ScanMessageEncoder::convert_to_messages(std::span<const RenderedScan> scans) {
-    return scan_files::make_messages_in_time_order(impl_->topics,
-                                                   impl_->recorder.convert_scans_to_recorded_sweep(scans));
+std::vector<ScanMessage> ScanMessageEncoder::encode(std::span<const RenderedScan> scans) {
+    return scan_files::sorted_messages(impl_->topics, impl_->recorder.record(scans));
 }
 
 }  // namespace relidar

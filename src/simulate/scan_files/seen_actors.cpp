@@ -14,21 +14,21 @@ constexpr double kVelocityStep_s = 0.005;
 class SampledScanRays {
 public:
     explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
-        constexpr std::size_t kMost = 4096;
+        constexpr std::size_t kMaxSampledRays = 4096;
         // An odd step does not divide the number of columns, so that rows differ.
-        const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
+        const std::size_t n = scan.image.direction.size(), step = (n / kMaxSampledRays) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
     /// Firing time of the ray that passes closest to a moving point.
     template <class PositionFunction>
-    double find_firing_time_towards_point(const PositionFunction& get_position_m) const {
+    double time_towards(const PositionFunction& get_position_m) const {
         // Fixed-point iterations: the time gives a direction, which gives the next time.
-        constexpr int kRounds = 3;
+        constexpr int kTimeIterations = 3;
         double time_s = scan_.time_s;
-        for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
-            const glm::vec3 towards(glm::normalize(inverse(interpolate_sensor_pose_in_scan(scan_, time_s)) *
-                                                   get_position_m(time_s)));
+        for (int round = 0; round < kTimeIterations && !rays_.empty(); ++round) {
+            const glm::vec3 towards(
+                glm::normalize(inverse(sensor_pose_at(scan_, time_s)) * get_position_m(time_s)));
             const auto cosine = [&](const SampledRay& ray) { return glm::dot(ray.direction, towards); };
             time_s = scan_.time_s + double(std::ranges::max_element(rays_, {}, cosine)->time_offset_s);
         }
@@ -44,12 +44,12 @@ private:
     std::vector<SampledRay> rays_;
 };
 
-std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
-                                              const std::string& track_id) {
+std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
+                                  const std::string& track_id) {
     const auto name = std::ranges::find(format.instance_names, track_id);
     if (name == format.instance_names.end()) return {};
     const auto instance = name - format.instance_names.begin();
-    const std::vector<float>& range_m = select_point_ranges(scan, format.config);
+    const std::vector<float>& range_m = point_ranges(scan, format.config);
     std::vector<float> times_s;
     for (std::size_t i = 0; i < range_m.size(); ++i)
         if (scan.instance[i] == instance && is_ray_returned(scan.image.drop_prob[i], range_m[i]))
@@ -59,7 +59,7 @@ std::vector<float> list_firing_times_on_actor(const RenderedScan& scan, const Sc
 
 /// The start and the end of a sweep hit different parts of a box behind the sensor. Such
 /// a box gets the median time of its returns, to match the larger part.
-double choose_time_of_box(const RenderedScan& scan, double faced_s, std::vector<float> return_times_s) {
+double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<float> return_times_s) {
     // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;
     if (return_times_s.empty()) return faced_s;
@@ -74,11 +74,11 @@ double choose_time_of_box(const RenderedScan& scan, double faced_s, std::vector<
 
 }  // namespace
 
-Pose interpolate_sensor_pose_in_scan(const RenderedScan& scan, double time_s) {
-    return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.interpolate_pose(time_s);
+Pose sensor_pose_at(const RenderedScan& scan, double time_s) {
+    return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.pose_at(time_s);
 }
 
-Velocity compute_object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s) {
+Velocity object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s) {
     const Twist twist = compute_twist(get_world_from_object(time_s - kVelocityStep_s),
                                       get_world_from_object(time_s + kVelocityStep_s));
     const glm::dquat thing_from_world = glm::conjugate(get_world_from_object(time_s).rotation);
@@ -87,8 +87,7 @@ Velocity compute_object_velocity(const std::function<Pose(double)>& get_world_fr
             thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
-std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
-                                                     const ScanOutputOptions& format) {
+std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format) {
     const SampledScanRays rays(scan);
     std::vector<ActorInScan> actors;
     for (const BoxTrack& box : format.actors) {
@@ -96,16 +95,15 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
         std::optional<double> visible_share;
         if (view != scan.actor_views.end())
             visible_share = std::min(1.0, double(view->n_rays) / double(view->n_rays_alone));
-        if (!visible_share && !box.is_observed_at_time(scan.time_s)) continue;
+        if (!visible_share && !box.is_observed(scan.time_s)) continue;
         const auto world_from_box = [&box, &format](double t_s) {
-            const Pose pose = box.world_from_box.interpolate_pose(t_s);
+            const Pose pose = box.world_from_box.pose_at(t_s);
             return Pose{pose.rotation, pose.translation + format.world_offset_m};
         };
-        const double faced_s =
-            rays.find_firing_time_towards_point([&](double t_s) { return world_from_box(t_s).translation; });
-        const std::vector<float> times_s = list_firing_times_on_actor(scan, format, box.id);
-        actors.push_back({&box, world_from_box, choose_time_of_box(scan, faced_s, times_s), times_s.size(),
-                          visible_share});
+        const double faced_s = rays.time_towards([&](double t_s) { return world_from_box(t_s).translation; });
+        const std::vector<float> times_s = times_on_actor(scan, format, box.id);
+        actors.push_back(
+            {&box, world_from_box, choose_box_time(scan, faced_s, times_s), times_s.size(), visible_share});
     }
     return actors;
 }
@@ -114,27 +112,25 @@ std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
 
 namespace relidar {
 
-std::vector<ActorBox> find_actor_boxes(const RenderedScan& scan, const ScanOutputOptions& format) {
+std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputOptions& format) {
     std::vector<ActorBox> boxes;
     if (scan.actor_views.empty()) return boxes;
-    for (const scan_files::ActorInScan& actor : scan_files::find_actors_present_in_scan(scan, format)) {
+    for (const scan_files::ActorInScan& actor : scan_files::find_actors(scan, format)) {
         if (!actor.visible_share) continue;
         const Pose pose = actor.world_from_box(actor.faced_s);
         const glm::dvec3 velocity_mps =
-            pose.rotation *
-            scan_files::compute_object_velocity(actor.world_from_box, actor.faced_s).linear_mps;
+            pose.rotation * scan_files::object_velocity(actor.world_from_box, actor.faced_s).linear_mps;
         boxes.push_back({actor.box->id, actor.box->category, actor.box->size_m, actor.faced_s, pose,
                          velocity_mps, actor.n_points, *actor.visible_share});
     }
     return boxes;
 }
 
-void set_actor_boxes_to_requested_poses(ScanOutputOptions& output_options,
-                                        const ActorTracksByName& dataset_from_actor) {
+void move_actor_boxes(ScanOutputOptions& output_options, const ActorTracksByName& dataset_from_actor) {
     std::erase_if(output_options.actors, [&](BoxTrack& box) {
         const auto poses = dataset_from_actor.find(box.id);
         if (poses == dataset_from_actor.end()) return true;
-        box.world_from_box = add_offset_to_track_positions(poses->second, -output_options.world_offset_m);
+        box.world_from_box = shift_track(poses->second, -output_options.world_offset_m);
         return false;
     });
 }

@@ -20,18 +20,17 @@ struct ActorInScan {
     double faced_s;
     std::size_t n_points;  ///< number of first returns of the scan on the actor
     /// Rays that hit the actor first, divided by those that would hit it alone. No value
-    /// if no ray would hit it, or without ScanRenderer::enable_actor_visibility().
+    /// if no ray would hit it, or without ScanRenderer::count_actor_rays().
     std::optional<double> visible_share;
 };
 
 /// @param format has the actors; must outlive the result
-std::vector<ActorInScan> find_actors_present_in_scan(const RenderedScan& scan,
-                                                     const ScanOutputOptions& format);
+std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format);
 
 /// In the world frame of the dataset.
-Pose interpolate_sensor_pose_in_scan(const RenderedScan& scan, double time_s);
+Pose sensor_pose_at(const RenderedScan& scan, double time_s);
 
 /// Central differences of the poses.
-Velocity compute_object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s);
+Velocity object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s);
 
 }  // namespace relidar::scan_files

@@ -11,18 +11,18 @@ namespace {
 
 // Makes the random numbers of weather and sampled returns independent.
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
-constexpr const char* kSource = "source";
+constexpr const char* kSourceChannel = "source";
 
 using ReturnCauses = std::vector<std::int32_t>;
 
 /// Sets all causes to `nothing`.
-ScanChannel& prepare_return_cause_channel(RenderedScan& scan) {
-    const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
+ScanChannel& prepare_causes(RenderedScan& scan) {
+    const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
     const auto source_channel = std::ranges::find_if(scan.channels, has_name);
     const bool is_there = source_channel != scan.channels.end();
     ScanChannel& channel =
         is_there ? *source_channel
-                 : scan.channels.emplace_back(ScanChannel{parse_channel_names(kSource).front(), {}});
+                 : scan.channels.emplace_back(ScanChannel{parse_channels(kSourceChannel).front(), {}});
     const ReturnCauses nothing(scan.image.range_m.size(), std::int32_t(ReturnCause::nothing));
     channel.values = nothing;
     if (!scan.second_returns.empty()) channel.second = nothing;
@@ -30,7 +30,7 @@ ScanChannel& prepare_return_cause_channel(RenderedScan& scan) {
 }
 
 /// Null if the scan does not have this channel.
-ScanChannel* prepare_velocity_channel(RenderedScan& scan) {
+ScanChannel* prepare_velocity(RenderedScan& scan) {
     for (ScanChannel& channel : scan.channels) {
         if (channel.info.name != "velocity") continue;
         if (!scan.second_returns.empty()) channel.second = std::vector<float>(scan.instance.size(), 0.0f);
@@ -39,14 +39,12 @@ ScanChannel* prepare_velocity_channel(RenderedScan& scan) {
     return nullptr;
 }
 
-void clear_surface_values_of_ray(RenderedScan& scan, std::size_t ray_index) {
+void clear_surface(RenderedScan& scan, std::size_t ray_index) {
     scan.instance[ray_index] = -1;
     for (ScanChannel& channel : scan.channels)
         if (!channel.info.of_ray)
             std::visit(
-                [&]<class T>(std::vector<T>& values) {
-                    values[ray_index] = get_value_of_rays_without_hit<T>(channel.info);
-                },
+                [&]<class T>(std::vector<T>& values) { values[ray_index] = empty_value<T>(channel.info); },
                 channel.values);
 }
 
@@ -56,28 +54,28 @@ public:
         : scan_(scan),
           input_(input),
           air_(input),
-          channel_(prepare_return_cause_channel(scan)),
-          velocity_(input.motion && !input.weather.is_clear() ? prepare_velocity_channel(scan) : nullptr) {}
+          channel_(prepare_causes(scan)),
+          velocity_(input.motion && !input.weather.is_clear() ? prepare_velocity(scan) : nullptr) {}
 
-    void apply_weather_to_ray(std::size_t ray_index, std::uint64_t seed) {
+    void apply_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
         RayWeatherState ray{.index = ray_index};
         if (is_ray_returned(scan_.image.drop_prob[ray_index], scan_.median_range_m[ray_index]))
             ray.strongest =
-                make_surface_echo(scan_.median_range_m[ray_index], scan_.image.intensity[ray_index]);
+                surface_echo_of(scan_.median_range_m[ray_index], scan_.image.intensity[ray_index]);
         if (has_second)
-            ray.second = make_surface_echo(scan_.second_returns[0].range_m[ray_index],
-                                           scan_.second_returns[0].intensity[ray_index]);
+            ray.second = surface_echo_of(scan_.second_returns[0].range_m[ray_index],
+                                         scan_.second_returns[0].intensity[ray_index]);
         EchoPair echoes{ray.strongest, ray.second};
         if (!input_.weather.is_clear()) {
             const bool is_blind = !input_.blind.empty() && input_.blind[ray_index] != 0;
-            ray.free_m = is_blind ? 0.0 : compute_free_path_m(ray);
-            echoes = air_.compute_echoes_in_weather(ray, seed);
-            write_strongest_echo(ray_index, ray.strongest, echoes.strongest);
-            if (has_second) write_second_echo(scan_.second_returns[0], ray_index, echoes.second);
+            ray.free_m = is_blind ? 0.0 : free_path_m(ray);
+            echoes = air_.echoes_of_ray(ray, seed);
+            write_strongest(ray_index, ray.strongest, echoes.strongest);
+            if (has_second) write_second(scan_.second_returns[0], ray_index, echoes.second);
             if (velocity_) {
-                write_air_velocity(velocity_->values, ray_index, echoes.strongest);
-                if (has_second) write_air_velocity(velocity_->second, ray_index, echoes.second);
+                set_air_velocity(velocity_->values, ray_index, echoes.strongest);
+                if (has_second) set_air_velocity(velocity_->second, ray_index, echoes.second);
             }
         }
         std::get<ReturnCauses>(channel_.values)[ray_index] = std::int32_t(echoes.strongest.source);
@@ -92,64 +90,60 @@ private:
     ScanChannel& channel_;
     ScanChannel* const velocity_;  // null if the scan has no channel "velocity"
 
-    LidarEcho make_surface_echo(float range_m, float intensity) const {
+    LidarEcho surface_echo_of(float range_m, float intensity) const {
         if (!(range_m > 0.0f)) return {};
-        return {double(range_m),
-                double(intensity) / input_.response.compute_intensity_factor_at_range(double(range_m)),
+        return {double(range_m), double(intensity) / input_.response.range_factor(double(range_m)),
                 ReturnCause::surface};
     }
-    float compute_reported_intensity(const LidarEcho& echo) const {
-        return std::min(static_cast<float>(echo.reflectivity *
-                                           input_.response.compute_intensity_factor_at_range(echo.range_m)),
+    float reported_intensity(const LidarEcho& echo) const {
+        return std::min(static_cast<float>(echo.reflectivity * input_.response.range_factor(echo.range_m)),
                         1.0f);
     }
     /// A surface without a return also stops the light.
-    double compute_free_path_m(const RayWeatherState& ray) const {
+    double free_path_m(const RayWeatherState& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =
             ray.strongest.source == ReturnCause::surface || scan_.weight[ray.index] >= 0.5f;
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
-    void write_strongest_echo(std::size_t ray_index, const LidarEcho& echo_before_weather,
-                              const LidarEcho& echo_after_weather) {
+    void write_strongest(std::size_t ray_index, const LidarEcho& echo_before_weather,
+                         const LidarEcho& echo_after_weather) {
         RangeImage& image = scan_.image;
         if (echo_after_weather.source == ReturnCause::nothing) {
             if (echo_before_weather.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
             return;
         }
-        image.intensity[ray_index] = compute_reported_intensity(echo_after_weather);
+        image.intensity[ray_index] = reported_intensity(echo_after_weather);
         if (echo_after_weather.source == echo_before_weather.source &&
             echo_after_weather.range_m == echo_before_weather.range_m)
             return;
         image.drop_prob[ray_index] = 0.0f;
         image.range_m[ray_index] = scan_.median_range_m[ray_index] = scan_.mean_range_m[ray_index] =
             static_cast<float>(echo_after_weather.range_m);
-        clear_surface_values_of_ray(scan_, ray_index);
+        clear_surface(scan_, ray_index);
     }
     /// Sunlight and stray light have no object, so their velocity stays 0.
-    void write_air_velocity(ChannelValues& values, std::size_t ray_index, const LidarEcho& echo) const {
+    void set_air_velocity(ChannelValues& values, std::size_t ray_index, const LidarEcho& echo) const {
         if (echo.source < ReturnCause::fog || echo.source > ReturnCause::mirror) return;
-        const RayMotion ray = input_.motion->compute_ray_motion(scan_, ray_index);
+        const RayMotion ray = input_.motion->motion_of_ray(scan_, ray_index);
         std::get<std::vector<float>>(values)[ray_index] =
             float(echo.away_mps - ray.sensor_away_mps - echo.fall_mps * ray.direction.z);
     }
-    void write_second_echo(AdditionalReturns& second, std::size_t ray_index, const LidarEcho& echo) const {
+    void write_second(AdditionalReturns& second, std::size_t ray_index, const LidarEcho& echo) const {
         second.range_m[ray_index] = static_cast<float>(echo.range_m);
-        second.intensity[ray_index] =
-            echo.source == ReturnCause::nothing ? 0.0f : compute_reported_intensity(echo);
+        second.intensity[ray_index] = echo.source == ReturnCause::nothing ? 0.0f : reported_intensity(echo);
     }
 };
 
 }  // namespace
 
-void add_weather_to_scan(RenderedScan& scan, const WeatherInput& weather_input) {
-    const std::uint64_t of_scan = hash_integer_pair(
-        hash_integer_pair(weather_input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
+void add_weather(RenderedScan& scan, const WeatherInput& weather_input) {
+    const std::uint64_t of_scan =
+        hash_pair(hash_pair(weather_input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
     ScanWeatherApplier rays(scan, weather_input);
-    parallel_for_in_blocks(scan.image.range_m.size(), [&](std::size_t ray) {
-        rays.apply_weather_to_ray(ray, hash_integer_pair(of_scan, ray));
-    });
+    parallel_blocks(scan.image.range_m.size(),
+                    [&](std::size_t ray) { rays.apply_to_ray(ray, hash_pair(of_scan, ray)); });
 }
 
 }  // namespace relidar

@@ -16,21 +16,21 @@ constexpr double kBrightestUnknownSurface = 4.0;
 
 /// Compares surfaces by their reflectivities, as in clear air, and other returns by their
 /// powers.
-bool has_light_of_second_return(const EchoCandidate& candidate, const EchoCandidate& strongest) {
+bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& strongest) {
     const auto& [range_m, reflectivity, source, fall_mps, away_mps] = candidate.echo;
     if (source == ReturnCause::surface && strongest.echo.source == ReturnCause::surface)
         return reflectivity >= kSecondReturnShare * strongest.echo.reflectivity;
     return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
 }
 
-LidarEcho select_second_return(const EchoCandidates& candidates, const EchoCandidate& strongest,
-                               double min_separation_m) {
+LidarEcho select_second(const EchoCandidates& candidates, const EchoCandidate& strongest,
+                        double min_separation_m) {
     LidarEcho last, next;
     double power = 0.0;
     for (const EchoCandidate& candidate : candidates) {
         const double range_m = candidate.echo.range_m, strongest_m = strongest.echo.range_m;
         if (std::abs(range_m - strongest_m) < min_separation_m) continue;
-        if (!has_light_of_second_return(candidate, strongest)) continue;
+        if (!is_bright_enough(candidate, strongest)) continue;
         if (range_m > std::max(strongest_m, last.range_m)) last = candidate.echo;
         if (candidate.power > power) {
             next = candidate.echo;
@@ -40,11 +40,11 @@ LidarEcho select_second_return(const EchoCandidates& candidates, const EchoCandi
     return last.source == ReturnCause::nothing ? next : last;
 }
 
-std::vector<std::unique_ptr<RayWeatherEffect>> make_weather_effects(const WeatherInput& input) {
-    require_valid_weather(input.weather);
+std::vector<std::unique_ptr<RayWeatherEffect>> make_effects(const WeatherInput& input) {
+    check_weather(input.weather);
     std::vector<std::unique_ptr<RayWeatherEffect>> effects;
     for (const WeatherEffectEntry* effect : kWeatherEffects) {
-        if (!effect->is_effect_active_in_weather(input.weather)) continue;
+        if (!effect->is_active(input.weather)) continue;
         if (auto prepared = effect->prepare(input)) effects.push_back(std::move(prepared));
     }
     return effects;
@@ -52,59 +52,56 @@ std::vector<std::unique_ptr<RayWeatherEffect>> make_weather_effects(const Weathe
 
 }  // namespace
 
-double WeatherSensorProperties::compute_min_detected_power_at_range(double range_m) const {
-    return std::max(
-        {compute_min_detectable_power(), min_specified_power, weakest_reflectivity / (range_m * range_m)});
+double WeatherSensorProperties::min_power_at(double range_m) const {
+    return std::max({floor_power(), min_specified_power, weakest_reflectivity / (range_m * range_m)});
 }
 
 WeatherRaySimulator::WeatherRaySimulator(const WeatherInput& input)
-    : WeatherRaySimulator(input.weather, input.sensor, make_weather_effects(input)) {}
+    : WeatherRaySimulator(input.weather, input.sensor, make_effects(input)) {}
 
 WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
-    : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)), effects_(std::move(effects)) {}
+    : sensor_(sensor), alpha_(extinction_per_m(weather)), effects_(std::move(effects)) {}
 
 /// If the log has a lower intensity than the sensor could detect, the intensity is not
 /// exact: returns a random value above the limit.
-double WeatherRaySimulator::sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const {
-    const double lowest = sensor_.compute_min_detected_power_at_range(surface_echo.range_m) *
-                          surface_echo.range_m * surface_echo.range_m;
+double WeatherRaySimulator::sample_albedo(const LidarEcho& surface_echo, Random& random) const {
+    const double lowest =
+        sensor_.min_power_at(surface_echo.range_m) * surface_echo.range_m * surface_echo.range_m;
     if (surface_echo.reflectivity >= lowest) return surface_echo.reflectivity;
-    return std::lerp(lowest, kBrightestUnknownSurface * lowest, random.sample_uniform_number());
+    return std::lerp(lowest, kBrightestUnknownSurface * lowest, random.sample_uniform());
 }
 
-void WeatherRaySimulator::append_surface_echo(EchoCandidates& candidates, LidarEcho echo,
-                                              double wet_ground_brightness, Random& random) const {
+void WeatherRaySimulator::append_surface(EchoCandidates& candidates, LidarEcho echo,
+                                         double wet_ground_brightness, Random& random) const {
     if (echo.source == ReturnCause::nothing) return;
     const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * wet_ground_brightness;
-    const double power =
-        sample_surface_reflectivity(echo, random) * transmission / (echo.range_m * echo.range_m);
+    const double power = sample_albedo(echo, random) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor_.compute_min_detected_power_at_range(echo.range_m))
-        candidates.push_back({echo, power});
+    if (power >= sensor_.min_power_at(echo.range_m)) candidates.push_back({echo, power});
 }
 
-void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
-                               const WeatherSensorProperties& sensor, double transmission) {
+void append_detectable(EchoCandidates& candidates, LidarEcho echo, const WeatherSensorProperties& sensor,
+                       double transmission) {
     if (echo.source == ReturnCause::nothing || echo.range_m > sensor.max_range_m) return;
     echo.reflectivity *= transmission;
     const double power = echo.reflectivity / (echo.range_m * echo.range_m);
     const double weakest = echo.source == ReturnCause::blooming
-                               ? std::max(sensor.compute_min_detectable_power(), sensor.min_stray_power)
-                               : sensor.compute_min_detected_power_at_range(echo.range_m);
+                               ? std::max(sensor.floor_power(), sensor.min_stray_power)
+                               : sensor.min_power_at(echo.range_m);
     if (power >= weakest) candidates.push_back({echo, power});
 }
 
-EchoPair WeatherRaySimulator::compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const {
+EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const {
     Random random(seed);
     EchoCandidates candidates;
-    for (const auto& effect : effects_) effect->modify_surface_return(ray);
-    append_surface_echo(candidates, ray.strongest, ray.through_water, random);
-    append_surface_echo(candidates, ray.second, 1.0, random);
-    for (const auto& effect : effects_) effect->append_effect_returns(candidates, ray, random);
+    for (const auto& effect : effects_) effect->modify_surface(ray);
+    append_surface(candidates, ray.strongest, ray.through_water, random);
+    append_surface(candidates, ray.second, 1.0, random);
+    for (const auto& effect : effects_) effect->append_returns(candidates, ray, random);
     if (candidates.empty()) return {};
     const EchoCandidate strongest = *std::ranges::max_element(candidates, {}, &EchoCandidate::power);
-    return {strongest.echo, select_second_return(candidates, strongest, sensor_.separation_m)};
+    return {strongest.echo, select_second(candidates, strongest, sensor_.separation_m)};
 }
 
 }  // namespace relidar

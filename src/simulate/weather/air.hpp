@@ -20,16 +20,14 @@
 namespace relidar {
 
 // Range at which the receiver begins to see the laser beam (Hahner et al. 2021).
-inline constexpr double kOverlap_m = 1.0;
+inline constexpr double kLaserOverlap_m = 1.0;
 inline constexpr double kLight_m_s = 299792458.0;
 
-inline double compute_min_air_return_range_m(const WeatherSensorProperties& sensor) {
-    return std::max(kOverlap_m, sensor.min_range_m);
+inline double min_air_range_m(const WeatherSensorProperties& sensor) {
+    return std::max(kLaserOverlap_m, sensor.min_range_m);
 }
-inline double compute_pulse_length_m(const WeatherSensorProperties& sensor) {
-    return kLight_m_s * sensor.pulse_s;
-}
-inline double compute_beam_diameter_m(const WeatherSensorProperties& sensor, double range_m) {
+inline double pulse_length_m(const WeatherSensorProperties& sensor) { return kLight_m_s * sensor.pulse_s; }
+inline double beam_width_m(const WeatherSensorProperties& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
 
@@ -38,7 +36,7 @@ struct WeatherInput {
     const WeatherSensorProperties& sensor;
     const RenderedScan& scan;  ///< scan in clear air, without weather
     const IntensityResponse& response;
-    glm::dvec3 world_offset_m{0.0};  ///< see LidarSequence::world_offset_m
+    glm::dvec3 world_offset_m{0.0};  ///< see Log::world_offset_m
     std::function<RenderedRayValues(const WorldRays&)> trace = {};
     std::uint64_t seed = 0;
     /// [rays] true if an object close to the sensor blocks the ray; it then has no
@@ -65,9 +63,9 @@ class RayWeatherEffect {
 public:
     virtual ~RayWeatherEffect() = default;
     /// Called before the air attenuates the light.
-    virtual void modify_surface_return(RayWeatherState& /*ray*/) const {}
-    virtual void append_effect_returns(EchoCandidates& /*candidates*/, const RayWeatherState& /*ray*/,
-                                       Random& /*random*/) const {}
+    virtual void modify_surface(RayWeatherState& /*ray*/) const {}
+    virtual void append_returns(EchoCandidates& /*candidates*/, const RayWeatherState& /*ray*/,
+                                Random& /*random*/) const {}
 };
 
 struct EchoPair {
@@ -76,32 +74,32 @@ struct EchoPair {
 
 class WeatherRaySimulator {
 public:
-    /// @throws UsageError for weather that require_valid_weather() rejects
+    /// @throws UsageError for weather that check_weather() rejects
     explicit WeatherRaySimulator(const WeatherInput& input);
     WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
     /// The second return is the last one, or the second strongest if the last is the
     /// strongest. Both are at least WeatherSensorProperties::separation_m apart, and the
     /// second has a tenth of the light. Leaves out returns below the detection threshold.
-    EchoPair compute_echoes_in_weather(RayWeatherState ray, std::uint64_t seed) const;
+    EchoPair echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const;
 
 private:
     const WeatherSensorProperties sensor_;
     const double alpha_;
     std::vector<std::unique_ptr<RayWeatherEffect>> effects_;
 
-    double sample_surface_reflectivity(const LidarEcho& surface_echo, Random& random) const;
-    void append_surface_echo(EchoCandidates& candidates, LidarEcho echo, double wet_ground_brightness,
-                             Random& random) const;
+    double sample_albedo(const LidarEcho& surface_echo, Random& random) const;
+    void append_surface(EchoCandidates& candidates, LidarEcho echo, double wet_ground_brightness,
+                        Random& random) const;
 };
 
 /// @param transmission  share of the light that the air does not absorb or scatter
-void append_echo_if_detectable(EchoCandidates& candidates, LidarEcho echo,
-                               const WeatherSensorProperties& sensor, double transmission);
+void append_detectable(EchoCandidates& candidates, LidarEcho echo, const WeatherSensorProperties& sensor,
+                       double transmission);
 
 /// If the weather causes a return, the ray gets its range and intensity, the instance -1
 /// and no surface values. The channel `source` has the causes; clear air changes only
 /// this channel. The result depends only on seed and time, not on the number of threads.
-void add_weather_to_scan(RenderedScan& scan, const WeatherInput& weather_input);
+void add_weather(RenderedScan& scan, const WeatherInput& weather_input);
 
 }  // namespace relidar

@@ -19,10 +19,10 @@ namespace {
 
 // Makes the random factor of each beam independent of other random numbers.
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
-constexpr float kSaturated = 0.95f;
-constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
+constexpr float kMinReflectorIntensity = 0.95f;
+constexpr double kLogSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
 // Smaller angles are set to this value: at them, the beam would hit the reflector itself.
-constexpr double kNearest_deg = 0.5;
+constexpr double kMinHaloAngle_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
 
@@ -37,12 +37,12 @@ struct RetroReflector {
     double range_m, deg2;
 };
 
-bool is_retro_reflector_hit(const RenderedScan& scan, std::size_t ray_index) {
+bool is_retro_reflector(const RenderedScan& scan, std::size_t ray_index) {
     return is_ray_returned(scan.image.drop_prob[ray_index], scan.median_range_m[ray_index]) &&
-           scan.image.intensity[ray_index] >= kSaturated;
+           scan.image.intensity[ray_index] >= kMinReflectorIntensity;
 }
 
-std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
+std::vector<RetroReflector> find_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, DirectionCell> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
         const glm::dvec3 direction(scan.image.direction[i]);
@@ -52,7 +52,7 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
             std::atan2(direction.y, direction.x) * kPerRad * std::cos((row + 0.5) / kPerRad);
         DirectionCell& square = squares[{int(row), int(std::floor(column))}];
         ++square.rays;
-        if (!is_retro_reflector_hit(scan, i)) continue;
+        if (!is_retro_reflector(scan, i)) continue;
         ++square.reflectors;
         square.direction += direction;
         square.range_m += double(scan.median_range_m[i]);
@@ -66,8 +66,7 @@ std::vector<RetroReflector> find_retro_reflectors(const RenderedScan& scan) {
 }
 
 /// Without the factors of the setting `bloom` and of the beam.
-LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors,
-                                   const glm::dvec3& ray_direction) {
+LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::dvec3& ray_direction) {
     std::vector<double> share;
     std::size_t most = 0;
     const auto power = [&](std::size_t index) {
@@ -76,7 +75,7 @@ LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors
     for (const RetroReflector& reflector : reflectors) {
         const double off_deg =
             std::max(std::acos(std::clamp(glm::dot(reflector.direction, ray_direction), -1.0, 1.0)) * kPerRad,
-                     kNearest_deg);
+                     kMinHaloAngle_deg);
         share.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
         if (power(share.size() - 1) > power(most)) most = share.size() - 1;
     }
@@ -86,22 +85,22 @@ LidarEcho compute_stray_light_echo(const std::vector<RetroReflector>& reflectors
     return echo;
 }
 
-/// Surfaces with an intensity of at least kSaturated are reflectors. The brightest
+/// Surfaces with an intensity of at least kMinReflectorIntensity are reflectors. The brightest
 /// reflector determines the range.
 /// @return [rays]; empty if there are no reflectors
-std::vector<LidarEcho> compute_stray_light_per_ray(const WeatherInput& input) {
+std::vector<LidarEcho> stray_echoes(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
-    const std::vector<RetroReflector> reflectors = find_retro_reflectors(scan);
+    const std::vector<RetroReflector> reflectors = find_reflectors(scan);
     if (reflectors.empty()) return {};
     const std::uint64_t of_scan =
-        hash_integer_pair(hash_integer_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
+        hash_pair(hash_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
     std::vector<LidarEcho> stray(scan.image.direction.size());
-    parallel_for_in_blocks(stray.size(), [&](std::size_t ray) {
-        if (is_retro_reflector_hit(scan, ray)) return;
-        stray[ray] = compute_stray_light_echo(reflectors, glm::dvec3(scan.image.direction[ray]));
+    parallel_blocks(stray.size(), [&](std::size_t ray) {
+        if (is_retro_reflector(scan, ray)) return;
+        stray[ray] = stray_echo(reflectors, glm::dvec3(scan.image.direction[ray]));
         stray[ray].reflectivity *=
             input.weather.bloom *
-            std::exp(kSpread * Random(hash_integer_pair(of_scan, scan.ring[ray])).sample_standard_normal());
+            std::exp(kLogSpread * Random(hash_pair(of_scan, scan.ring[ray])).sample_normal());
     });
     return stray;
 }
@@ -109,15 +108,12 @@ std::vector<LidarEcho> compute_stray_light_per_ray(const WeatherInput& input) {
 class BloomingEffect : public RayWeatherEffect {
 public:
     BloomingEffect(const WeatherInput& input, std::vector<LidarEcho> stray)
-        : sensor_(input.sensor),
-          alpha_(compute_extinction_coefficient(input.weather)),
-          stray_(std::move(stray)) {}
+        : sensor_(input.sensor), alpha_(extinction_per_m(input.weather)), stray_(std::move(stray)) {}
 
-    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                               Random&) const override {
+    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray, Random&) const override {
         const LidarEcho& echo = stray_[ray.index];
         if (ray.free_m > 0.0)
-            append_echo_if_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m));
+            append_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m));
     }
 
 private:
@@ -131,7 +127,7 @@ constexpr WeatherParameter kBloomNumbers[] = {
 
 }  // namespace
 
-const WeatherEffectEntry kBlooming{
+const WeatherEffectEntry kBloomingEffect{
     .name = "bloom",
     .form = "bloom[=REFLECTIVITY]",
     .meaning = "stray light of reflectors",
@@ -140,7 +136,7 @@ const WeatherEffectEntry kBlooming{
     .numbers = kBloomNumbers,
     .n_required = 0,
     .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
-        std::vector<LidarEcho> stray = compute_stray_light_per_ray(input);
+        std::vector<LidarEcho> stray = stray_echoes(input);
         if (stray.empty()) return nullptr;
         return std::make_unique<BloomingEffect>(input, std::move(stray));
     }};

@@ -17,45 +17,42 @@ namespace {
 
 constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of backscattered power.
 // Per metre and steradian, times the visibility in metres (Rasshofer et al. 2011).
-constexpr double kBackscatter = 0.046;
+constexpr double kFogBackscatter = 0.046;
 // Of the logarithm of the density. The value is an assumption.
 constexpr double kFogSpread = 1.0;
 // Standard deviations above the mean of the logarithmic density.
 constexpr double kRareFog = 5.0;
 
-double compute_fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
+double fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
 
 class FogEffect : public RayWeatherEffect {
 public:
     explicit FogEffect(const WeatherInput& input)
         : sensor_(input.sensor),
-          alpha_(compute_extinction_coefficient(input.weather)),
+          alpha_(extinction_per_m(input.weather)),
           visibility_m_(input.weather.fog_visibility_m) {
         const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)),
-                     rises_to_m = compute_min_air_return_range_m(sensor_) + compute_pulse_length_m(sensor_);
+                     rises_to_m = min_air_range_m(sensor_) + pulse_length_m(sensor_);
         bool shows = true;
-        for (double r = compute_min_air_return_range_m(sensor_);
-             shows && r <= sensor_.max_range_m + kFogStep_m; r += kFogStep_m) {
-            power_.push_back(compute_mean_fog_power(r));
-            shows =
-                r < rises_to_m || power_.back() * thickest > sensor_.compute_min_detected_power_at_range(r);
+        for (double r = min_air_range_m(sensor_); shows && r <= sensor_.max_range_m + kFogStep_m;
+             r += kFogStep_m) {
+            power_.push_back(mean_fog_power(r));
+            shows = r < rises_to_m || power_.back() * thickest > sensor_.min_power_at(r);
         }
     }
 
-    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                               Random& random) const override {
+    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                        Random& random) const override {
         if (power_.empty()) return;
-        const double stretch_m = 0.5 * compute_pulse_length_m(sensor_),
-                     first_m = compute_min_air_return_range_m(sensor_);
+        const double stretch_m = 0.5 * pulse_length_m(sensor_), first_m = min_air_range_m(sensor_);
         for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
-            const double range_m = begin_m + stretch_m * random.sample_uniform_number(),
+            const double range_m = begin_m + stretch_m * random.sample_uniform(),
                          table_position = (range_m - first_m) / kFogStep_m;
             const auto k = std::size_t(table_position);
             if (range_m >= ray.free_m || k + 1 >= power_.size()) return;
             const double mean = std::lerp(power_[k], power_[k + 1], table_position - double(k));
-            const double power =
-                mean * std::exp(kFogSpread * (random.sample_standard_normal() - 0.5 * kFogSpread));
-            if (power >= sensor_.compute_min_detected_power_at_range(range_m))
+            const double power = mean * std::exp(kFogSpread * (random.sample_normal() - 0.5 * kFogSpread));
+            if (power >= sensor_.min_power_at(range_m))
                 candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::fog}, power});
         }
     }
@@ -67,16 +64,16 @@ private:
     std::vector<double> power_;
 
     /// Integrates over the pulse with the midpoint rule.
-    double compute_mean_fog_power(double range_m) const {
-        constexpr int kParts = 32;
-        const double width_m = compute_pulse_length_m(sensor_), part_m = width_m / kParts;
+    double mean_fog_power(double range_m) const {
+        constexpr int kPulseSteps = 32;
+        const double width_m = pulse_length_m(sensor_), part_m = width_m / kPulseSteps;
         double sum = 0.0;
-        for (int i = 0; i < kParts; ++i) {
+        for (int i = 0; i < kPulseSteps; ++i) {
             const double x = -0.5 * width_m + (i + 0.5) * part_m, r = range_m + x,
                          pulse = std::cos(kPi * x / width_m);
-            if (r >= kOverlap_m) sum += pulse * pulse * std::exp(-2.0 * alpha_ * r) / (r * r) * part_m;
+            if (r >= kLaserOverlap_m) sum += pulse * pulse * std::exp(-2.0 * alpha_ * r) / (r * r) * part_m;
         }
-        return kPi * kBackscatter / visibility_m_ * sum;
+        return kPi * kFogBackscatter / visibility_m_ * sum;
     }
 };
 
@@ -85,14 +82,15 @@ constexpr WeatherParameter kFogNumbers[] = {
 
 }  // namespace
 
-const WeatherEffectEntry kFog{.name = "fog",
-                              .form = "fog=VISIBILITY_m",
-                              .expected = "a visibility of 1 to 1e6 metres",
-                              .examples = "fog=200 fog=50",
-                              .numbers = kFogNumbers,
-                              .extinction = compute_fog_extinction,
-                              .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
-                                  return std::make_unique<FogEffect>(input);
-                              }};
+const WeatherEffectEntry kFogEffect{
+    .name = "fog",
+    .form = "fog=VISIBILITY_m",
+    .expected = "a visibility of 1 to 1e6 metres",
+    .examples = "fog=200 fog=50",
+    .numbers = kFogNumbers,
+    .extinction = fog_extinction,
+    .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
+        return std::make_unique<FogEffect>(input);
+    }};
 
 }  // namespace relidar

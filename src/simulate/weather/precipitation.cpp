@@ -29,7 +29,7 @@ struct ParticleDistribution {
 
 /// Marshall and Palmer 1948. A drop reflects as water at normal incidence, ((n - 1) / (n
 /// + 1))^2. Speed: Atlas, Srivastava and Sekhon 1973.
-ParticleDistribution make_rain_drop_distribution(const Weather& weather) {
+ParticleDistribution rain_drops(const Weather& weather) {
     return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02, [](double mm) {
                 return std::max(9.65 - 10.3 * std::exp(-0.6 * mm), 0.0);
             }};
@@ -37,7 +37,7 @@ ParticleDistribution make_rain_drop_distribution(const Weather& weather) {
 
 /// By the diameter of the melted flake (Gunn and Marshall 1958). The density is a tenth
 /// of water's. All flakes fall at 1 m/s (assumption).
-ParticleDistribution make_snow_flake_distribution(const Weather& weather) {
+ParticleDistribution snow_flakes(const Weather& weather) {
     return {ReturnCause::snow,
             3.8e3 * std::pow(weather.snow_mm_h, -0.87),
             2.55 * std::pow(weather.snow_mm_h, -0.48),
@@ -47,7 +47,7 @@ ParticleDistribution make_snow_flake_distribution(const Weather& weather) {
 }
 
 template <ParticleDistribution (*particles_of)(const Weather&)>
-double compute_particle_extinction(const Weather& weather) {
+double particle_extinction(const Weather& weather) {
     const ParticleDistribution p = particles_of(weather);
     return kPi * p.per_m3_mm * 1e-6 * p.widening * p.widening / std::pow(p.slope_per_mm, 3);
 }
@@ -55,34 +55,32 @@ double compute_particle_extinction(const Weather& weather) {
 class PrecipitationEffect : public RayWeatherEffect {
 public:
     PrecipitationEffect(const WeatherInput& input, const ParticleDistribution& particles)
-        : sensor_(input.sensor), alpha_(compute_extinction_coefficient(input.weather)), falling_(particles) {
+        : sensor_(input.sensor), alpha_(extinction_per_m(input.weather)), falling_(particles) {
         double expected = 0.0, before = 0.0;
-        for (double r = compute_min_air_return_range_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
+        for (double r = min_air_range_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
              r += kParticleStep_m) {
-            const double area = 0.25 * kPi * compute_beam_diameter_m(sensor_, r) *
-                                compute_beam_diameter_m(sensor_, r),
+            const double area = 0.25 * kPi * beam_width_m(sensor_, r) * beam_width_m(sensor_, r),
                          density = area * falling_.per_m3_mm / falling_.slope_per_mm *
-                                   std::exp(-falling_.slope_per_mm * compute_min_detectable_diameter_mm(r));
+                                   std::exp(-falling_.slope_per_mm * min_diameter_mm(r));
             if (!expected_.empty()) expected += 0.5 * (before + density) * kParticleStep_m;
             before = density;
             expected_.push_back(expected);
         }
     }
 
-    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                               Random& random) const override {
+    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                        Random& random) const override {
         if (expected_.empty()) return;
-        const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform_number()); };
+        const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform()); };
         for (double n = waiting(); n < expected_.back(); n += waiting()) {
             const auto next = std::ranges::upper_bound(expected_, n);
             const double part = (n - *(next - 1)) / (*next - *(next - 1));
-            const double range_m = compute_min_air_return_range_m(sensor_) +
-                                   (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
+            const double range_m =
+                min_air_range_m(sensor_) + (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
             if (range_m >= std::min(ray.free_m, sensor_.max_range_m)) return;
-            const double melted_mm =
-                             compute_min_detectable_diameter_mm(range_m) + waiting() / falling_.slope_per_mm,
+            const double melted_mm = min_diameter_mm(range_m) + waiting() / falling_.slope_per_mm,
                          wide_m = 1e-3 * falling_.widening * melted_mm;
-            const double share = std::min(wide_m / compute_beam_diameter_m(sensor_, range_m), 1.0),
+            const double share = std::min(wide_m / beam_width_m(sensor_, range_m), 1.0),
                          reflectivity =
                              falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
             candidates.push_back({{range_m, reflectivity, falling_.source, falling_.fall_speed(melted_mm)},
@@ -100,16 +98,16 @@ private:
 
     /// Of the melted flake for snow. Infinity if even a particle as wide as the beam is
     /// not detected.
-    double compute_min_detectable_diameter_mm(double range_m) const {
-        const double share = sensor_.compute_min_detected_power_at_range(range_m) * range_m * range_m *
+    double min_diameter_mm(double range_m) const {
+        const double share = sensor_.min_power_at(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
         if (share > 1.0) return std::numeric_limits<double>::infinity();
-        return 1e3 * compute_beam_diameter_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
+        return 1e3 * beam_width_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
     }
 };
 
 template <ParticleDistribution (*particles_of)(const Weather&)>
-std::unique_ptr<RayWeatherEffect> make_particle_effect(const WeatherInput& input) {
+std::unique_ptr<RayWeatherEffect> make_particles(const WeatherInput& input) {
     return std::make_unique<PrecipitationEffect>(input, particles_of(input.weather));
 }
 
@@ -120,20 +118,20 @@ constexpr WeatherParameter kSnowNumbers[] = {
 
 }  // namespace
 
-const WeatherEffectEntry kRain{.name = "rain",
-                               .form = "rain=MM_PER_H",
-                               .expected = "a rate of 0 to 500 mm/h",
-                               .examples = "rain=5 rain=25",
-                               .numbers = kRainNumbers,
-                               .extinction = compute_particle_extinction<make_rain_drop_distribution>,
-                               .prepare = make_particle_effect<make_rain_drop_distribution>};
-const WeatherEffectEntry kSnow{.name = "snow",
-                               .form = "snow=MM_PER_H",
-                               .meaning = "of melted snow",
-                               .expected = "a snowfall rate of 0 to 100 mm/h, measured as melted water",
-                               .examples = "snow=1 snow=4",
-                               .numbers = kSnowNumbers,
-                               .extinction = compute_particle_extinction<make_snow_flake_distribution>,
-                               .prepare = make_particle_effect<make_snow_flake_distribution>};
+const WeatherEffectEntry kRainEffect{.name = "rain",
+                                     .form = "rain=MM_PER_H",
+                                     .expected = "a rate of 0 to 500 mm/h",
+                                     .examples = "rain=5 rain=25",
+                                     .numbers = kRainNumbers,
+                                     .extinction = particle_extinction<rain_drops>,
+                                     .prepare = make_particles<rain_drops>};
+const WeatherEffectEntry kSnowEffect{.name = "snow",
+                                     .form = "snow=MM_PER_H",
+                                     .meaning = "of melted snow",
+                                     .expected = "a snowfall rate of 0 to 100 mm/h, measured as melted water",
+                                     .examples = "snow=1 snow=4",
+                                     .numbers = kSnowNumbers,
+                                     .extinction = particle_extinction<snow_flakes>,
+                                     .prepare = make_particles<snow_flakes>};
 
 }  // namespace relidar

@@ -16,25 +16,25 @@ namespace relidar {
 namespace {
 
 // At 905 nm in W/m^2/nm, for 100 klux of direct light. The value is an assumption.
-constexpr double kIrradiance = 0.65;
-constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
-constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
+constexpr double kSunIrradiance = 0.65;
+constexpr double kSunRadius_rad = 4.65e-3;  // angular radius of the sun
+constexpr double kSunSolidAngle_sr = kPi * kSunRadius_rad * kSunRadius_rad;
 // A dusty window scatters sunlight: radiance / irradiance in 1/sr at one degree from the
 // sun. Decreases with 1 / angle^2.
-constexpr double kScatter_sr = 5.0;
-constexpr double kDegree_rad = kPi / 180.0;
-constexpr double kFilter_nm = 20.0;
+constexpr double kAureole_sr = 5.0;
+constexpr double kRadPerDegree = kPi / 180.0;
+constexpr double kFilterWidth_nm = 20.0;
 // A lens with a diameter of 5 cm and a transmission of one half.
-constexpr double kReceiver_m2 = 1e-3;
-constexpr double kEfficiency = 0.7;      // quantum efficiency, electrons per photon
-constexpr double kExcess = 3.0;          // excess noise factor F of an avalanche photodiode
-constexpr double kPeak_W = 75.0;         // peak power of a pulse
-constexpr double kPhoton_J = 2.195e-19;  // energy of a photon at 905 nm
-constexpr double kUsual_klux = 100.0;    // illuminance on a clear day
+constexpr double kReceiverArea_m2 = 1e-3;
+constexpr double kQuantumEfficiency = 0.7;  // quantum efficiency, electrons per photon
+constexpr double kExcessNoiseFactor = 3.0;  // excess noise factor F of an avalanche photodiode
+constexpr double kPeak_W = 75.0;            // peak power of a pulse
+constexpr double kPhoton_J = 2.195e-19;     // energy of a photon at 905 nm
+constexpr double kClearDay_klux = 100.0;    // illuminance on a clear day
 constexpr float kHidesSun = 0.5f;
 
 /// Empty if the scene hides the sun from the sensor.
-std::vector<float> compute_angles_from_sun_rad(const WeatherInput& input) {
+std::vector<float> sun_angles_rad(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const double azimuth_rad = input.weather.sun.azimuth_deg * kPi / 180.0,
                  elevation_rad = input.weather.sun.elevation_deg * kPi / 180.0;
@@ -48,8 +48,7 @@ std::vector<float> compute_angles_from_sun_rad(const WeatherInput& input) {
     std::vector<float> angles;
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
-        const glm::dvec3 direction =
-            firing.compute_firing_pose(i).rotation * glm::dvec3(scan.image.direction[i]);
+        const glm::dvec3 direction = firing.pose_of(i).rotation * glm::dvec3(scan.image.direction[i]);
         angles.push_back(static_cast<float>(std::acos(std::clamp(glm::dot(direction, to_sun), -1.0, 1.0))));
     }
     return angles;
@@ -62,23 +61,20 @@ public:
 
     /// Peaks of Gaussian noise above the threshold have power^2 = threshold^2 + 2 sigma^2
     /// E, with an exponential random number E.
-    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                               Random& random) const override {
+    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray,
+                        Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == ReturnCause::surface;
         const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
-        const double sigma =
-            compute_sunlight_noise_power(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
-                                         !meets_surface && ray.free_m >= sensor_.max_range_m);
-        const double per_m =
-            compute_false_returns_per_metre(sensor_, sensor_.compute_min_detectable_power() / sigma);
-        const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform_number()); };
+        const double sigma = sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
+                                       !meets_surface && ray.free_m >= sensor_.max_range_m);
+        const double per_m = false_returns_per_m(sensor_, sensor_.floor_power() / sigma);
+        const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform()); };
         if (!(per_m > 0.0)) return;
-        for (double range_m = compute_min_air_return_range_m(sensor_) + waiting() / per_m;
-             range_m < sensor_.max_range_m; range_m += waiting() / per_m) {
+        for (double range_m = min_air_range_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
+             range_m += waiting() / per_m) {
             const double power =
-                std::sqrt(sensor_.compute_min_detectable_power() * sensor_.compute_min_detectable_power() +
-                          2.0 * sigma * sigma * waiting());
+                std::sqrt(sensor_.floor_power() * sensor_.floor_power() + 2.0 * sigma * sigma * waiting());
             candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
         }
     }
@@ -93,33 +89,34 @@ constexpr WeatherParameter kSunNumbers[] = {
     {[](Weather& weather) -> double& { return weather.sun.azimuth_deg; }, -360.0, 360.0},
     {[](Weather& weather) -> double& { return weather.sun.elevation_deg; }, 0.0, 90.0},
     {[](Weather& weather) -> double& { return weather.sun.klux; }, std::numeric_limits<double>::min(), 150.0,
-     kUsual_klux}};
+     kClearDay_klux}};
 
 }  // namespace
 
-double compute_sunlight_noise_power(const Sun& sun, const WeatherSensorProperties& sensor,
-                                    double angle_to_sun_rad, double surface_albedo_or_0, bool sees_sky) {
-    const double irradiance = kIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
-    const double off_deg = std::max(angle_to_sun_rad, kSun_rad) / kDegree_rad;
-    double per_sr = kScatter_sr / (off_deg * off_deg) + surface_albedo_or_0 / kPi;
+double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
+                 double surface_albedo_or_0, bool sees_sky) {
+    const double irradiance = kSunIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
+    const double off_deg = std::max(angle_to_sun_rad, kSunRadius_rad) / kRadPerDegree;
+    double per_sr = kAureole_sr / (off_deg * off_deg) + surface_albedo_or_0 / kPi;
     if (sees_sky)
         per_sr +=
-            std::clamp((kSun_rad + half_rad - angle_to_sun_rad) / sensor.divergence_rad, 0.0, 1.0) / kSun_sr;
-    const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
+            std::clamp((kSunRadius_rad + half_rad - angle_to_sun_rad) / sensor.divergence_rad, 0.0, 1.0) /
+            kSunSolidAngle_sr;
+    const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kQuantumEfficiency / kPhoton_J;
     const double n =
-        irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
+        irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2 * sensor.pulse_s * electrons_per_J;
     // Electrons of the pulse after reflection by a diffuse surface with reflectivity 1 at
     // 1 m, which reflects 1 / pi of the light per steradian.
-    const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
-    return std::sqrt(kExcess * n) / of_unit_power;
+    const double of_unit_power = kPeak_W * kReceiverArea_m2 / kPi * sensor.pulse_s * electrons_per_J;
+    return std::sqrt(kExcessNoiseFactor * n) / of_unit_power;
 }
 
-double compute_false_returns_per_metre(const WeatherSensorProperties& sensor, double threshold_sigmas) {
+double false_returns_per_m(const WeatherSensorProperties& sensor, double threshold_sigmas) {
     return std::exp(-0.5 * threshold_sigmas * threshold_sigmas) /
            (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
 }
 
-const WeatherEffectEntry kSunlight{
+const WeatherEffectEntry kSunlightEffect{
     .name = "sun",
     .form = "sun=AZIMUTH:ELEVATION[:KLUX]",
     .meaning = "degrees in the dataset's world",
@@ -130,7 +127,7 @@ const WeatherEffectEntry kSunlight{
     .numbers = kSunNumbers,
     .n_required = 2,
     .prepare = [](const WeatherInput& input) -> std::unique_ptr<RayWeatherEffect> {
-        std::vector<float> angles_rad = compute_angles_from_sun_rad(input);
+        std::vector<float> angles_rad = sun_angles_rad(input);
         if (angles_rad.empty()) return nullptr;
         return std::make_unique<SunlightEffect>(input, std::move(angles_rad));
     }};

@@ -19,33 +19,33 @@
 namespace relidar {
 namespace {
 
-std::vector<double> get_effect_parameters(const WeatherEffectEntry& effect, Weather weather) {
+std::vector<double> parameters_of(const WeatherEffectEntry& effect, Weather weather) {
     std::vector<double> values;
     for (const WeatherParameter& number : effect.numbers) values.push_back(number.of(weather));
     return values;
 }
 
-bool are_effect_values_valid(const WeatherEffectEntry& effect, const std::vector<double>& values) {
+bool has_valid_values(const WeatherEffectEntry& effect, const std::vector<double>& values) {
     for (std::size_t k = 0; k < values.size(); ++k)
         if (!(values[k] >= effect.numbers[k].least && values[k] <= effect.numbers[k].most)) return false;
     return true;
 }
 
 /// Leaves out optional numbers that have their default values.
-std::string format_weather_effect(const WeatherEffectEntry& effect, const Weather& weather) {
-    std::vector<double> values = get_effect_parameters(effect, weather);
+std::string format_effect(const WeatherEffectEntry& effect, const Weather& weather) {
+    std::vector<double> values = parameters_of(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
            values.back() == effect.numbers[values.size() - 1].usual)
         values.pop_back();
     return fmt::format("{}={}", effect.name, fmt::join(values, ":"));
 }
 
-[[noreturn]] void throw_weather_error(const std::string& word, const std::string_view expected) {
+[[noreturn]] void fail_weather(const std::string& word, const std::string_view expected) {
     fail<UsageError>("weather: found {}, expected {}", word, expected);
 }
 
 /// @return an empty list if a number cannot be read
-std::vector<double> parse_colon_separated_numbers(std::string_view text) {
+std::vector<double> parse_numbers(std::string_view text) {
     std::vector<double> values;
     for (bool more = !text.empty(); more;) {
         const std::size_t colon = std::min(text.find(':'), text.size());
@@ -59,71 +59,66 @@ std::vector<double> parse_colon_separated_numbers(std::string_view text) {
     return values;
 }
 
-void parse_weather_effect(Weather& weather, std::string_view effect_text) {
+void parse_effect(Weather& weather, std::string_view effect_text) {
     const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
     const auto* row =
         std::ranges::find(kWeatherEffects, effect_text.substr(0, equals), &WeatherEffectEntry::name);
     if (row == std::end(kWeatherEffects) || (equals == effect_text.size() && (*row)->n_required > 0)) {
         std::vector<std::string_view> forms;
         for (const WeatherEffectEntry* known_effect : kWeatherEffects) forms.push_back(known_effect->form);
-        throw_weather_error(
-            fmt::format("\"{}\"", shorten_for_error_message(effect_text)),
-            fmt::format("{}, or several of them separated by commas", fmt::join(forms, ", ")));
+        fail_weather(fmt::format("\"{}\"", quote(effect_text)),
+                     fmt::format("{}, or several of them separated by commas", fmt::join(forms, ", ")));
     }
     const WeatherEffectEntry& effect = **row;
-    if (effect.is_effect_active_in_weather(weather))
+    if (effect.is_active(weather))
         fail<UsageError>("weather: {} occurs twice, expected it once", effect.name);
     const std::vector<double> values =
-        parse_colon_separated_numbers(effect_text.substr(std::min(equals + 1, effect_text.size())));
+        parse_numbers(effect_text.substr(std::min(equals + 1, effect_text.size())));
     const std::size_t fewest = equals < effect_text.size() ? std::max<std::size_t>(effect.n_required, 1) : 0;
-    if (values.size() < fewest || values.size() > effect.numbers.size() ||
-        !are_effect_values_valid(effect, values))
-        throw_weather_error(shorten_for_error_message(effect_text), effect.expected);
+    if (values.size() < fewest || values.size() > effect.numbers.size() || !has_valid_values(effect, values))
+        fail_weather(quote(effect_text), effect.expected);
     for (std::size_t k = 0; k < effect.numbers.size(); ++k)
         effect.numbers[k].of(weather) = k < values.size() ? values[k] : effect.numbers[k].usual;
 }
 
 }  // namespace
 
-bool WeatherEffectEntry::is_effect_active_in_weather(const Weather& weather) const {
-    return get_effect_parameters(*this, weather) != get_effect_parameters(*this, {});
+bool WeatherEffectEntry::is_active(const Weather& weather) const {
+    return parameters_of(*this, weather) != parameters_of(*this, {});
 }
 
 Weather parse_weather(const std::string& text) {
     Weather weather;
     if (text == "clear") return weather;
-    for (const std::string& word : split_comma_separated_list(text)) parse_weather_effect(weather, word);
-    require_valid_weather(weather);
+    for (const std::string& word : split_list(text)) parse_effect(weather, word);
+    check_weather(weather);
     return weather;
 }
 
 std::string format_weather(const Weather& weather) {
     std::vector<std::string> words;
     for (const WeatherEffectEntry* effect : kWeatherEffects)
-        if (effect->is_effect_active_in_weather(weather))
-            words.push_back(format_weather_effect(*effect, weather));
+        if (effect->is_active(weather)) words.push_back(format_effect(*effect, weather));
     return words.empty() ? "clear" : fmt::format("{}", fmt::join(words, ","));
 }
 
-void require_valid_weather(const Weather& weather) {
+void check_weather(const Weather& weather) {
     for (const WeatherEffectEntry* effect : kWeatherEffects)
-        if (effect->is_effect_active_in_weather(weather) &&
-            !are_effect_values_valid(*effect, get_effect_parameters(*effect, weather)))
-            throw_weather_error(format_weather_effect(*effect, weather), effect->expected);
+        if (effect->is_active(weather) && !has_valid_values(*effect, parameters_of(*effect, weather)))
+            fail_weather(format_effect(*effect, weather), effect->expected);
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
         fail<UsageError>("weather: found rain={} and snow={}, expected only one of them", weather.rain_mm_h,
                          weather.snow_mm_h);
 }
 
-double compute_extinction_coefficient(const Weather& weather) {
+double extinction_per_m(const Weather& weather) {
     double alpha = 0.0;
     for (const WeatherEffectEntry* effect : kWeatherEffects)
-        if (effect->extinction && effect->is_effect_active_in_weather(weather))
-            alpha += effect->extinction(weather);
+        if (effect->extinction && effect->is_active(weather)) alpha += effect->extinction(weather);
     return alpha;
 }
 
-std::string make_weather_help() {
+std::string weather_help() {
     std::vector<std::string> words;
     for (const WeatherEffectEntry* effect : kWeatherEffects)
         words.push_back(effect->meaning.empty() ? std::string(effect->form)

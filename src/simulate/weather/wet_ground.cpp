@@ -17,19 +17,19 @@
 namespace relidar {
 namespace {
 
-constexpr double kWater = 1.33;      // refractive index of water in the near infrared
-constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
+constexpr double kWaterIndex = 1.33;      // refractive index of water in the near infrared
+constexpr double kTextureDepth_mm = 1.0;  // depth of the texture of asphalt
 
-constexpr double kCell_m = 2.0;
+constexpr double kCellSize_m = 2.0;
 // Ground points are at most this much above the lowest point of their cell.
-constexpr double kLayer_m = 0.25;
+constexpr double kGroundLayer_m = 0.25;
 // Root mean square distance of the points from the plane.
-constexpr double kFlat_m = 0.1;
-constexpr double kSteepest = 0.25;  // maximum slope of ground, rise over run
-constexpr double kFewest = 6.0;     // minimum number of points for a plane
+constexpr double kMaxPlaneError_m = 0.1;
+constexpr double kMaxSlope = 0.25;          // maximum slope of ground, rise over run
+constexpr double kMinPointsPerPlane = 6.0;  // minimum number of points for a plane
 // If the points form a narrower strip, the slope across the strip is unknown, and set to
 // 0.
-constexpr double kWidth_m = 0.2;
+constexpr double kMinStripWidth_m = 0.2;
 
 /// Sums over points, relative to the sensor, along the axes of the world.
 struct GroundGridCell {
@@ -56,8 +56,8 @@ struct GroundGridCell {
 };
 using GroundGrid = std::unordered_map<std::uint64_t, GroundGridCell>;
 
-std::uint64_t make_ground_cell_key(const glm::dvec3& point) {
-    return compute_grid_cell_key({point.x, point.y, 0.0}, kCell_m);
+std::uint64_t ground_cell_key(const glm::dvec3& point) {
+    return grid_key({point.x, point.y, 0.0}, kCellSize_m);
 }
 
 /// Plane of the ground: z = height + slope . (x, y).
@@ -67,10 +67,11 @@ struct GroundPlane {
     bool is_ground = false;
 };
 
-GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
-    if (cell.n < kFewest) return {};
+GroundPlane fit_ground_plane(const GroundGridCell& cell) {
+    if (cell.n < kMinPointsPerPlane) return {};
     const glm::dvec3 mean = cell.sum / cell.n;
-    const double ridge = kWidth_m * kWidth_m, xx = cell.squares.x / cell.n - mean.x * mean.x + ridge,
+    const double ridge = kMinStripWidth_m * kMinStripWidth_m,
+                 xx = cell.squares.x / cell.n - mean.x * mean.x + ridge,
                  xy = cell.squares.y / cell.n - mean.x * mean.y,
                  yy = cell.squares.z / cell.n - mean.y * mean.y + ridge,
                  zz = cell.zz / cell.n - mean.z * mean.z;
@@ -79,76 +80,76 @@ GroundPlane fit_ground_plane_to_cell(const GroundGridCell& cell) {
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
-            squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
+            squared_m2 < kMaxPlaneError_m * kMaxPlaneError_m && glm::length(slope) < kMaxSlope};
 }
 
 /// Relative to the sensor; NaN for rays that do not hit the background below it.
-std::vector<glm::dvec3> compute_background_points_below_sensor(const RenderedScan& scan) {
+std::vector<glm::dvec3> points_below_sensor(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
-    parallel_for_in_blocks(points.size(), [&](std::size_t ray) {
+    parallel_blocks(points.size(), [&](std::size_t ray) {
         if (scan.instance[ray] != 0 || !is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]))
             return;
         const glm::dvec3 p =
-            scan.get_firing_pose(ray) * glm::dvec3(scan.end_of(ray)) - scan.world_from_sensor.translation;
+            scan.firing_pose(ray) * glm::dvec3(scan.end_of(ray)) - scan.world_from_sensor.translation;
         if (p.z < 0.0) points[ray] = p;
     });
     return points;
 }
 
-GroundGrid make_ground_cells(const std::vector<glm::dvec3>& points) {
+GroundGrid ground_cells(const std::vector<glm::dvec3>& points) {
     GroundGrid cells;
     for (const glm::dvec3& p : points)
         if (!std::isnan(p.x)) {
-            double& lowest_m = cells[make_ground_cell_key(p)].lowest_m;
+            double& lowest_m = cells[ground_cell_key(p)].lowest_m;
             lowest_m = std::min(lowest_m, p.z);
         }
     for (const glm::dvec3& p : points)
         if (!std::isnan(p.x))
-            if (GroundGridCell& cell = cells[make_ground_cell_key(p)]; p.z < cell.lowest_m + kLayer_m)
+            if (GroundGridCell& cell = cells[ground_cell_key(p)]; p.z < cell.lowest_m + kGroundLayer_m)
                 cell.add_point(p);
     return cells;
 }
 
 /// Also uses the eight cells around it.
-GroundPlane fit_plane_around_point(const GroundGrid& cells, const glm::dvec3& point) {
+GroundPlane fit_plane_near(const GroundGrid& cells, const glm::dvec3& point) {
     GroundGridCell together;
     for (int dx = -1; dx <= 1; ++dx)
         for (int dy = -1; dy <= 1; ++dy)
-            if (const auto cell = cells.find(make_ground_cell_key(point + kCell_m * glm::dvec3(dx, dy, 0)));
+            if (const auto cell = cells.find(ground_cell_key(point + kCellSize_m * glm::dvec3(dx, dy, 0)));
                 cell != cells.end())
                 together.add_cell_sums(cell->second);
-    return fit_ground_plane_to_cell(together);
+    return fit_ground_plane(together);
 }
 
 /// A cell is ground if the candidates of the 3 x 3 cells around it fit a plane. The
 /// material does not matter.
 /// @return [rays] unit normal in the world frame of the dataset, or 0
-std::vector<glm::dvec3> estimate_level_ground_normals(const RenderedScan& scan) {
-    const std::vector<glm::dvec3> points = compute_background_points_below_sensor(scan);
-    const GroundGrid cells = make_ground_cells(points);
+std::vector<glm::dvec3> ground_normals_of(const RenderedScan& scan) {
+    const std::vector<glm::dvec3> points = points_below_sensor(scan);
+    const GroundGrid cells = ground_cells(points);
     std::unordered_map<std::uint64_t, GroundPlane> planes;
     std::vector<glm::dvec3> normals(points.size(), glm::dvec3(0.0));
     for (std::size_t ray = 0; ray < points.size(); ++ray) {
         const glm::dvec3& p = points[ray];
         if (std::isnan(p.x)) continue;
-        const auto [plane, is_new] = planes.try_emplace(make_ground_cell_key(p));
-        if (is_new) plane->second = fit_plane_around_point(cells, p);
+        const auto [plane, is_new] = planes.try_emplace(ground_cell_key(p));
+        if (is_new) plane->second = fit_plane_near(cells, p);
         const auto& [height_m, slope, is_ground] = plane->second;
         const double above_plane_m = p.z - height_m - glm::dot(slope, glm::dvec2(p));
-        if (is_ground && std::abs(above_plane_m) < kLayer_m)
+        if (is_ground && std::abs(above_plane_m) < kGroundLayer_m)
             normals[ray] = glm::normalize(glm::dvec3(-slope, 1.0));
     }
     return normals;
 }
 
 /// Diffuse light: the mean over all directions, weighted by the cosine.
-double compute_mean_water_reflectance() {
-    constexpr int kParts = 1000;
+double mean_reflectance() {
+    constexpr int kCosineSteps = 1000;
     double sum = 0.0;
-    for (int i = 0; i < kParts; ++i) {
-        const double cosine = (i + 0.5) / kParts;
-        sum += 2.0 * cosine * compute_water_reflectance(cosine) / kParts;
+    for (int i = 0; i < kCosineSteps; ++i) {
+        const double cosine = (i + 0.5) / kCosineSteps;
+        sum += 2.0 * cosine * water_reflectance(cosine) / kCosineSteps;
     }
     return sum;
 }
@@ -166,31 +167,29 @@ struct MirroredRays {
 };
 
 // So that mirrored rays do not hit the rough ground itself.
-constexpr double kLift_m = 0.1;
+constexpr double kRayLift_m = 0.1;
 // Hits below this height belong to the ground.
-constexpr double kLowest_m = 0.3;
+constexpr double kMinMirroredHeight_m = 0.3;
 
-float compute_drop_probability(const RenderedRayValues& rendering, std::size_t ray_index) {
+float drop_chance(const RenderedRayValues& rendering, std::size_t ray_index) {
     return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray_index] - rendering.drop_logit[ray_index]));
 }
 
 /// Leaves out mirrored rays that return less light than the ground.
-MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
-                                       const std::vector<glm::dvec3>& ground_normals,
-                                       std::vector<WetGroundRay>& wet_rays) {
+MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& ground_normals,
+                         std::vector<WetGroundRay>& wet_rays) {
     const RenderedScan& scan = input.scan;
-    const double share = compute_water_film_fraction(input.weather.wet_mm);
+    const double share = film_fraction(input.weather.wet_mm);
     MirroredRays mirrored;
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < ground_normals.size(); ++i) {
-        const Pose& pose = firing.compute_firing_pose(i);
+        const Pose& pose = firing.pose_of(i);
         const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
         const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, ground_normals[i]);
         if (!(cosine > 0.0)) continue;
-        const double albedo =
-            scan.image.intensity[i] / input.response.compute_intensity_factor_at_range(range_m);
-        wet_rays[i].through_water = 1.0 - share + share * compute_wet_reflectance_ratio(cosine, albedo);
-        wet_rays[i].mirrors = share * std::pow(compute_water_reflectance(cosine), 2);
+        const double albedo = scan.image.intensity[i] / input.response.range_factor(range_m);
+        wet_rays[i].through_water = 1.0 - share + share * wet_ratio(cosine, albedo);
+        wet_rays[i].mirrors = share * std::pow(water_reflectance(cosine), 2);
         // A sensor with one return reports the brighter of the wet ground
         // (`through_water` * albedo) and the mirrored object (at most `mirrors`).
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
@@ -198,7 +197,7 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
         wet_rays[i].mirrored.range_m = range_m;
         const glm::dvec3 foot_m =
             pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - input.world_offset_m;
-        mirrored.rays.origin.push_back(glm::vec3(foot_m + kLift_m * ground_normals[i]));
+        mirrored.rays.origin.push_back(glm::vec3(foot_m + kRayLift_m * ground_normals[i]));
         mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * ground_normals[i]));
         mirrored.rays.time_s.push_back(scan.time_offset_s[i]);
         mirrored.of_ray.push_back(i);
@@ -206,26 +205,27 @@ MirroredRays mirror_rays_in_wet_ground(const WeatherInput& input,
     return mirrored;
 }
 
-std::vector<WetGroundRay> compute_wet_ground_rays(const WeatherInput& input) {
-    const std::vector<glm::dvec3> up = estimate_level_ground_normals(input.scan);
+std::vector<WetGroundRay> wet_ground_rays(const WeatherInput& input) {
+    const std::vector<glm::dvec3> up = ground_normals_of(input.scan);
     std::vector<WetGroundRay> wet(up.size());
-    const auto [rays, of_ray] = mirror_rays_in_wet_ground(input, up, wet);
+    const auto [rays, of_ray] = mirror_rays(input, up, wet);
     if (of_ray.empty()) return wet;
     const RenderedRayValues r = input.trace(rays);
     for (std::size_t k = 0; k < r.size(); ++k) {
         const double on_m = r.median_depth[k];
         const std::size_t ray = of_ray[k];
-        if (!(on_m > 0.0) || compute_drop_probability(r, k) >= kDropThreshold) continue;
-        if (kLift_m + on_m * glm::dot(glm::dvec3(rays.direction[k]), up[ray]) < kLowest_m) continue;
+        if (!(on_m > 0.0) || drop_chance(r, k) >= kDropThreshold) continue;
+        if (kRayLift_m + on_m * glm::dot(glm::dvec3(rays.direction[k]), up[ray]) < kMinMirroredHeight_m)
+            continue;
         LidarEcho& echo = wet[ray].mirrored;
         echo.range_m += on_m;
         echo.reflectivity = std::min(double(r.intensity[k]), 1.0);
         echo.source = ReturnCause::mirror;
         const glm::dvec3 direction(rays.direction[k]);
         if (input.motion)
-            echo.away_mps = glm::dot(direction, input.motion->compute_object_velocity(
-                                                    r.instance[k], double(rays.time_s[k]),
-                                                    glm::dvec3(rays.origin[k]) + on_m * direction));
+            echo.away_mps = glm::dot(
+                direction, input.motion->object_velocity(r.instance[k], double(rays.time_s[k]),
+                                                         glm::dvec3(rays.origin[k]) + on_m * direction));
     }
     return wet;
 }
@@ -233,18 +233,14 @@ std::vector<WetGroundRay> compute_wet_ground_rays(const WeatherInput& input) {
 class WetGroundEffect : public RayWeatherEffect {
 public:
     explicit WetGroundEffect(const WeatherInput& input)
-        : sensor_(input.sensor),
-          alpha_(compute_extinction_coefficient(input.weather)),
-          wet_(compute_wet_ground_rays(input)) {}
+        : sensor_(input.sensor), alpha_(extinction_per_m(input.weather)), wet_(wet_ground_rays(input)) {}
 
-    void modify_surface_return(RayWeatherState& ray) const override {
+    void modify_surface(RayWeatherState& ray) const override {
         ray.through_water = wet_[ray.index].through_water;
     }
-    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                               Random&) const override {
+    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray, Random&) const override {
         const auto& [through_water, echo, mirrors] = wet_[ray.index];
-        append_echo_if_detectable(candidates, echo, sensor_,
-                                  std::exp(-2.0 * alpha_ * echo.range_m) * mirrors);
+        append_detectable(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m) * mirrors);
     }
 
 private:
@@ -258,26 +254,27 @@ constexpr WeatherParameter kWetNumbers[] = {
 
 }  // namespace
 
-double compute_water_reflectance(double cosine) {
+double water_reflectance(double cosine) {
     // Snell's law
-    const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));
-    const double across = (cosine - kWater * in_water) / (cosine + kWater * in_water),
-                 along = (in_water - kWater * cosine) / (in_water + kWater * cosine);
+    const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWaterIndex * kWaterIndex));
+    const double across = (cosine - kWaterIndex * in_water) / (cosine + kWaterIndex * in_water),
+                 along = (in_water - kWaterIndex * cosine) / (in_water + kWaterIndex * cosine);
     return 0.5 * (across * across + along * along);
 }
 
-double compute_wet_reflectance_ratio(double cosine, double albedo) {
+double wet_ratio(double cosine, double albedo) {
     // light that stays in the film because of total internal reflection
-    static const double trapped_fraction = 1.0 - (1.0 - compute_mean_water_reflectance()) / (kWater * kWater);
-    const double passes = 1.0 - compute_water_reflectance(cosine);
-    return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * trapped_fraction));
+    static const double trapped_fraction = 1.0 - (1.0 - mean_reflectance()) / (kWaterIndex * kWaterIndex);
+    const double passes = 1.0 - water_reflectance(cosine);
+    return passes * passes /
+           (kWaterIndex * kWaterIndex * (1.0 - std::clamp(albedo, 0.0, 1.0) * trapped_fraction));
 }
 
-double compute_water_film_fraction(double water_depth_mm) {
-    return std::clamp(water_depth_mm / kTexture_mm, 0.0, 1.0);
+double film_fraction(double water_depth_mm) {
+    return std::clamp(water_depth_mm / kTextureDepth_mm, 0.0, 1.0);
 }
 
-const WeatherEffectEntry kWetGround{
+const WeatherEffectEntry kWetGroundEffect{
     .name = "wet",
     .form = "wet=MILLIMETRES",
     .meaning = "water on level ground",

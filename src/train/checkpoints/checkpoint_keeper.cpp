@@ -27,8 +27,7 @@ CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest_iter
       count_(std::move(iteration_noun)),
       note_(report_note) {}
 
-void CheckpointFolder::save_checkpoint_or_report_failure(Checkpoint checkpoint,
-                                                         const std::function<void(Checkpoint&)>& add_state) {
+void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& add_state) {
     const int iteration = checkpoint.iteration;
     const auto failed = [&](const std::string& why) {
         const std::string safe =
@@ -43,7 +42,7 @@ void CheckpointFolder::save_checkpoint_or_report_failure(Checkpoint checkpoint,
         return failed("not enough memory");
     }
     try {
-        require_finite_checkpoint_arrays(checkpoint);
+        check_finite_arrays(checkpoint);
     } catch (const DataError& error) {
         fail("training failed at {} {}: {}", count_, iteration, error.what());
     }
@@ -55,36 +54,34 @@ void CheckpointFolder::save_checkpoint_or_report_failure(Checkpoint checkpoint,
     }
 }
 
-CheckpointKeeper::CheckpointKeeper(const LidarSequence& sequence, const TrainTestSplit& split,
-                                   const Config& config, const TrainSession& session)
+CheckpointKeeper::CheckpointKeeper(const Log& sequence, const Split& split, const Config& config,
+                                   const TrainSession& session)
     : config_(config.train),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.is_enabled())
         texts_ = std::async(std::launch::async, [&sequence, &split, &config] {
-            return make_resume_texts(list_config_keys(config), compute_log_fingerprints(sequence, split));
+            return make_resume_texts(list_config_keys(config), fingerprint_log(sequence, split));
         });
 }
 
-bool CheckpointKeeper::should_save_checkpoint(int step) const {
+bool CheckpointKeeper::is_due(int step) const {
     if (!folder_.is_enabled()) return false;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
     const bool by_time =
         config_.checkpoint_minutes > 0.0 && since_last.count() >= 60.0 * config_.checkpoint_minutes;
-    return by_count || by_time || (step == config_.iterations && folder_.get_newest_iteration() > 0);
+    return by_count || by_time || (step == config_.iterations && folder_.newest() > 0);
 }
 
-void CheckpointKeeper::save_training_state(TrainLoop& loop, const TrainResult& result,
-                                           double training_time_s) {
+void CheckpointKeeper::save_state(TrainLoop& loop, const TrainResult& result, double training_time_s) {
     // Set before writing: if the disk is full, the next attempt is one interval later.
     last_ = Clock::now();
     if (!folder_.is_enabled()) return;
-    folder_.save_checkpoint_or_report_failure(
-        {result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
-            CheckpointWriter write(checkpoint);
-            loop.save_training_state_to_checkpoint(checkpoint);
-            write_training_log_and_times(write, result, training_time_s);
-        });
+    folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
+        CheckpointWriter write(checkpoint);
+        loop.save_to(checkpoint);
+        write_log(write, result, training_time_s);
+    });
 }
 
 }  // namespace relidar

@@ -27,11 +27,10 @@ public:
                      const std::function<void(const std::string&)>& report_note);
 
     bool is_enabled() const { return !folder_.empty(); }
-    int get_newest_iteration() const { return newest_; }
+    int newest() const { return newest_; }
     /// If the disk or the memory is full, prints a note and training continues.
     /// @throws DataError if the state contains NaN or infinity
-    void save_checkpoint_or_report_failure(Checkpoint checkpoint,
-                                           const std::function<void(Checkpoint&)>& add_state);
+    void save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& add_state);
 
 private:
     const std::filesystem::path folder_;
@@ -42,14 +41,14 @@ private:
 
 class CheckpointKeeper {
 public:
-    CheckpointKeeper(const LidarSequence& sequence, const TrainTestSplit& split, const Config& config,
+    CheckpointKeeper(const Log& sequence, const Split& split, const Config& config,
                      const TrainSession& session);
 
     /// After a number of iterations or minutes. The last iteration also gets a checkpoint
     /// if the folder already has one.
-    bool should_save_checkpoint(int step) const;
-    /// Writes the state after result.iterations (save_checkpoint_or_report_failure()).
-    void save_training_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
+    bool is_due(int step) const;
+    /// Writes the state after result.iterations (save()).
+    void save_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
 
 private:
     using Clock = std::chrono::steady_clock;

@@ -22,23 +22,22 @@ struct ResumeFingerprint {
 };
 
 /// The hash that explains a difference best comes first, because only one is reported.
-std::vector<ResumeFingerprint> compute_log_fingerprints(const LidarSequence& sequence,
-                                                        const TrainTestSplit& split);
+std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split);
 /// @throws DataError if the file of a block is invalid
-ResumeFingerprint compute_scene_fingerprint(const Scene& scene);
+ResumeFingerprint fingerprint_scene(const Scene& scene);
 
-/// The texts of a checkpoint that require_same_as_in_checkpoint() compares.
+/// The texts of a checkpoint that check_same() compares.
 std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
                                                      const std::vector<ResumeFingerprint>& fingerprints);
 /// Compares settings or a hash with the values in a checkpoint.
 /// @param error_prefix  start of the error message
 /// @throws UsageError if a setting has another value
 /// @throws DataError if a setting is missing or a hash differs
-void require_same_as_in_checkpoint(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                                   const std::string& error_prefix);
-void require_same_as_in_checkpoint(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
-                                   const std::string& error_prefix);
+void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
+                const std::string& error_prefix);
+void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
+                const std::string& error_prefix);
 /// @throws DataError for an unknown key
-std::map<std::string, std::string> read_checkpoint_settings(const Checkpoint& checkpoint);
+std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
 
 }  // namespace relidar

@@ -14,24 +14,26 @@ namespace relidar {
 namespace {
 
 // Prefixes of settings that are used only after training.
-constexpr std::array kFollows{"refine.", "render."};
+constexpr std::array kAfterTrainingPrefixes{"refine.", "render."};
 /// Settings that do not change the result of an iteration. The contents of the log are
 /// compared instead of paths.
-constexpr std::array kFree{"dataset.path",
-                           "dataset.sequence",
-                           "dataset.poses",
-                           "dataset.memory_mib",
-                           "train.frame_memory_mib",
-                           "train.iterations",
-                           "train.log_every",
-                           "train.checkpoint_minutes",
-                           "sensor.grid",
-                           "sensor.grid_method",
-                           "trace.chunk"};
+constexpr std::array kResumeFreeSettings{"dataset.path",
+                                         "dataset.sequence",
+                                         "dataset.poses",
+                                         "dataset.memory_mib",
+                                         "train.frame_memory_mib",
+                                         "train.iterations",
+                                         "train.log_every",
+                                         "train.checkpoint_minutes",
+                                         "sensor.grid",
+                                         "sensor.grid_method",
+                                         "trace.chunk"};
 
-bool can_change_on_resume(const std::string& setting_key) {
-    return std::find(kFree.begin(), kFree.end(), setting_key) != kFree.end() ||
-           std::ranges::any_of(kFollows, [&](const char* group) { return setting_key.starts_with(group); });
+bool is_resume_free(const std::string& setting_key) {
+    return std::find(kResumeFreeSettings.begin(), kResumeFreeSettings.end(), setting_key) !=
+               kResumeFreeSettings.end() ||
+           std::ranges::any_of(kAfterTrainingPrefixes,
+                               [&](const char* group) { return setting_key.starts_with(group); });
 }
 
 /// Training log with one array per column, as stored in a checkpoint.
@@ -43,7 +45,7 @@ struct LogColumns {
     std::array<std::vector<std::uint32_t>, kDensifyCounts.size()> densified;
 
     template <class Visitor>
-    void visit_checkpoint_state(Visitor&& visit) {
+    void visit_state(Visitor&& visit) {
         visit("log/iteration", iteration);
         visit("log/seconds", seconds);
         visit("log/surfels", surfels);
@@ -54,8 +56,8 @@ struct LogColumns {
     }
 };
 
-TrainProgress make_progress_line(int step, const Config& config, double elapsed_s,
-                                 const std::array<double, kLossTerms>& loss_terms, std::uint32_t n_surfels) {
+TrainProgress make_progress(int step, const Config& config, double elapsed_s,
+                            const std::array<double, kLossTerms>& loss_terms, std::uint32_t n_surfels) {
     return {.iteration = step,
             .n_iterations = config.train.iterations,
             .seconds = elapsed_s,
@@ -68,30 +70,30 @@ TrainProgress make_progress_line(int step, const Config& config, double elapsed_
 
 }  // namespace
 
-std::string find_setting_that_prevents_resuming(const Config& config, const Config& other_config) {
+std::string find_fixed_setting(const Config& config, const Config& other_config) {
     const std::vector<ConfigKey> a = list_config_keys(config), b = list_config_keys(other_config);
     for (std::size_t i = 0; i < a.size(); ++i)
-        if (!can_change_on_resume(a[i].key) && a[i].value != b[i].value) return a[i].key;
+        if (!is_resume_free(a[i].key) && a[i].value != b[i].value) return a[i].key;
     return "";
 }
 
-void require_training_is_resumable(const Checkpoint& checkpoint, const LidarSequence& sequence,
-                                   const TrainTestSplit& split, const Config& config) {
+void check_resume(const Checkpoint& checkpoint, const Log& sequence, const Split& split,
+                  const Config& config) {
     const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(config);
-    std::erase_if(settings, [](const ConfigKey& key) { return can_change_on_resume(key.key); });
-    require_same_as_in_checkpoint(settings, checkpoint, doing);
+    std::erase_if(settings, [](const ConfigKey& key) { return is_resume_free(key.key); });
+    check_same(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
         fail<UsageError>(
             "{}: setting train.iterations: found {}, expected at least the iteration of the checkpoint",
             doing, config.train.iterations);
-    for (const ResumeFingerprint& mark : compute_log_fingerprints(sequence, split))
-        require_same_as_in_checkpoint(checkpoint, mark, doing);
+    for (const ResumeFingerprint& mark : fingerprint_log(sequence, split))
+        check_same(checkpoint, mark, doing);
 }
 
-void append_training_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
-                              double elapsed_s) {
-    TrainProgress p = make_progress_line(line.step, config, elapsed_s, line.terms, line.n_surfels);
+void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
+                     double elapsed_s) {
+    TrainProgress p = make_progress(line.step, config, elapsed_s, line.terms, line.n_surfels);
     const int left = p.n_iterations - p.iteration,
               done = log.empty() ? 0 : p.iteration - log.front().iteration;
     p.eta_s = left == 0 ? 0.0 : std::numeric_limits<double>::infinity();
@@ -100,8 +102,7 @@ void append_training_log_line(std::vector<TrainProgress>& log, const TrainLogLin
     log.push_back(std::move(p));
 }
 
-void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& result,
-                                  double training_time_s) {
+void write_log(CheckpointWriter& writer, const TrainResult& result, double training_time_s) {
     LogColumns log;
     for (const TrainProgress& p : result.log) {
         log.iteration.push_back(p.iteration);
@@ -111,14 +112,14 @@ void write_training_log_and_times(CheckpointWriter& writer, const TrainResult& r
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
             log.densified[k].push_back(p.densified.*kDensifyCounts[k].second);
     }
-    log.visit_checkpoint_state(writer);
+    log.visit_state(writer);
     writer("initialise_s", result.initialise_s);
     writer("train_s", training_time_s);
 }
 
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config) {
     LogColumns log;
-    log.visit_checkpoint_state(CheckpointReader(checkpoint));
+    log.visit_state(CheckpointReader(checkpoint));
     const std::size_t n = log.iteration.size();
     const auto as_long = [n](const auto& column) { return column.size() == n; };
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&
@@ -132,14 +133,14 @@ std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};
         for (std::size_t k = 0; k < terms.size(); ++k) terms[k] = log.terms[k][i];
-        lines.push_back(make_progress_line(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
+        lines.push_back(make_progress(log.iteration[i], config, log.seconds[i], terms, log.surfels[i]));
         for (std::size_t k = 0; k < kDensifyCounts.size(); ++k)
             lines.back().densified.*kDensifyCounts[k].second = log.densified[k][i];
     }
     return lines;
 }
 
-void read_training_log_and_times(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
+void read_log(const Checkpoint& checkpoint, const Config& config, TrainResult& result) {
     const CheckpointReader read(checkpoint);
     result.log = read_training_log(checkpoint, config);
     result.iterations = checkpoint.iteration;
@@ -147,11 +148,11 @@ void read_training_log_and_times(const Checkpoint& checkpoint, const Config& con
     read("train_s", result.train_s);
 }
 
-Scene read_checkpoint_scene(const Checkpoint& checkpoint) {
+Scene read_scene(const Checkpoint& checkpoint) {
     Scene scene;
-    scene.surfels = CheckpointReader(checkpoint).read_all_surfels("parameters");
-    parse_scene_layout_json(checkpoint.get_text("layout"),
-                            fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
+    scene.surfels = CheckpointReader(checkpoint).read_surfels("parameters");
+    parse_layout(checkpoint.text("layout"),
+                 fmt::format("checkpoint of iteration {}: layout", checkpoint.iteration), scene);
     return scene;
 }
 

@@ -17,17 +17,15 @@
 namespace relidar {
 namespace {
 
-bool should_train_on_range_image_grid(const Config& config) {
+bool uses_grid_rays(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
 /// If the network corrects range images (refine.image is "grid"), the rays of the cells,
 /// otherwise those of the LiDAR.
-SimulatedSensor choose_sensor_for_ray_drop_training(const Config& config, const LidarSequence& sequence,
-                                                    const LidarFrame& frame) {
-    if (!should_train_on_range_image_grid(config))
-        return choose_nominal_sensor_of_frame(config, sequence, frame);
-    SimulatedSensor sensor = make_sensor_from_config(config, sequence, frame.lidar);
+SimulatedSensor choose_sensor(const Config& config, const Log& sequence, const Frame& frame) {
+    if (!uses_grid_rays(config)) return nominal_sensor(config, sequence, frame);
+    SimulatedSensor sensor = make_sensor(config, sequence, frame.lidar);
     // the network learns from the scans of the log
     sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
@@ -35,7 +33,7 @@ SimulatedSensor choose_sensor_for_ray_drop_training(const Config& config, const 
 
 /// The scene fits the original rays unusually well. Rays rotated towards the next column
 /// are as accurate as those of held-out frames.
-RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
+RayTable rotate_rays(RayTable rays, float column_fraction) {
     const RayTable original = rays;
     // Without a full turn, the last column has no next column and is not rotated.
     const bool circular = is_full_turn(rays.rows, rays.columns, original.direction);
@@ -52,25 +50,24 @@ RayTable rotate_rays_by_column_fraction(RayTable rays, float column_fraction) {
 
 /// [cells] 0 returned, 1 dropped, -1 unknown: a return of the cell belongs to a ray with
 /// a negative value in `ray_drops`.
-std::vector<float> convert_ray_drops_to_grid(const Config& config, const LidarFrame& frame,
-                                             const std::vector<float>& ray_drops) {
-    std::vector<float> cells = make_measured_image(config, frame.scan).drop_prob;
-    const RangeImageGrid grid = get_range_image_grid_by_name(config.sensor.grid);
+std::vector<float> drops_to_grid(const Config& config, const Frame& frame,
+                                 const std::vector<float>& ray_drops) {
+    std::vector<float> cells = measured_image(config, frame.scan).drop_prob;
+    const RangeImageGrid grid = find_grid(config.sensor.grid);
     for (std::size_t i = 0; i < ray_drops.size(); ++i) {
         if (ray_drops[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
-        if (const std::optional<int> cell =
-                project_to_pixel_index(grid, glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(i))))
+        if (const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(frame.scan.return_point(i))))
             cells[std::size_t(*cell)] = -1.0f;
     }
     return cells;
 }
 
 /// Those with the most common image size, or all if refine.image is "grid".
-std::vector<int> select_frames_with_range_image(const Config& config, const LidarSequence& sequence,
-                                                const std::vector<int>& train_frame_indices) {
-    if (should_train_on_range_image_grid(config)) return train_frame_indices;
+std::vector<int> select_frames(const Config& config, const Log& sequence,
+                               const std::vector<int>& train_frames) {
+    if (uses_grid_rays(config)) return train_frames;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
-    for (const int position : train_frame_indices) {
+    for (const int position : train_frames) {
         const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
         if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
     }
@@ -82,38 +79,33 @@ std::vector<int> select_frames_with_range_image(const Config& config, const Lida
 
 /// Inputs of the network and measured drops of training frames. Empty if the user
 /// stopped.
-std::vector<RayDropImage> render_drop_network_training_images(Device& device, const TrainedRun& run,
-                                                              const Config& config,
-                                                              const RayDropTrainingSession& session) {
-    const std::vector<int> positions = select_evenly_spaced_frames(
-        select_frames_with_range_image(run.config, run.sequence, run.split.train), run.config.refine.frames);
+std::vector<RayDropImage> render_images(Device& device, const Run& run, const Config& config,
+                                        const RayDropTrainingSession& session) {
+    const std::vector<int> positions =
+        select_evenly(select_frames(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         fail(
             "cannot train the ray-drop network of {}: no training frame has its rays in rows and columns, "
             "which the network needs",
             run.sequence.name);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    const IgnoredMeasurements masks = make_mask_for_movers_without_model(config, run.scene);
-    const std::vector<std::string> channels = list_network_input_channels(config.refine);
-    if (get_primitive_properties(config.image.primitive).has_normals)
-        renderer.enable_optional_channels("incidence");
+    const IgnoredMeasurements masks = mask_movers(config, run.scene);
+    const std::vector<std::string> channels = channel_names(config.refine);
+    if (properties_of(config.image.primitive).has_normals) renderer.add_channels("incidence");
     std::vector<RayDropImage> images;
     for (const int position : positions) {
         if (session.progress)
             session.progress("rendering training frames", double(images.size()) / double(positions.size()));
-        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        SimulatedSensor sensor = choose_sensor_for_ray_drop_training(config, run.sequence, frame);
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
-        const ImageStripes stripes(parted ? choose_image_stripe_interval(sensor.rays) : 1, sensor.rays,
-                                   images.size());
-        sensor.rays =
-            stripes.select_stripe_rays(rotate_rays_by_column_fraction(std::move(sensor.rays), 0.5f));
+        const ImageStripes stripes(parted ? choose_interval(sensor.rays) : 1, sensor.rays, images.size());
+        sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
-        images.push_back(make_network_input_image(scan, channels, get_first_vehicle_position(run.sequence)));
-        std::vector<float> dropped = classify_measured_drops_per_ray(run.sequence, frame, masks);
-        if (should_train_on_range_image_grid(config))
-            dropped = convert_ray_drops_to_grid(config, frame, dropped);
-        images.back().dropped = stripes.select_stripe_values(dropped);
+        images.push_back(make_drop_image(scan, channels, first_position(run.sequence)));
+        std::vector<float> dropped = classify_drops(run.sequence, frame, masks);
+        if (uses_grid_rays(config)) dropped = drops_to_grid(config, frame, dropped);
+        images.back().dropped = stripes.stripe_values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
             // Excludes rays that the scene always drops, because the output of the
             // network does not change them.
@@ -126,30 +118,28 @@ std::vector<RayDropImage> render_drop_network_training_images(Device& device, co
 
 }  // namespace
 
-RayDropNetwork train_ray_drop_network_of_run(Device& device, const TrainedRun& run,
-                                             const RayDropTrainingSession& session) {
-    if (session.start) require_network_training_is_resumable(*session.start, run);
+RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTrainingSession& session) {
+    if (session.start) check_drop_resume(*session.start, run);
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
-    begin_timed_stage_if_enabled(session.stages, "network's images");
-    const std::vector<RayDropImage> images =
-        render_drop_network_training_images(device, run, config, session);
-    begin_timed_stage_if_enabled(session.stages, "network");
+    begin_stage(session.stages, "network's images");
+    const std::vector<RayDropImage> images = render_images(device, run, config, session);
+    begin_stage(session.stages, "network");
     if (images.empty()) return {};
     RayDropCheckpointKeeper checkpoints(run, session);
     const std::optional<RayDropTrainState> start =
-        session.start ? std::optional(read_network_training_state(*session.start)) : std::nullopt;
+        session.start ? std::optional(read_drop_state(*session.start)) : std::nullopt;
     bool stopped = false;
     const auto after_step = [&](const RayDropTrainProgress& progress,
                                 const std::function<RayDropTrainState()>& state) {
         if (session.step) session.step(progress);
         stopped = session.stop && session.stop();
-        checkpoints.save_checkpoint_if_due(progress, stopped, state);
+        checkpoints.save_due(progress, stopped, state);
         return !stopped;
     };
-    RayDropNetwork network = train_ray_drop_network(device, images, config.refine, config.train.seed,
-                                                    after_step, start ? &*start : nullptr);
-    if (should_train_on_range_image_grid(config)) network.image = config.sensor.grid;
+    RayDropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step,
+                                                start ? &*start : nullptr);
+    if (uses_grid_rays(config)) network.image = config.sensor.grid;
     return stopped ? RayDropNetwork{} : network;
 }
 

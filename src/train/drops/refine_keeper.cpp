@@ -11,69 +11,67 @@
 namespace relidar {
 namespace {
 
-bool can_setting_affect_ray_drop_network(const std::string& setting_key) {
-    constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
-    return setting_key != "refine.enabled" &&
-           std::ranges::any_of(kGroups, [&](const char* group) { return setting_key.starts_with(group); });
+bool affects_network(const std::string& setting_key) {
+    constexpr std::array kNetworkPrefixes{"refine.", "image.",       "sensor.",
+                                          "init.",   "render.range", "train.seed"};
+    return setting_key != "refine.enabled" && std::ranges::any_of(kNetworkPrefixes, [&](const char* group) {
+               return setting_key.starts_with(group);
+           });
 }
 
-std::vector<ResumeFingerprint> compute_run_fingerprints(const TrainedRun& run) {
-    std::vector<ResumeFingerprint> marks = compute_log_fingerprints(run.sequence, run.split);
-    marks.push_back(compute_scene_fingerprint(run.scene));
+std::vector<ResumeFingerprint> fingerprint_run(const Run& run) {
+    std::vector<ResumeFingerprint> marks = fingerprint_log(run.sequence, run.split);
+    marks.push_back(fingerprint_scene(run.scene));
     return marks;
 }
 
 /// The settings that affect the network.
 std::vector<ConfigKey> list_network_settings(const Config& config) {
     std::vector<ConfigKey> settings = list_config_keys(config);
-    std::erase_if(settings,
-                  [](const ConfigKey& key) { return !can_setting_affect_ray_drop_network(key.key); });
+    std::erase_if(settings, [](const ConfigKey& key) { return !affects_network(key.key); });
     return settings;
 }
 
 }  // namespace
 
-RayDropCheckpointKeeper::RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session)
+RayDropCheckpointKeeper::RayDropCheckpointKeeper(const Run& run, const RayDropTrainingSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
               session.note) {
     if (!folder_.is_enabled()) return;
     texts_ = std::async(std::launch::async, [&run] {
-        return make_resume_texts(list_network_settings(run.config), compute_run_fingerprints(run));
+        return make_resume_texts(list_network_settings(run.config), fingerprint_run(run));
     });
 }
 
-void RayDropCheckpointKeeper::save_checkpoint_if_due(const RayDropTrainProgress& progress, bool is_stopping,
-                                                     const std::function<RayDropTrainState()>& get_state) {
+void RayDropCheckpointKeeper::save_due(const RayDropTrainProgress& progress, bool is_stopping,
+                                       const std::function<RayDropTrainState()>& get_state) {
     const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.is_enabled() || !(ends_epoch || by_time || is_stopping)) return;
     // Set before writing: if the disk is full, the next attempt is one interval later.
     last_ = Clock::now();
-    folder_.save_checkpoint_or_report_failure({progress.step, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
-        get_state().visit_checkpoint_state(CheckpointWriter(checkpoint));
-    });
+    folder_.save({progress.step, texts_.get(), {}},
+                 [&](Checkpoint& checkpoint) { get_state().visit_state(CheckpointWriter(checkpoint)); });
 }
 
-RayDropTrainState read_network_training_state(const Checkpoint& checkpoint) {
+RayDropTrainState read_drop_state(const Checkpoint& checkpoint) {
     RayDropTrainState state;
-    state.visit_checkpoint_state(CheckpointReader(checkpoint));
+    state.visit_state(CheckpointReader(checkpoint));
     return state;
 }
 
-void require_network_training_is_resumable(const Checkpoint& checkpoint, const TrainedRun& run) {
+void check_drop_resume(const Checkpoint& checkpoint, const Run& run) {
     const std::string doing =
         fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
-    require_same_as_in_checkpoint(list_network_settings(run.config), checkpoint, doing);
-    for (const ResumeFingerprint& mark : compute_run_fingerprints(run))
-        require_same_as_in_checkpoint(checkpoint, mark, doing);
-    read_network_training_state(checkpoint);  // throws an error if the state is incomplete
+    check_same(list_network_settings(run.config), checkpoint, doing);
+    for (const ResumeFingerprint& mark : fingerprint_run(run)) check_same(checkpoint, mark, doing);
+    read_drop_state(checkpoint);  // throws an error if the state is incomplete
 }
 
-void copy_network_settings_into_config(const Checkpoint& checkpoint, Config& config) {
-    for (const auto& [key, value] : read_checkpoint_settings(checkpoint))
-        set_config_value(config, key, value);
+void read_drop_settings(const Checkpoint& checkpoint, Config& config) {
+    for (const auto& [key, value] : read_settings(checkpoint)) set_value(config, key, value);
 }
 
 }  // namespace relidar

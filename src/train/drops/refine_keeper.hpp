@@ -19,11 +19,11 @@ namespace relidar {
 
 class RayDropCheckpointKeeper {
 public:
-    RayDropCheckpointKeeper(const TrainedRun& run, const RayDropTrainingSession& session);
+    RayDropCheckpointKeeper(const Run& run, const RayDropTrainingSession& session);
 
     /// @throws DataError if the state is not finite
-    void save_checkpoint_if_due(const RayDropTrainProgress& progress, bool is_stopping,
-                                const std::function<RayDropTrainState()>& get_state);
+    void save_due(const RayDropTrainProgress& progress, bool is_stopping,
+                  const std::function<RayDropTrainState()>& get_state);
 
 private:
     using Clock = std::chrono::steady_clock;
@@ -36,6 +36,6 @@ private:
 };
 
 /// @throws DataError if the checkpoint is not from the training of a network
-RayDropTrainState read_network_training_state(const Checkpoint& checkpoint);
+RayDropTrainState read_drop_state(const Checkpoint& checkpoint);
 
 }  // namespace relidar

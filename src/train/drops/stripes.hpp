@@ -12,12 +12,12 @@ namespace relidar {
 
 /// If every n-th stripe of the image is used, they have about 32,768 pixels in total. If
 /// n is below 2, the full image is used.
-inline int choose_image_stripe_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
+inline int choose_interval(const RayTable& rays) { return int(rays.size()) / 32768; }
 
 /// The image covers a full turn, so its last column is next to its first.
 class ImageStripes {
 public:
-    static constexpr int kColumns = 64;  ///< columns in a stripe
+    static constexpr int kStripeColumns = 64;  ///< columns in a stripe
 
     /// @param stripe_interval  n selects every n-th stripe; the full image if below 2 or
     /// larger than the number of stripes
@@ -25,23 +25,23 @@ public:
     /// together use all columns
     ImageStripes(int stripe_interval, const RayTable& rays, std::size_t frame_number)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {
-        const int n = rays.columns / kColumns;
+        const int n = rays.columns / kStripeColumns;
         if (stripe_interval < 2 || n < stripe_interval) return;
         for (int k = 0; k < n / stripe_interval; ++k)
-            first_.push_back((frame_number + std::size_t(k * stripe_interval)) * kColumns % columns_);
+            first_.push_back((frame_number + std::size_t(k * stripe_interval)) * kStripeColumns % columns_);
     }
 
-    RayTable select_stripe_rays(const RayTable& image_rays) const {
+    RayTable stripe_rays(const RayTable& image_rays) const {
         if (first_.empty()) return image_rays;
-        RayTable some = select_rays(image_rays, list_stripe_pixel_indices());
+        RayTable some = select_rays(image_rays, list_pixels());
         some.rows = int(rows_);
-        some.columns = int(first_.size()) * kColumns;
+        some.columns = int(first_.size()) * kStripeColumns;
         return some;
     }
-    std::vector<float> select_stripe_values(const std::vector<float>& image_values) const {
+    std::vector<float> stripe_values(const std::vector<float>& image_values) const {
         if (first_.empty()) return image_values;
         std::vector<float> some;
-        for (const std::size_t i : list_stripe_pixel_indices()) some.push_back(image_values[i]);
+        for (const std::size_t i : list_pixels()) some.push_back(image_values[i]);
         return some;
     }
 
@@ -49,11 +49,11 @@ private:
     std::size_t rows_, columns_;
     std::vector<std::size_t> first_;  ///< first column of each stripe; empty if the full image is used
 
-    std::vector<std::size_t> list_stripe_pixel_indices() const {
+    std::vector<std::size_t> list_pixels() const {
         std::vector<std::size_t> pixel_indices;
         for (std::size_t row = 0; row < rows_; ++row)
             for (const std::size_t first : first_)
-                for (std::size_t c = 0; c < kColumns; ++c)
+                for (std::size_t c = 0; c < kStripeColumns; ++c)
                     pixel_indices.push_back(row * columns_ + (first + c) % columns_);
         return pixel_indices;
     }

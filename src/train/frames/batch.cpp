@@ -27,42 +27,38 @@ struct StridedColumns {
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
 };
 
-std::uint32_t choose_ray_stride(const TrainingFrameData& frame, const TrainConfig& config) {
+std::uint32_t ray_stride(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
 /// If the rays are not ordered as an image, the frame has a single row.
-ImageShape get_frame_image_shape(const TrainingFrameData& frame) {
-    return frame.image.has_image_rows_and_columns() ? frame.image : ImageShape{1, frame.n_rays, false};
+ImageShape image_shape(const TrainingFrameData& frame) {
+    return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-StridedColumns choose_columns_of_training_batch(const TrainingFrameData& frame, const TrainConfig& config,
-                                                bool use_contiguous_window) {
+StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig& config,
+                              bool use_contiguous_window) {
     if (config.rays_per_iteration == 0) return {};
     if (use_contiguous_window) {
-        const ImageShape image = get_frame_image_shape(frame);
+        const ImageShape image = image_shape(frame);
         const std::uint32_t n =
             std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows,
                        1u, image.columns);
         return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
     }
     // Rays of neighbouring columns have similar directions, so they are traced faster.
-    const std::uint32_t stride = std::min(choose_ray_stride(frame, config), frame.image.columns);
-    return frame.image.has_image_rows_and_columns() && stride > 1
-               ? StridedColumns{stride, frame.image.columns / stride}
-               : StridedColumns{};
+    const std::uint32_t stride = std::min(ray_stride(frame, config), frame.image.columns);
+    return frame.image.is_image() && stride > 1 ? StridedColumns{stride, frame.image.columns / stride}
+                                                : StridedColumns{};
 }
 
 /// Of the largest batch whose rays are copied to separate arrays.
-std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData>& frames,
-                                             const Config& config) {
+std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const TrainingFrameData& frame : frames)
-        largest = std::max(largest, std::size_t(get_frame_image_shape(frame).rows) *
-                                        choose_columns_of_training_batch(
-                                            frame, config.train, config.has_loss_between_neighbour_pixels())
-                                            .n);
+        largest = std::max(largest, std::size_t(image_shape(frame).rows) *
+                                        choose_columns(frame, config.train, config.has_pixel_pair_loss()).n);
     return largest;
 }
 
@@ -70,21 +66,21 @@ std::size_t compute_max_rays_in_column_batch(const std::vector<TrainingFrameData
 
 BatchSampler::BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames)
     : impl_(new Impl{config.train,
-                     config.has_loss_between_neighbour_pixels(),
-                     {device, compute_max_rays_in_column_batch(frames, config), "batch rays"},
-                     {device, compute_max_rays_in_column_batch(frames, config), "batch targets"},
+                     config.has_pixel_pair_loss(),
+                     {device, max_column_rays(frames, config), "batch rays"},
+                     {device, max_column_rays(frames, config), "batch targets"},
                      {device, "train/gather_columns"}}) {
     if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
         for (const TrainingFrameData& frame : frames)
-            if (!frame.image.has_image_rows_and_columns())
+            if (!frame.image.is_image())
                 throw UsageError(
                     "setting loss.intensity_ssim: the rays of this sensor are not ordered in rows and "
                     "columns, so this loss cannot be computed; set it to 0");
 }
 BatchSampler::~BatchSampler() = default;
 
-/// Must select the same columns as get_frame_column() in shaders/train/columns.glsl.
-std::size_t SampledBatch::convert_batch_to_frame_ray_index(std::uint32_t batch_ray_index) const {
+/// Must select the same columns as frame_column() in shaders/train/columns.glsl.
+std::size_t SampledBatch::frame_ray(std::uint32_t batch_ray_index) const {
     if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
     const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns,
                         within = column % RELIDAR_COLUMN_GROUP;
@@ -92,40 +88,39 @@ std::size_t SampledBatch::convert_batch_to_frame_ray_index(std::uint32_t batch_r
            (window.first + (column - within) * window.stride + within) % window.columns;
 }
 
-std::uint32_t BatchSampler::count_batches_covering_frame(const TrainingFrameData& frame) const {
-    const StridedColumns columns = choose_columns_of_training_batch(frame, impl_->config, impl_->windows);
-    return columns.n > 0 || impl_->windows ? columns.stride : choose_ray_stride(frame, impl_->config);
+std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const {
+    const StridedColumns columns = choose_columns(frame, impl_->config, impl_->windows);
+    return columns.n > 0 || impl_->windows ? columns.stride : ray_stride(frame, impl_->config);
 }
 
-std::uint32_t BatchSampler::sample_random_first_column(const TrainingFrameData& frame, Random& random) const {
-    const StridedColumns columns = choose_columns_of_training_batch(frame, impl_->config, impl_->windows);
-    std::uint32_t choices = count_batches_covering_frame(frame);
+std::uint32_t BatchSampler::draw_column(const TrainingFrameData& frame, Random& random) const {
+    const StridedColumns columns = choose_columns(frame, impl_->config, impl_->windows);
+    std::uint32_t choices = count_batches(frame);
     if (columns.n > 0) {
-        const ImageShape image = get_frame_image_shape(frame);
+        const ImageShape image = image_shape(frame);
         // A window of columns must not extend beyond the last column, except in an image
         // that covers a full turn.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
-    return static_cast<std::uint32_t>(random.sample_random_uint64() % choices);
+    return static_cast<std::uint32_t>(random.next_uint64() % choices);
 }
 
-SampledBatch BatchSampler::sample_random_batch(Stream& stream, const TrainingFrameData& frame,
-                                               Random& random) {
-    return gather_nth_batch(stream, frame, sample_random_first_column(frame, random), 0);
+SampledBatch BatchSampler::draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random) {
+    return gather(stream, frame, draw_column(frame, random), 0);
 }
 
-SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameData& frame,
-                                            std::uint32_t first_column, std::uint32_t batch_index) {
+SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
+                                  std::uint32_t batch_index) {
     Impl& b = *impl_;
-    const StridedColumns columns = choose_columns_of_training_batch(frame, b.config, b.windows);
+    const StridedColumns columns = choose_columns(frame, b.config, b.windows);
     if (columns.n > 0) {
-        const ImageShape image = get_frame_image_shape(frame);
+        const ImageShape image = image_shape(frame);
         if (columns.stride > 1)
             first_column = (first_column + batch_index * RELIDAR_COLUMN_GROUP) % image.columns;
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
-            {.rays = frame.get_device_rays().address(),
-             .targets = frame.get_loss_targets_on_device().address(),
+            {.rays = frame.device_rays().address(),
+             .targets = frame.loss_targets().address(),
              .batch_rays = b.rays.address(),
              .batch_targets = b.targets.address(),
              .rows = image.rows,
@@ -147,14 +142,13 @@ SampledBatch BatchSampler::gather_nth_batch(Stream& stream, const TrainingFrameD
                  {image.rows, columns.n, false}},
                 {image.columns, first_column, columns.stride, columns.n}};
     }
-    const std::uint32_t stride = count_batches_covering_frame(frame);
+    const std::uint32_t stride = count_batches(frame);
     first_column = (first_column + batch_index) % stride;
-    const RayBatch rays = frame.make_strided_batch(first_column, stride);
-    return {
-        rays,
-        {&frame.get_loss_targets_on_device(), first_column, stride, rays.n_rays, frame.n_returned / stride,
-         frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}},
-        {}};
+    const RayBatch rays = frame.strided_batch(first_column, stride);
+    return {rays,
+            {&frame.loss_targets(), first_column, stride, rays.n_rays, frame.n_returned / stride,
+             frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}},
+            {}};
 }
 
 }  // namespace relidar

@@ -30,7 +30,7 @@ struct SampledBatch {
     TargetBatch targets;
     ColumnWindow window{};
 
-    std::size_t convert_batch_to_frame_ray_index(std::uint32_t batch_ray_index) const;
+    std::size_t frame_ray(std::uint32_t batch_ray_index) const;
 };
 
 /// Selects about train.rays_per_iteration rays of a frame, or all rays if this setting is
@@ -43,17 +43,17 @@ public:
     BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames);
     ~BatchSampler();
     /// Valid until the next call.
-    SampledBatch sample_random_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
+    SampledBatch draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
     /// The batches of a series together contain all rays of a frame, except a few columns
     /// at the end of a full turn. A window of columns has only one batch.
-    /// @param first_column  of the first batch, from sample_random_first_column()
-    /// @param batch_index  below count_batches_covering_frame()
-    SampledBatch gather_nth_batch(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
-                                  std::uint32_t batch_index);
-    std::uint32_t sample_random_first_column(const TrainingFrameData& frame, Random& random) const;
+    /// @param first_column  of the first batch, from draw_column()
+    /// @param batch_index  below count_batches()
+    SampledBatch gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
+                        std::uint32_t batch_index);
+    std::uint32_t draw_column(const TrainingFrameData& frame, Random& random) const;
     /// Number of batches that together contain all rays, or 1 for windows of neighbouring
     /// columns.
-    std::uint32_t count_batches_covering_frame(const TrainingFrameData& frame) const;
+    std::uint32_t count_batches(const TrainingFrameData& frame) const;
 
 private:
     struct Impl;

@@ -21,16 +21,15 @@ struct MovingBoxMask {
     double reach_m;
 };
 
-std::vector<MovingBoxMask> list_masked_boxes_in_sweep(const LidarSequence& sequence, const SweepTiming& sweep,
-                                                      const IgnoredMeasurements& mask_rules) {
+std::vector<MovingBoxMask> list_masked_boxes(const Log& sequence, const SweepTiming& sweep,
+                                             const IgnoredMeasurements& mask_rules) {
     std::vector<MovingBoxMask> result;
-    for (const BoxTrack& box : list_foreground_boxes(sequence, mask_rules.moving)) {
+    for (const BoxTrack& box : list_foreground(sequence, mask_rules.moving)) {
         const bool is_actor =
             std::find(mask_rules.actors.begin(), mask_rules.actors.end(), box.id) != mask_rules.actors.end();
-        if (is_actor || !box.is_observed_at_time(sweep.time_s)) continue;
+        if (is_actor || !box.is_observed(sweep.time_s)) continue;
         const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
-        const InstancePose placed =
-            compute_box_pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
+        const InstancePose placed = box_pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         result.push_back({placed, half_size_m, glm::length(half_size_m) + driven_length_m});
     }
@@ -46,52 +45,49 @@ bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRa
         const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
         const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
         if (!(glm::distance(to_centre, along_m * ray.direction) <= box.reach_m)) return false;
-        const PosedBox posed_box{
-            inverse(placed.motion.compute_pose_at_sweep_time(placed.world_from_model, time_offset_s)),
-            box.half_size_m};
-        const glm::dvec2 inside = posed_box.compute_ray_entry_exit_m(ray);
+        const PosedBox posed_box{inverse(placed.motion.pose_at(placed.world_from_model, time_offset_s)),
+                                 box.half_size_m};
+        const glm::dvec2 inside = posed_box.intersect_m(ray);
         return inside.x <= inside.y && (range_m <= 0.0 || (range_m >= inside.x && range_m <= inside.y));
     });
 }
 
 }  // namespace
 
-void compute_training_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
-                                       const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
-                                       std::vector<DeviceTarget>& targets) {
+void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
+                       std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
-    const std::vector<MovingBoxMask> boxes =
-        list_masked_boxes_in_sweep(sequence, get_sweep_timing_of_frame(frame), mask_rules);
-    const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
+    const std::vector<MovingBoxMask> boxes = list_masked_boxes(sequence, timing_of(frame), mask_rules);
+    const PoseTrack track = sequence.lidar_track(frame.lidar);
     rays.resize(scan.range_m.size());
     targets.resize(scan.range_m.size());
-    parallel_for_in_blocks(scan.range_m.size(), [&](std::size_t index) {
+    parallel_blocks(scan.range_m.size(), [&](std::size_t index) {
         const WorldRay w = make_world_ray(track, frame.time_s, scan.rays, index, sequence.rolling_shutter);
         const float after_s = sequence.rolling_shutter ? scan.rays.time_offset_s[index] : 0.0f;
-        const bool unknown = is_ray_in_blind_sector(mask_rules.observed_drops, sequence, frame, index) ||
+        const bool unknown = is_blind_ray(mask_rules.observed_drops, sequence, frame, index) ||
                              is_ray_masked(boxes, w, double(after_s), scan.range_m[index]);
         rays[index] = {glm::vec3(w.origin_m), glm::vec3(w.direction), after_s};
-        const SurfaceReturn surface = compute_surface_return(sequence, frame, index);
+        const SurfaceReturn surface = surface_return(sequence, frame, index);
         targets[index] = {surface.range_m, surface.intensity, unknown ? 0.0f : 1.0f};
     });
 }
 
-std::uint32_t find_max_rays_per_frame(std::span<const TrainingFrameData> frames) {
+std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames) {
     std::uint32_t most = 0;
     for (const TrainingFrameData& frame : frames) most = std::max(most, frame.n_rays);
     return most;
 }
 
-RayBatch TrainingFrameData::make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
+RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
     // The batch has every stride-th ray of the image. If the number of columns is a
     // multiple of the stride, these rays form complete columns of the image.
     const bool is_column_subset = image.columns % stride == 0 && first_ray < stride;
-    return {&get_device_rays(),
+    return {&device_rays(),
             first_ray,
             stride,
             (n_rays - first_ray + stride - 1) / stride,
             is_column_subset ? image.columns / stride : 0,
-            &get_loss_targets_on_device()};
+            &loss_targets()};
 }
 
 }  // namespace relidar

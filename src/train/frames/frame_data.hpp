@@ -29,7 +29,7 @@ struct FrameArrays {
 };
 
 struct TrainingFrameData {
-    int position = 0;  ///< index into LidarSequence::frames
+    int position = 0;  ///< index into Log::frames
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
     /// rows and columns of the rays; empty if the rays are not ordered as an image
@@ -48,20 +48,20 @@ struct TrainingFrameData {
     std::vector<InstancePose> placed;   ///< poses of all instances of the scene
     glm::vec3 sensor_position_m{0.0f};  ///< sensor position at the reference time, world frame
 
-    const Array<DeviceRay>& get_device_rays() const { return moved_rays ? *moved_rays : arrays->rays; }
-    const Array<DeviceTarget>& get_loss_targets_on_device() const { return arrays->targets; }
+    const Array<DeviceRay>& device_rays() const { return moved_rays ? *moved_rays : arrays->rays; }
+    const Array<DeviceTarget>& loss_targets() const { return arrays->targets; }
     /// Returns a batch with every stride-th ray of the frame, starting at ray
     /// `first_ray`.
-    RayBatch make_strided_batch(std::uint32_t first_ray, std::uint32_t stride) const;
+    RayBatch strided_batch(std::uint32_t first_ray, std::uint32_t stride) const;
 };
 
 /// 0 if there are no frames
-std::uint32_t find_max_rays_per_frame(std::span<const TrainingFrameData> frames);
+std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames);
 
 struct IgnoredMeasurements {
     /// settings that decide which moving boxes become actors, are ignored, or belong to
     /// the background
-    SceneInitialisationOptions moving;
+    InitOptions moving;
     /// tracks of the actors that have a model in the scene; training uses the returns on
     /// these actors
     std::vector<std::string> actors;
@@ -71,8 +71,7 @@ struct IgnoredMeasurements {
 
 /// Rays that the background must not learn get weight 0: returns from inside a moving
 /// box, and dropped rays that may have hit such a box.
-void compute_training_rays_and_targets(const LidarSequence& sequence, const LidarFrame& frame,
-                                       const IgnoredMeasurements& mask_rules, std::vector<DeviceRay>& rays,
-                                       std::vector<DeviceTarget>& targets);
+void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
+                       std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 
 }  // namespace relidar

@@ -10,7 +10,6 @@ namespace relidar {
 /// cell of the grid (train.grid). A cell gets the range, intensity, time and beam of its
 /// nearest return (Eq. 6-7). A cell without a return becomes a dropped ray at the time at
 /// which the LiDAR's head faces it. Second returns are removed.
-LidarFrame convert_frame_to_grid(const LidarSequence& sequence, const LidarFrame& frame,
-                                 const RangeImageGrid& grid);
+Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGrid& grid);
 
 }  // namespace relidar

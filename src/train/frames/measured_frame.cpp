@@ -5,9 +5,8 @@
 
 namespace relidar {
 
-SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
-                                               const LidarFrame& frame) {
-    SimulatedSensor sensor = find_or_load_sensor("native", config, sequence, frame.lidar);
+SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame) {
+    SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) {
         sensor.rays = frame.scan.rays;
         sensor.follows_sweeps = false;
@@ -16,18 +15,18 @@ SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const Lidar
     return sensor;
 }
 
-IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, const Scene& scene) {
+IgnoredMeasurements mask_movers(const Config& config, const Scene& scene) {
     IgnoredMeasurements masks{config.init, {}, {}};
     for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
 }
 
-std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence, const LidarFrame& frame,
-                                                   const IgnoredMeasurements& mask_rules) {
+std::vector<float> classify_drops(const Log& sequence, const Frame& frame,
+                                  const IgnoredMeasurements& mask_rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
-    compute_training_rays_and_targets(sequence, frame, mask_rules, rays, targets);
+    make_frame_arrays(sequence, frame, mask_rules, rays, targets);
     std::vector<float> dropped;
     for (std::size_t i = 0; i < targets.size(); ++i) {
         if (!(targets[i].weight > 0.0f)) dropped.push_back(-1.0f);
@@ -36,11 +35,11 @@ std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence
     return dropped;
 }
 
-std::vector<int> select_evenly_spaced_frames(const std::vector<int>& frame_indices, int max_count) {
-    if (max_count <= 0 || frame_indices.size() <= std::size_t(max_count)) return frame_indices;
+std::vector<int> select_evenly(const std::vector<int>& frames, int max_count) {
+    if (max_count <= 0 || frames.size() <= std::size_t(max_count)) return frames;
     std::vector<int> chosen;
     for (std::size_t i = 0; i < std::size_t(max_count); ++i)
-        chosen.push_back(frame_indices[i * frame_indices.size() / std::size_t(max_count)]);
+        chosen.push_back(frames[i * frames.size() / std::size_t(max_count)]);
     return chosen;
 }
 

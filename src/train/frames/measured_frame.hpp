@@ -15,18 +15,17 @@
 namespace relidar {
 
 /// If the scan has other rows and columns than the LiDAR, the rays of the scan.
-SimulatedSensor choose_nominal_sensor_of_frame(const Config& config, const LidarSequence& sequence,
-                                               const LidarFrame& frame);
+SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame);
 
 /// Of moving objects without a model in the scene.
-IgnoredMeasurements make_mask_for_movers_without_model(const Config& config, const Scene& scene);
+IgnoredMeasurements mask_movers(const Config& config, const Scene& scene);
 
 /// [rays] 0 returned, 1 dropped, -1 if the ray hit, or may have hit, a moving object
 /// without a model in the scene.
-std::vector<float> classify_measured_drops_per_ray(const LidarSequence& sequence, const LidarFrame& frame,
-                                                   const IgnoredMeasurements& mask_rules);
+std::vector<float> classify_drops(const Log& sequence, const Frame& frame,
+                                  const IgnoredMeasurements& mask_rules);
 
 /// All positions if `max_count` is 0.
-std::vector<int> select_evenly_spaced_frames(const std::vector<int>& frame_indices, int max_count);
+std::vector<int> select_evenly(const std::vector<int>& frames, int max_count);
 
 }  // namespace relidar

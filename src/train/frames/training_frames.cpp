@@ -18,26 +18,25 @@ namespace {
 // frames prepared in parallel in host memory
 constexpr std::size_t kPreparedAtOnce = 32;
 
-double compute_absolute_firing_time(const LidarSequence& sequence, const LidarFrame& frame, float offset_s) {
+double firing_time_s(const Log& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
 /// `frame` refers to `binned` if training uses a grid, otherwise to the frame of the log.
 struct GriddedFrame {
-    std::optional<LidarFrame> binned;
-    const LidarFrame& frame;
+    std::optional<Frame> binned;
+    const Frame& frame;
 
-    GriddedFrame(const LidarSequence& sequence, int position, const std::optional<RangeImageGrid>& grid)
-        : binned(grid ? std::optional(
-                            convert_frame_to_grid(sequence, sequence.frames[std::size_t(position)], *grid))
+    GriddedFrame(const Log& sequence, int position, const std::optional<RangeImageGrid>& grid)
+        : binned(grid ? std::optional(frame_to_grid(sequence, sequence.frames[std::size_t(position)], *grid))
                       : std::nullopt),
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-TrainingFrameData make_training_frame_metadata(const LidarSequence& sequence, int frame_index,
-                                               const std::optional<RangeImageGrid>& grid) {
+TrainingFrameData describe_frame(const Log& sequence, int frame_index,
+                                 const std::optional<RangeImageGrid>& grid) {
     const GriddedFrame trained(sequence, frame_index, grid);
-    const LidarFrame& frame = trained.frame;
+    const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
         fail("cannot use frame {} of {} for training: its scan has no rays, expected at least one",
@@ -51,19 +50,16 @@ TrainingFrameData make_training_frame_metadata(const LidarSequence& sequence, in
                       is_full_turn(table.rows, table.columns, table.direction)};
     const PoseTrack& track = sequence.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
-    data.first_knot =
-        track.find_poses_before_and_after_time(compute_absolute_firing_time(sequence, frame, *first)).left;
-    const std::size_t last_knot = std::min(
-        track.find_poses_before_and_after_time(compute_absolute_firing_time(sequence, frame, *last)).left + 1,
-        track.pose.size() - 1);
+    data.first_knot = track.find_segment(firing_time_s(sequence, frame, *first)).left;
+    const std::size_t last_knot =
+        std::min(track.find_segment(firing_time_s(sequence, frame, *last)).left + 1, track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
-    data.sensor_position_m =
-        glm::vec3(track.interpolate_mounted_pose(frame.time_s, sequence.get_lidar(frame).vehicle_from_sensor)
-                      .translation);
+    data.sensor_position_m = glm::vec3(
+        track.mounted_pose_at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
     return data;
 }
 
-void store_known_and_returned_ray_counts(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
+void count_rays(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
     data.n_known_rays = data.n_returned = 0.0;
     for (const DeviceTarget& t : targets) {
         data.n_known_rays += t.weight > 0.0f;
@@ -73,29 +69,28 @@ void store_known_and_returned_ray_counts(TrainingFrameData& data, const std::vec
 
 template <class T>
 void upload_values(Stream& stream, const Array<T>& target, const std::vector<T>& values) {
-    stream.impl().record_buffer_write(target.buffer(), values.data(), values.size() * sizeof(T));
+    stream.impl().record_write(target.buffer(), values.data(), values.size() * sizeof(T));
 }
 
 }  // namespace
 
-std::size_t TrainingFrames::count_bytes_per_ray() const {
+std::size_t TrainingFrames::bytes_per_ray() const {
     return sizeof(DeviceRay) + sizeof(DeviceTarget) +
            (use_.moves_rays ? sizeof(shared::PoseInterpolation) : 0);
 }
 
-TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
-                               const std::vector<int>& frame_indices, FrameUploadOptions use)
+TrainingFrames::TrainingFrames(Device& device, const Log& sequence, const std::vector<int>& frame_indices,
+                               FrameUploadOptions use)
     : sequence_(sequence), use_(std::move(use)) {
-    for (const int position : frame_indices)
-        frames_.push_back(make_training_frame_metadata(sequence, position, use_.grid));
+    for (const int position : frame_indices) frames_.push_back(describe_frame(sequence, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const TrainingFrameData& frame : frames_) {
-        bytes += std::uint64_t(frame.n_rays) * count_bytes_per_ray();
+        bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();
         if (bytes > use_.resident_bytes) break;
         ++n_staying_;
     }
-    upload_frames_to_keep_resident(device);
-    const std::uint32_t n = find_max_rays_per_frame(std::span(frames_).subspan(n_staying_));
+    upload_frames(device);
+    const std::uint32_t n = max_frame_rays(std::span(frames_).subspan(n_staying_));
     if (n == 0) return;
     shared_ = std::make_shared<FrameArrays>(
         FrameArrays{{device, n, "training rays"},
@@ -106,12 +101,11 @@ TrainingFrames::TrainingFrames(Device& device, const LidarSequence& sequence,
 
 TrainingFrames::~TrainingFrames() = default;
 
-void TrainingFrames::upload_frames_to_keep_resident(Device& device) {
+void TrainingFrames::upload_frames(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrameArrays> batch(std::min(kPreparedAtOnce, n_staying_ - first));
-        parallel_for(static_cast<int>(batch.size()), [&](int k) {
-            batch[std::size_t(k)] = compute_host_frame_arrays(first + std::size_t(k));
-        });
+        parallel_for(static_cast<int>(batch.size()),
+                     [&](int k) { batch[std::size_t(k)] = compute_arrays(first + std::size_t(k)); });
         for (std::size_t k = 0; k < batch.size(); ++k) {
             TrainingFrameData& frame = frames_[first + k];
             frame.arrays = std::make_shared<FrameArrays>(
@@ -119,44 +113,43 @@ void TrainingFrames::upload_frames_to_keep_resident(Device& device) {
                             {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
                             {device, std::span<const shared::PoseInterpolation>(batch[k].track_positions),
                              "track positions of rays"}});
-            store_known_and_returned_ray_counts(frame, batch[k].targets);
+            count_rays(frame, batch[k].targets);
         }
     }
 }
 
-TrainingFrames::HostFrameArrays TrainingFrames::compute_host_frame_arrays(std::size_t frame_index) const {
+TrainingFrames::HostFrameArrays TrainingFrames::compute_arrays(std::size_t frame_index) const {
     const TrainingFrameData& data = frames_[frame_index];
     const GriddedFrame trained(sequence_, data.position, use_.grid);
-    const LidarFrame& frame = trained.frame;
+    const Frame& frame = trained.frame;
     HostFrameArrays host;
-    compute_training_rays_and_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
+    make_frame_arrays(sequence_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
             const TrackInterpolation track_position =
-                sequence_.world_from_vehicle.find_poses_before_and_after_time(
-                    compute_absolute_firing_time(sequence_, frame, offset_s));
+                sequence_.world_from_vehicle.find_segment(firing_time_s(sequence_, frame, offset_s));
             host.track_positions.push_back({static_cast<std::uint32_t>(track_position.left - data.first_knot),
                                             static_cast<float>(track_position.s)});
         }
     return host;
 }
 
-TrainingFrames::HostFrameArrays TrainingFrames::take_prefetched_or_compute_frame(std::size_t frame_index) {
+TrainingFrames::HostFrameArrays TrainingFrames::take_prefetched(std::size_t frame_index) {
     if (prefetched_frame_.valid()) {
         HostFrameArrays host = prefetched_frame_.get();
         if (prefetched_index_ == frame_index) return host;
     }
-    return compute_host_frame_arrays(frame_index);
+    return compute_arrays(frame_index);
 }
 
-TrainingFrameData& TrainingFrames::upload_frame_if_not_resident(Stream& stream, std::size_t frame_index) {
+TrainingFrameData& TrainingFrames::ensure_resident(Stream& stream, std::size_t frame_index) {
     TrainingFrameData& frame = frames_[frame_index];
     if (frame_index < n_staying_) return frame;
-    const HostFrameArrays host = take_prefetched_or_compute_frame(frame_index);
+    const HostFrameArrays host = take_prefetched(frame_index);
     upload_values(stream, frame.arrays->rays, host.rays);
     upload_values(stream, frame.arrays->targets, host.targets);
     upload_values(stream, frame.arrays->track_positions, host.track_positions);
-    store_known_and_returned_ray_counts(frame, host.targets);
+    count_rays(frame, host.targets);
     return frame;
 }
 
@@ -164,8 +157,8 @@ void TrainingFrames::prefetch_frame(std::size_t frame_index) {
     if (frame_index < n_staying_ || (prefetched_frame_.valid() && prefetched_index_ == frame_index)) return;
     if (prefetched_frame_.valid()) prefetched_frame_.wait();
     prefetched_index_ = frame_index;
-    prefetched_frame_ = std::async(std::launch::async,
-                                   [this, frame_index] { return compute_host_frame_arrays(frame_index); });
+    prefetched_frame_ =
+        std::async(std::launch::async, [this, frame_index] { return compute_arrays(frame_index); });
 }
 
 }  // namespace relidar

@@ -31,20 +31,20 @@ public:
     /// @param sequence  must outlive this object, because its scans are read for each
     /// upload
     /// @throws DataError if a frame has no ray
-    TrainingFrames(Device& device, const LidarSequence& sequence, const std::vector<int>& frame_indices,
+    TrainingFrames(Device& device, const Log& sequence, const std::vector<int>& frames,
                    FrameUploadOptions use);
     ~TrainingFrames();
 
-    const std::vector<TrainingFrameData>& get_all_frames() const { return frames_; }
+    const std::vector<TrainingFrameData>& all() const { return frames_; }
     TrainingFrameData& operator[](std::size_t index) { return frames_[index]; }
-    const IgnoredMeasurements& get_mask_rules() const { return use_.unknown; }
-    std::size_t count_resident_frames() const { return n_staying_; }
+    const IgnoredMeasurements& mask_rules() const { return use_.unknown; }
+    std::size_t count_resident() const { return n_staying_; }
 
     /// The arrays of an uploaded frame are valid until the next upload.
-    TrainingFrameData& upload_frame_if_not_resident(Stream& stream, std::size_t frame_index);
+    TrainingFrameData& ensure_resident(Stream& stream, std::size_t frame);
     /// Announces the next frame. A thread starts to compute its rays if it must be
     /// uploaded.
-    void prefetch_frame(std::size_t frame_index);
+    void prefetch_frame(std::size_t frame);
 
 private:
     struct HostFrameArrays {
@@ -53,7 +53,7 @@ private:
         std::vector<shared::PoseInterpolation> track_positions;
     };
 
-    const LidarSequence& sequence_;
+    const Log& sequence_;
     const FrameUploadOptions use_;
     std::vector<TrainingFrameData> frames_;
     std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; they are the first frames
@@ -62,10 +62,10 @@ private:
     std::future<HostFrameArrays> prefetched_frame_;
     std::size_t prefetched_index_ = 0;
 
-    HostFrameArrays compute_host_frame_arrays(std::size_t frame_index) const;
-    HostFrameArrays take_prefetched_or_compute_frame(std::size_t frame_index);
-    void upload_frames_to_keep_resident(Device& device);
-    std::size_t count_bytes_per_ray() const;
+    HostFrameArrays compute_arrays(std::size_t frame) const;
+    HostFrameArrays take_prefetched(std::size_t frame);
+    void upload_frames(Device& device);
+    std::size_t bytes_per_ray() const;
 };
 
 }  // namespace relidar

@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-std::uint32_t find_max_poses_per_frame(const std::vector<TrainingFrameData>& frames) {
+std::uint32_t max_frame_poses(const std::vector<TrainingFrameData>& frames) {
     std::uint32_t most = 0;
     for (const TrainingFrameData& frame : frames) most = std::max(most, frame.n_knots);
     return most;
@@ -18,23 +18,23 @@ std::uint32_t find_max_poses_per_frame(const std::vector<TrainingFrameData>& fra
 }  // namespace
 
 PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames)
-    : most_knots_(find_max_poses_per_frame(frames)),
-      moved_(device, find_max_rays_per_frame(frames), "moved rays"),
+    : most_knots_(max_frame_poses(frames)),
+      moved_(device, max_frame_rays(frames), "moved rays"),
       knots_(device, most_knots_, "sensor poses"),
-      rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
+      rows_(device, std::size_t(kGroupsPerPose) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),
       gradients_(device, "train/knot_gradients",
                  {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
 
-void PoseCorrectedRays::move_rays_to_corrected_poses(Stream& stream, const TrackCorrection& sensor_correction,
-                                                     TrainingFrameData& frame) {
+void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& sensor_correction,
+                                  TrainingFrameData& frame) {
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
-        const Twist c = sensor_correction.get_or_interpolate_correction(k);
-        knots.push_back({glm::vec3(sensor_correction.get_uncorrected_track().pose[k].translation),
+        const Twist c = sensor_correction.correction_at(k);
+        knots.push_back({glm::vec3(sensor_correction.uncorrected_track().pose[k].translation),
                          glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
-    stream.impl().record_buffer_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
+    stream.impl().record_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
     run(stream, move_, frame.n_rays,
         {.rays = frame.arrays->rays.address(),
          .interpolations = frame.arrays->track_positions.address(),
@@ -44,11 +44,10 @@ void PoseCorrectedRays::move_rays_to_corrected_poses(Stream& stream, const Track
     frame.moved_rays = &moved_;
 }
 
-void PoseCorrectedRays::record_pose_gradient_sums(
-    Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
-    const Array<float, shared::DeviceRayGradients>& ray_gradients) {
+void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
+                                    const Array<float, shared::DeviceRayGradients>& ray_gradients) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
-    run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kRows * most_knots_,
+    run(stream, gradients_, std::size_t(RELIDAR_KNOT_WORKGROUP) * kGroupsPerPose * most_knots_,
         {.moved = batch.rays.rays->address(),
          .interpolations = frame.arrays->track_positions.address(),
          .knots = knots_.address(),
@@ -62,15 +61,15 @@ void PoseCorrectedRays::record_pose_gradient_sums(
          .column_stride = batch.window.stride,
          .n_columns = batch.window.n_columns,
          .n_knots = most_knots_,
-         .n_rows = kRows});
+         .n_rows = kGroupsPerPose});
 }
 
-std::vector<PoseGradient> PoseCorrectedRays::sum_pose_gradients(std::span<const float> partial_sums,
-                                                                const TrainingFrameData& frame) const {
+std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> partial_sums,
+                                                           const TrainingFrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = frame.first_knot + k;
-        for (std::size_t row = 0; row < kRows; ++row)
+        for (std::size_t row = 0; row < kGroupsPerPose; ++row)
             for (std::size_t j = 0; j < 6; ++j)
                 result[k].gradient[j] += partial_sums[6 * (row * most_knots_ + k) + j];
     }

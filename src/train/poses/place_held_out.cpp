@@ -21,26 +21,22 @@ constexpr float kFewestWeight = 0.5f;
 /// Excludes actors, because their poses are only estimates.
 class TrainedBackgroundRenderer {
 public:
-    TrainedBackgroundRenderer(Device& device, const TrainedRun& run)
-        : run_(run), renderer_(device, run.scene, make_surface_render_config(run.config), run.sequence) {}
+    TrainedBackgroundRenderer(Device& device, const Run& run)
+        : run_(run), renderer_(device, run.scene, surface_config(run.config), run.sequence) {}
 
-    std::vector<SurfaceHit> render_visible_surfaces(int frame_index,
-                                                    const std::vector<std::size_t>& ray_indices,
-                                                    const PoseTrack& world_from_vehicle) {
-        const LidarFrame& frame = run_.sequence.frames[std::size_t(frame_index)];
+    std::vector<SurfaceHit> render_surfaces(int frame_index, const std::vector<std::size_t>& ray_indices,
+                                            const PoseTrack& world_from_vehicle) {
+        const Frame& frame = run_.sequence.frames[std::size_t(frame_index)];
         SimulatedSensor sensor;
         sensor.rays = select_rays(frame.scan.rays, ray_indices);
         sensor.follows_sweeps = false;
         sensor.lidar = frame.lidar;
         sensor.rolling_shutter = run_.sequence.rolling_shutter;
-        const Pose& mounted = run_.sequence.get_lidar(frame).vehicle_from_sensor;
+        const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan = renderer_.render(
-            sensor,
-            {frame.time_s,
-             add_offset_to_track_positions(compute_mounted_track(world_from_vehicle, mounted), offset_m),
-             {}});
-        const std::vector<glm::vec3>& normals = *find_channel_values<glm::vec3>(scan.channels, "normal");
+            sensor, {frame.time_s, shift_track(mount_track(world_from_vehicle, mounted), offset_m), {}});
+        const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
         std::vector<SurfaceHit> surfaces(ray_indices.size());
         FiringPoseInterpolator firing(scan);
         for (std::size_t i = 0; i < ray_indices.size(); ++i) {
@@ -48,7 +44,7 @@ public:
             if (scan.weight[i] < kFewestWeight || instance < 0 ||
                 !run_.scene.instances[std::size_t(instance)].track.empty())
                 continue;
-            const Pose& pose = firing.compute_firing_pose(i);
+            const Pose& pose = firing.pose_of(i);
             surfaces[i] = {pose * glm::dvec3(scan.end_of(i)) - offset_m,
                            pose.rotation * glm::dvec3(normals[i])};
         }
@@ -56,10 +52,10 @@ public:
     }
 
 private:
-    const TrainedRun& run_;
+    const Run& run_;
     ScanRenderer renderer_;
 
-    static Config make_surface_render_config(Config config) {
+    static Config surface_config(Config config) {
         config.render.channels = "normal";
         config.sensor.sub_rays = config.sensor.returns = 1;
         return config;
@@ -68,16 +64,15 @@ private:
 
 }  // namespace
 
-HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& run,
-                                                  const HeldOutPoseCallbacks& session) {
+HeldOutPoseReport register_held_out(Device& device, Run& run, const HeldOutPoseCallbacks& session) {
     HeldOutPoseReport result;
     const Config& config = run.config;
-    if (!config.train.place_held_out || !should_register_sensor_poses(config.train) ||
-        !get_primitive_properties(config.image.primitive).has_normals) {
+    if (!config.train.place_held_out || !registers_sensors(config.train) ||
+        !properties_of(config.image.primitive).has_normals) {
         run.held_out_placed = true;
         return result;
     }
-    const RegistrationOptions options = make_registration_options(run.sequence, config);
+    const RegistrationOptions options = registration_options(run.sequence, config);
     TrainedBackgroundRenderer view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
@@ -85,16 +80,15 @@ HeldOutPoseReport estimate_held_out_vehicle_poses(Device& device, TrainedRun& ru
     // time have the same pose, so their scans are aligned together.
     std::set<std::size_t> poses;
     for (const int position : run.split.test)
-        poses.insert(
-            run.sequence.get_vehicle_pose_index_of_frame(run.sequence.frames[std::size_t(position)]));
+        poses.insert(run.sequence.find_pose_index(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {
         if (session.progress)
             session.progress("aligning held-out scans", double(result.scans) / double(poses.size()));
         if (session.stop && session.stop()) return {};
-        const ScanAlignment placed = align_scan_with_scene(
+        const ScanAlignment placed = align_scan(
             run.sequence, pose,
             [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& from) {
-                return view.render_visible_surfaces(position, rays, from);
+                return view.render_surfaces(position, rays, from);
             },
             options);
         ++result.scans;

@@ -6,7 +6,7 @@
 
 namespace relidar {
 
-glm::dvec2 PosedBox::compute_ray_entry_exit_m(const WorldRay& ray, double margin_m) const {
+glm::dvec2 PosedBox::intersect_m(const WorldRay& ray, double margin_m) const {
     const glm::dvec3 o = box_from_world * ray.origin_m, d = box_from_world.rotation * ray.direction,
                      half_m = half_size_m + margin_m;
     glm::dvec2 inside(0.0, 1e30);

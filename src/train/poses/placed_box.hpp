@@ -15,7 +15,7 @@ struct PosedBox {
     /// Distances at which a ray enters and leaves the box, at least 0, by the slab
     /// method. Entry > exit if the ray misses it.
     /// @param margin_m  enlarges the box on every side
-    glm::dvec2 compute_ray_entry_exit_m(const WorldRay& ray, double margin_m = 0.0) const;
+    glm::dvec2 intersect_m(const WorldRay& ray, double margin_m = 0.0) const;
 };
 
 }  // namespace relidar

@@ -30,38 +30,38 @@ class PoseRefiner {
 public:
     /// @param layout  the tracks of its instances are corrected
     /// @param config  with train.refine_poses=none, all functions do nothing
-    PoseRefiner(Device& device, const LidarSequence& sequence, const Scene& layout, const TrainConfig& config,
+    PoseRefiner(Device& device, const Log& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
     ~PoseRefiner();
 
-    bool is_pose_refinement_enabled() const { return is_active_; }
-    /// The backward pass must compute these for record_pose_gradients().
-    GradientSelection get_required_gradients() const;
+    bool is_enabled() const { return is_active_; }
+    /// The backward pass must compute these for record_gradients().
+    GradientSelection required_gradients() const;
     /// Moves its rays, actors and sensor position. The frame must be on the device.
-    void move_frame_to_corrected_poses(Stream& stream, TrainingFrameData& frame);
+    void move_frame(Stream& stream, TrainingFrameData& frame);
     /// Records the pose gradients of a batch and their copy to the host.
     /// @param step  counts from 1
-    void record_pose_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
-                               const SampledBatch& batch, const DeviceGradients& gradients, int step);
+    void record_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
+                          const SampledBatch& batch, const DeviceGradients& gradients, int step);
     /// Applies the gradients of pending iterations in order. Waits for them if necessary.
-    void apply_pose_updates_until(Stream& stream, int last_step);
+    void apply_until(Stream& stream, int last_step);
     /// So that a checkpoint can store them. Does not update the poses.
-    void wait_for_pending_gradients(Stream& stream);
-    RefinedPoses get_refined_poses() const;
+    void wait_for_pending(Stream& stream);
+    RefinedPoses refined_poses() const;
 
     template <class Visitor>
-    void visit_checkpoint_state(Visitor&& visit) {
-        if (!is_pose_refinement_enabled()) return;
-        if (sensor_) sensor_->visit_checkpoint_state("poses/sensor", visit);
+    void visit_state(Visitor&& visit) {
+        if (!is_enabled()) return;
+        if (sensor_) sensor_->visit_state("poses/sensor", visit);
         for (RefinedActor& actor : actors_)
-            actor.correction.visit_checkpoint_state("poses/actor " + poses_.boxes[actor.box].id, visit);
+            actor.correction.visit_state("poses/actor " + poses_.boxes[actor.box].id, visit);
         visit("poses/coming/step", pending_iterations_.step);
         visit("poses/coming/frame", pending_iterations_.frame);
         visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);
         visit("poses/coming/gradient", pending_iterations_.gradient);
     }
     /// Called after the state was read from a checkpoint.
-    void update_corrected_poses();
+    void update_corrected();
 
 private:
     struct RefinedActor {
@@ -79,7 +79,7 @@ private:
         /// visible
         std::vector<double> actor_time_s;
         /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; written by
-        /// wait_for_gradient_of_pending_iteration()
+        /// wait_for_gradient()
         std::vector<float> gradient;
     };
 
@@ -87,7 +87,7 @@ private:
     const bool is_active_;
     const TrainingFrames& frames_;
     Scene layout_;
-    LidarSequence poses_;  ///< the log without its scans, with the current corrections
+    Log poses_;  ///< the log without its scans, with the current corrections
     std::optional<TrackCorrection> sensor_;
     std::unique_ptr<PoseCorrectedRays> rays_;
     std::vector<RefinedActor> actors_;
@@ -98,8 +98,8 @@ private:
     std::vector<ReadbackBuffer> of_rays_, of_instances_;
 
     /// Waits until the gradients are on the host.
-    std::span<float> wait_for_gradient_of_pending_iteration(Stream& stream, std::size_t pending_index);
-    void apply_oldest_pose_update(Stream& stream);
+    std::span<float> wait_for_gradient(Stream& stream, std::size_t pending_index);
+    void apply_oldest(Stream& stream);
 };
 
 }  // namespace relidar

@@ -6,11 +6,11 @@
 
 namespace relidar {
 
-inline bool should_register_sensor_poses(const TrainConfig& config) {
-    return config.pose_register && config.is_pose_refinement_enabled_for("sensor");
+inline bool registers_sensors(const TrainConfig& config) {
+    return config.pose_register && config.refines("sensor");
 }
 
 /// The caller must set RegistrationOptions::stop, progress and group.
-RegistrationOptions make_registration_options(const LidarSequence& sequence, const Config& config);
+RegistrationOptions registration_options(const Log& sequence, const Config& config);
 
 }  // namespace relidar

@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kBeta1 = 0.9, kBeta2 = 0.99, kEpsilon = 1e-15;
 
-glm::dvec3 get_three_twist_components(const Twist& twist, std::size_t first_index) {
+glm::dvec3 three_components(const Twist& twist, std::size_t first_index) {
     return {twist[first_index], twist[first_index + 1], twist[first_index + 2]};
 }
 
@@ -26,42 +26,42 @@ TrackCorrection::TrackCorrection(PoseTrack track)
       gradient_(values_),
       visited_(track_.pose.size(), false) {}
 
-Twist TrackCorrection::get_stored_correction(std::size_t pose_index) const {
+Twist TrackCorrection::stored_correction(std::size_t pose_index) const {
     Twist twist;
     std::copy_n(values_.begin() + std::ptrdiff_t(6 * pose_index), 6, twist.begin());
     return twist;
 }
 
-Twist TrackCorrection::get_or_interpolate_correction(std::size_t pose_index) const {
+Twist TrackCorrection::correction_at(std::size_t pose_index) const {
     const auto is_corrected = [this](std::size_t index) { return n_steps_[index] > 0; };
     std::size_t before = pose_index, after = pose_index;
     while (before > 0 && !is_corrected(before)) --before;
     while (after + 1 < n_steps_.size() && !is_corrected(after)) ++after;
     if (!is_corrected(before) && !is_corrected(after)) return {};
-    if (before == after || !is_corrected(after)) return get_stored_correction(before);
-    if (!is_corrected(before)) return get_stored_correction(after);
+    if (before == after || !is_corrected(after)) return stored_correction(before);
+    if (!is_corrected(before)) return stored_correction(after);
     const double s =
         (track_.time_s[pose_index] - track_.time_s[before]) / (track_.time_s[after] - track_.time_s[before]);
     Twist twist;
     for (std::size_t i = 0; i < 6; ++i)
-        twist[i] = (1.0 - s) * get_stored_correction(before)[i] + s * get_stored_correction(after)[i];
+        twist[i] = (1.0 - s) * stored_correction(before)[i] + s * stored_correction(after)[i];
     return twist;
 }
 
-PoseTrack TrackCorrection::make_corrected_track() const {
+PoseTrack TrackCorrection::corrected_track() const {
     PoseTrack result = track_;
     for (std::size_t k = 0; k < result.pose.size(); ++k)
-        result.pose[k] = apply_twist(track_.pose[k], get_or_interpolate_correction(k));
+        result.pose[k] = apply_twist(track_.pose[k], correction_at(k));
     return result;
 }
 
-void TrackCorrection::add_pose_gradient(double t_s, const Twist& gradient) {
-    const auto [left, s] = track_.find_poses_before_and_after_time(t_s);
-    add_pose_gradient(left, 1.0 - s, gradient);
-    if (s != 0.0) add_pose_gradient(left + 1, s, gradient);
+void TrackCorrection::add_gradient(double t_s, const Twist& gradient) {
+    const auto [left, s] = track_.find_segment(t_s);
+    add_gradient(left, 1.0 - s, gradient);
+    if (s != 0.0) add_gradient(left + 1, s, gradient);
 }
 
-void TrackCorrection::add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient) {
+void TrackCorrection::add_gradient(std::size_t pose_index, double weight, const Twist& gradient) {
     if (std::all_of(gradient.begin(), gradient.end(), [weight](double g) { return weight * g == 0.0; }))
         return;
     for (std::size_t i = 0; i < 6; ++i) gradient_[6 * pose_index + i] += weight * gradient[i];
@@ -88,13 +88,13 @@ void TrackCorrection::run_adam_step(const PoseStepRates& step_rates) {
     }
 }
 
-void TrackCorrection::remove_mean_rigid_correction() {
+void TrackCorrection::remove_mean_motion() {
     const auto n = double(track_.pose.size());
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         centre += track_.pose[k].translation / n;
-        v += get_three_twist_components(get_stored_correction(k), 0) / n;
-        w += get_three_twist_components(get_stored_correction(k), 3) / n;
+        v += three_components(stored_correction(k), 0) / n;
+        w += three_components(stored_correction(k), 3) / n;
     }
     for (std::size_t k = 0; k < track_.pose.size(); ++k) {
         const glm::dvec3 carried = v + glm::cross(w, track_.pose[k].translation - centre);

@@ -24,23 +24,23 @@ class TrackCorrection {
 public:
     explicit TrackCorrection(PoseTrack track);
 
-    const PoseTrack& get_uncorrected_track() const { return track_; }
+    const PoseTrack& uncorrected_track() const { return track_; }
     /// Interpolates between the nearest optimised poses if the pose was not optimised
     /// yet. Zero if no pose was optimised.
-    Twist get_or_interpolate_correction(std::size_t pose_index) const;
-    PoseTrack make_corrected_track() const;
+    Twist correction_at(std::size_t pose) const;
+    PoseTrack corrected_track() const;
 
     /// dL/d(v, w) at any time. The next run_adam_step() uses the sum.
-    void add_pose_gradient(double t_s, const Twist& gradient);
-    void add_pose_gradient(std::size_t pose_index, double weight, const Twist& gradient);
+    void add_gradient(double t_s, const Twist& gradient);
+    void add_gradient(std::size_t pose, double weight, const Twist& gradient);
     /// Changes only poses that got a gradient after the last step.
     void run_adam_step(const PoseStepRates& step_rates);
     /// Removes the rigid motion that all corrections have in common, which the loss does
     /// not constrain. Afterwards, the mean translation and rotation are 0.
-    void remove_mean_rigid_correction();
+    void remove_mean_motion();
 
     template <class Visitor>
-    void visit_checkpoint_state(const std::string& name, Visitor&& visit) {
+    void visit_state(const std::string& name, Visitor&& visit) {
         visit(name + "/correction", values_);
         visit(name + "/moment1", moment1_);
         visit(name + "/moment2", moment2_);
@@ -54,7 +54,7 @@ private:
     std::vector<double> gradient_;                    ///< [poses,6] sum of the gradients since the last step
     std::vector<bool> visited_;  ///< [poses] true if a gradient was added since the last step
 
-    Twist get_stored_correction(std::size_t pose_index) const;
+    Twist stored_correction(std::size_t pose) const;
 };
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that write_file_atomically() creates the complete file or nothing. After an
+// Tests that write_atomically() creates the complete file or nothing. After an
 // error, no temporary file may remain and the target must be unchanged.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
@@ -46,7 +46,7 @@ TEST_F(AtomicFile, WritesRelativePathsWithoutFolder) {
 TEST_F(AtomicFile, KeepsOldFileWhereTheWriterThrows) {
     put(folder / "a.txt", "old");
     const std::string message = get_data_error_message([&] {
-        write_file_atomically(folder / "a.txt", [](const fs::path& temporary) {
+        write_atomically(folder / "a.txt", [](const fs::path& temporary) {
             put(temporary, "half");
             throw std::runtime_error("line one\nline two");
         });
@@ -62,12 +62,12 @@ TEST_F(AtomicFile, LetsDeviceErrorsThrough) {
         put(temporary, "half");
         throw DeviceError("device lost");
     };
-    EXPECT_THROW(write_file_atomically(folder / "a.bin", lose_device), DeviceError);
+    EXPECT_THROW(write_atomically(folder / "a.bin", lose_device), DeviceError);
     EXPECT_TRUE(files().empty());
 }
 
 TEST_F(AtomicFile, RefusesAWriterThatWritesNothing) {
-    get_data_error_message([&] { write_file_atomically(folder / "a.bin", [](const fs::path&) {}); });
+    get_data_error_message([&] { write_atomically(folder / "a.bin", [](const fs::path&) {}); });
     EXPECT_TRUE(files().empty());
 }
 
@@ -119,18 +119,18 @@ TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
         put(folder / name, "half");
     for (const char* name : {"a.txt", ".a.txt.tmp-123", "a.txt.tmp-1-1", ".hidden", ".a.tmp-1-1.txt"})
         put(folder / name, "somebody's");
-    remove_temporary_files(folder);
-    remove_temporary_files(folder / "nowhere");
+    remove_temp(folder);
+    remove_temp(folder / "nowhere");
     EXPECT_EQ(files().size(), 5u);
     pid_t child = ::fork();  // uses real leftovers of a killed process
     if (child == 0)
-        write_file_atomically(folder / "b.txt", [](const fs::path& temporary) {
+        write_atomically(folder / "b.txt", [](const fs::path& temporary) {
             put(temporary, "half");
             ::_exit(0);
         });
     ::waitpid(child, nullptr, 0);
     EXPECT_EQ(files().size(), 6u);
-    remove_temporary_files(folder);
+    remove_temp(folder);
     EXPECT_EQ(files().size(), 5u);
 }
 
@@ -141,14 +141,14 @@ TEST_F(StagedFolders, AppearWhenTheyAreFinished) {
         const StagedFolder staged(folder / "log" / "");
         write_text_file(staged.path() / "a.txt", "first");
         EXPECT_FALSE(fs::exists(folder / "log"));
-        staged.move_folder_and_replace_existing();
+        staged.replace_folder();
     }
     EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
     {
         const StagedFolder staged(folder / "log");
         write_text_file(staged.path() / "b.txt", "second");
         EXPECT_EQ(read_contents(folder / "log/a.txt"), "first");
-        staged.move_folder_and_replace_existing();
+        staged.replace_folder();
     }
     EXPECT_EQ(read_contents(folder / "log/b.txt"), "second");
     EXPECT_FALSE(fs::exists(folder / "log/a.txt")) << "the new one is in the place of the old one";

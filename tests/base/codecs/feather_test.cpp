@@ -56,16 +56,16 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
         for (const std::size_t rows_a_batch : {0, 3}) {
             const Feather table("table.feather",
                                 test::make_feather_bytes(truth.columns(), codec, rows_a_batch));
-            ASSERT_EQ(table.get_row_count(), 7u);
-            EXPECT_EQ(table.read_integer_column("wide"), truth.wide);
-            EXPECT_EQ(table.read_number_column("narrow"), as_double(truth.narrow));
-            EXPECT_EQ(table.read_number_column("middle"), as_double(truth.middle));
-            EXPECT_EQ(table.read_integer_column("unsigned_wide")[0], 4294967295);
-            EXPECT_EQ(table.read_number_column("f64"), truth.f64);
-            EXPECT_EQ(table.read_number_column("f32"), as_double(truth.f32));
-            EXPECT_EQ(table.read_number_column("f16"), as_double(truth.f16));
-            EXPECT_EQ(table.read_text_column("text"), truth.text);
-            EXPECT_EQ(table.read_text_column("word"), truth.text);
+            ASSERT_EQ(table.row_count(), 7u);
+            EXPECT_EQ(table.read_integers("wide"), truth.wide);
+            EXPECT_EQ(table.read_numbers("narrow"), as_double(truth.narrow));
+            EXPECT_EQ(table.read_numbers("middle"), as_double(truth.middle));
+            EXPECT_EQ(table.read_integers("unsigned_wide")[0], 4294967295);
+            EXPECT_EQ(table.read_numbers("f64"), truth.f64);
+            EXPECT_EQ(table.read_numbers("f32"), as_double(truth.f32));
+            EXPECT_EQ(table.read_numbers("f16"), as_double(truth.f16));
+            EXPECT_EQ(table.read_texts("text"), truth.text);
+            EXPECT_EQ(table.read_texts("word"), truth.text);
         }
     }
 }
@@ -78,7 +78,7 @@ TEST(Feather, CompressibleColumnsAreBounded) {
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
     const std::vector<FeatherColumn> both{test::make_numbers("zeros", zeros),
                                           test::make_numbers("noise", noise)};
-    EXPECT_EQ(Feather("both", test::make_feather_bytes(both, FeatherCodec::zstd)).read_number_column("zeros"),
+    EXPECT_EQ(Feather("both", test::make_feather_bytes(both, FeatherCodec::zstd)).read_numbers("zeros"),
               zeros);
     const auto nothing_else = test::make_feather_bytes(
         {test::make_numbers("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
@@ -105,16 +105,16 @@ TEST(Feather, SaysWhatIsWrong) {
     bad[bad.size() - 7] = '\x7f';  // length of the footer
     expect(bad, "footer ... byte -", only_open);
     expect(good, "column 'wider' ... column ... 'wide, narrow",
-           [](const Feather& t) { t.read_number_column("wider"); });
-    expect(good, "column 'text' ... text", [](const Feather& t) { t.read_number_column("text"); });
-    expect(good, "column 'f64': found numbers", [](const Feather& t) { t.read_text_column("f64"); });
-    expect(good, "column 'f64' ... integers", [](const Feather& t) { t.read_integer_column("f64"); });
+           [](const Feather& t) { t.read_numbers("wider"); });
+    expect(good, "column 'text' ... text", [](const Feather& t) { t.read_numbers("text"); });
+    expect(good, "column 'f64': found numbers", [](const Feather& t) { t.read_texts("f64"); });
+    expect(good, "column 'f64' ... integers", [](const Feather& t) { t.read_integers("f64"); });
     const std::string nan =
         test::make_feather_bytes({test::make_numbers("x", std::vector<double>{1.0, std::nan("")})});
-    expect(nan, "column 'x': row 1 is nan ... finite", [](const Feather& t) { t.read_number_column("x"); });
+    expect(nan, "column 'x': row 1 is nan ... finite", [](const Feather& t) { t.read_numbers("x"); });
     const std::string large =
         test::make_feather_bytes({test::make_numbers("x", std::vector<std::uint64_t>{1, 1ull << 63})});
-    expect(large, "column 'x' ... 9223372036854775808", [](const Feather& t) { t.read_integer_column("x"); });
+    expect(large, "column 'x' ... 9223372036854775808", [](const Feather& t) { t.read_integers("x"); });
 }
 
 /// Damages every byte of a small file in turn.
@@ -131,8 +131,8 @@ TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
             bad[i] = char(bad[i] ^ "\x01\x80\xff"[i % 3]);
             try {
                 const Feather table("table.feather", bad);
-                table.read_integer_column("x");
-                for (const char* name : {"t", "u"}) table.read_text_column(name);
+                table.read_integers("x");
+                for (const char* name : {"t", "u"}) table.read_texts(name);
             } catch (const DataError&) {
                 ++refused;
             }
@@ -152,17 +152,17 @@ TEST(Feather, ReadsWhatPyarrowWrote) {
     ASSERT_EQ(truth.size(), 6u);
     for (const char* file : {"av2_uncompressed.feather", "av2_lz4.feather", "av2_zstd.feather"}) {
         const Feather table(folder / file);
-        EXPECT_EQ(table.get_row_count(), 5000u);
+        EXPECT_EQ(table.row_count(), 5000u);
         for (const NamedArray& array : truth) {
             if (array.name == "offset_ns") {  // more digits than a float has
                 std::vector<std::int32_t> expected(5000);
                 ASSERT_EQ(array.bytes.size(), 4 * expected.size());
                 std::memcpy(expected.data(), array.bytes.data(), array.bytes.size());
-                EXPECT_EQ(table.read_integer_column(array.name),
+                EXPECT_EQ(table.read_integers(array.name),
                           std::vector<std::int64_t>(expected.begin(), expected.end()))
                     << file;
             } else {
-                EXPECT_EQ(table.read_number_column(array.name), as_double(array.convert_to_floats()))
+                EXPECT_EQ(table.read_numbers(array.name), as_double(array.to_floats()))
                     << file << " " << array.name;
             }
         }

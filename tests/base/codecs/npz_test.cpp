@@ -67,13 +67,13 @@ TEST_F(Npz, ReadsWhatNumpyWrites) {
         ASSERT_EQ(arrays.size(), 4u);
         EXPECT_EQ(arrays[0].name, "values");
         EXPECT_EQ(arrays[0].shape, (std::vector<std::size_t>{2, 3}));
-        EXPECT_EQ(arrays[0].convert_to_floats(), (std::vector<float>{0, 0.5f, 1, 1.5f, 2, 2.5f}));
+        EXPECT_EQ(arrays[0].to_floats(), (std::vector<float>{0, 0.5f, 1, 1.5f, 2, 2.5f}));
         EXPECT_EQ(arrays[1].dtype, "b1");
-        EXPECT_EQ(arrays[1].convert_to_floats(), (std::vector<float>{1, 0, 1}));
+        EXPECT_EQ(arrays[1].to_floats(), (std::vector<float>{1, 0, 1}));
         EXPECT_EQ(arrays[2].dtype, "i8");
         EXPECT_TRUE(arrays[2].shape.empty());
-        EXPECT_EQ(arrays[2].convert_to_floats(), std::vector<float>{-7});
-        EXPECT_EQ(arrays[3].convert_to_floats(), (std::vector<float>{1.5f, -2.25f}));
+        EXPECT_EQ(arrays[2].to_floats(), std::vector<float>{-7});
+        EXPECT_EQ(arrays[3].to_floats(), (std::vector<float>{1.5f, -2.25f}));
     }
 }
 
@@ -90,14 +90,14 @@ TEST_F(Npz, ReadsFortranOrder) {
     put(folder / "numpy.npz", from_hex(kNumpyFortran));  // [[0, 1, 2], [3, 4, 5]]
     const NamedArray values = read_npz(folder / "numpy.npz").at(0);
     EXPECT_EQ(values.shape, (std::vector<std::size_t>{2, 3}));
-    EXPECT_EQ(values.convert_to_floats(), (std::vector<float>{0, 1, 2, 3, 4, 5}));
+    EXPECT_EQ(values.to_floats(), (std::vector<float>{0, 1, 2, 3, 4, 5}));
 }
 
 TEST_F(Npz, ReadsTextsOfNumpy) {
     put(folder / "numpy.npz", from_hex(kNumpyText));
     const NamedArray texts = read_npz(folder / "numpy.npz").at(0);
     EXPECT_EQ(texts.dtype, "U2");
-    EXPECT_EQ(texts.bytes.size(), texts.count_array_elements() * 2 * sizeof(char32_t));
+    EXPECT_EQ(texts.bytes.size(), texts.element_count() * 2 * sizeof(char32_t));
 }
 
 TEST_F(Npz, NamesMissingAndForeignFiles) {
@@ -165,26 +165,26 @@ TEST_F(Npz, RefusesBadArrays) {
 
 TEST(NamedArray, ChecksItsShape) {
     const float values[6] = {};
-    EXPECT_EQ(make_array("a", {2, 3}, values, 6).count_array_elements(), 6u);
+    EXPECT_EQ(make_array("a", {2, 3}, values, 6).element_count(), 6u);
     get_data_error_message([&] { make_array("a", {2, 2}, values, 6); });
     const std::size_t huge = std::size_t(1) << 33;
-    get_data_error_message([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.count_array_elements(); });
-    EXPECT_EQ((NamedArray{"a", "f4", {huge, huge, 0}, {}}.count_array_elements()), 0u);
+    get_data_error_message([&] { (void)NamedArray{"a", "f4", {huge, huge}, {}}.element_count(); });
+    EXPECT_EQ((NamedArray{"a", "f4", {huge, huge, 0}, {}}.element_count()), 0u);
 }
 
 TEST(NamedArray, ConvertsToFloat) {
     const double doubles[2] = {0.25, -3.0};
     const std::int32_t integers[2] = {-5, 1 << 20};
-    EXPECT_EQ(make_array("a", {2}, doubles, 2).convert_to_floats(), (std::vector<float>{0.25f, -3.0f}));
-    EXPECT_EQ(make_array("a", {2}, integers, 2).convert_to_floats(), (std::vector<float>{-5.0f, 1048576.0f}));
+    EXPECT_EQ(make_array("a", {2}, doubles, 2).to_floats(), (std::vector<float>{0.25f, -3.0f}));
+    EXPECT_EQ(make_array("a", {2}, integers, 2).to_floats(), (std::vector<float>{-5.0f, 1048576.0f}));
     NamedArray half = make_bytes_array("a", "f2", {7}, 14);
     // IEEE 754 binary16
     const std::uint16_t bits[7] = {0x3c00, 0xc000, 0x3555, 0x0001, 0x83ff, 0x7bff, 0xfc00};
     std::memcpy(half.bytes.data(), bits, sizeof bits);
-    EXPECT_EQ(half.convert_to_floats(),
+    EXPECT_EQ(half.to_floats(),
               (std::vector<float>{1.0f, -2.0f, 0.333251953125f, 0x1p-24f, -1023.0f * 0x1p-24f, 65504.0f,
                                   -std::numeric_limits<float>::infinity()}));
-    get_data_error_message([] { (void)make_bytes_array("a", "f4", {2}, 7).convert_to_floats(); });
+    get_data_error_message([] { (void)make_bytes_array("a", "f4", {2}, 7).to_floats(); });
 }
 
 TEST_F(Npz, TextsComeBackPadded) {
@@ -203,7 +203,7 @@ TEST_F(Npz, TextsComeBackPadded) {
     EXPECT_EQ(letters, U"Fußgänger" + zeros + U"车\U0001F697" + zeros.substr(2) + unreadable +
                            zeros.substr(unreadable.size()));
     EXPECT_EQ(arrays[1].shape, std::vector<std::size_t>{0});
-    get_data_error_message([&] { arrays[0].convert_to_floats(); });
+    get_data_error_message([&] { arrays[0].to_floats(); });
     get_data_error_message([&] { write_safetensors(folder / "a.safetensors", {arrays[0]}, {}); });
     get_data_error_message([&] { write_npz(folder / "b.npz", {{"x", "S4x", {0}, {}}}); });
 }

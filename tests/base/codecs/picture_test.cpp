@@ -187,7 +187,7 @@ TEST(ColourMap, RefusesWrongArguments) {
 TEST(Stack, StretchesAndSeparates) {
     const Image a = apply_colour_map({0, 1}, 1, 2, 0, 1, "gray"),
                 b = apply_colour_map({1, 0, 0, 1}, 2, 2, 0, 1, "gray");
-    const Image image = stack_images_vertically({a, b}, 3);
+    const Image image = stack_images({a, b}, 3);
     EXPECT_EQ(image.columns, 2);
     ASSERT_EQ(image.rows, 3 + 2 + 6);
     ASSERT_EQ(image.rgb.size(), std::size_t(11 * 2 * 3));
@@ -199,9 +199,9 @@ TEST(Stack, StretchesAndSeparates) {
 TEST(Stack, RefusesUnequalWidths) {
     const Image a = apply_colour_map({0, 1}, 1, 2, 0, 1, "gray"),
                 b = apply_colour_map({0, 1}, 2, 1, 0, 1, "gray");
-    get_data_error_message([&] { stack_images_vertically({a, b}); });
-    EXPECT_THROW(stack_images_vertically({a}, 0), UsageError);
-    EXPECT_EQ(stack_images_vertically({}).rows, 0);
+    get_data_error_message([&] { stack_images({a, b}); });
+    EXPECT_THROW(stack_images({a}, 0), UsageError);
+    EXPECT_EQ(stack_images({}).rows, 0);
 }
 
 }  // namespace

@@ -27,12 +27,12 @@ protected:
         test::TraversalCase random_case = test::make_random_case(3, kSurfels, 0);
         if (primitive == PrimitiveType::gaussian) random_case = test::to_gaussians(random_case, 4);
         Surfels surfels = random_case.surfels;
-        surfels.add_motionless_gait();
+        surfels.add_still_gait();
         std::mt19937 random(6);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (GaitPhaseWindow& gait : surfels.gait)
             gait = {u(random), 0.8f * u(random), glm::vec3(u(random), u(random), u(random))};
-        Scene scene = make_background_scene(surfels);
+        Scene scene = wrap_background(surfels);
         scene.models.clear();
         scene.instances.clear();
         std::uint32_t first = 0;
@@ -59,9 +59,8 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
         Bvh bvh;
         Stream stream;
         void place(double turns) {
-            scene.record_upload_of_instance_poses(stream,
-                                                  list_poses_at_phase(scene.get_scene_layout(), turns));
-            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
+            scene.stage_poses(stream, list_poses_at_phase(scene.layout(), turns));
+            scene.activate(stream, {}, glm::vec3(0.0f));
         }
         Placed(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
             place(0.0);
@@ -91,7 +90,7 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     }
     Surfels elsewhere = scene.surfels;
     for (glm::vec3& mean : elsewhere.mean) mean += glm::vec3(50.0f, 0.0f, 0.0f);
-    some.scene.get_surfel_parameters().upload(elsewhere);
+    some.scene.surfel_parameters().upload(elsewhere);
     const HostBvhCopy after = some.at(0.0, walkers);
     for (std::uint32_t i = 0; i < kSurfels; ++i) {  // surfels outside the requested range must not change
         if (test::compute_surfel_box(before, i).empty()) continue;
@@ -102,18 +101,18 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
 TEST_F(Bend, RendersAsPlacedAnew) {
     for (const PrimitiveType primitive : {PrimitiveType::surfel, PrimitiveType::gaussian}) {
         const Scene scene = make_walkers(primitive);
-        ImageFormationModel model;
+        ImageModel model;
         model.primitive = primitive;
         const WorldRays rays = test::make_random_case(3, 400, 1).rays;
         for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
             Renderer moved(device(), scene, model, {.accel = {.proxy = proxy}}),
                 anew(device(), scene, model, {.accel = {.proxy = proxy}});
-            moved.record_scene_update_for_view(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
+            moved.update(list_poses_at_phase(scene, 0.0), glm::vec3(0.0f));
             const RenderedRayValues start = moved.render_rays(rays);
             bool differs = false;
             for (const double turns : {0.25, 0.6}) {
-                moved.record_instance_poses_and_view(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
-                anew.record_scene_update_for_view(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
+                moved.record_poses(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
+                anew.update(list_poses_at_phase(scene, turns), glm::vec3(0.0f));
                 const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
                 EXPECT_EQ(a.hits, b.hits);
                 EXPECT_EQ(a.depth, b.depth);

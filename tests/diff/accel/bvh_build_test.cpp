@@ -37,7 +37,7 @@ Surfels make_random_surfels(std::uint32_t count, std::uint32_t seed = 1) {
 }
 
 Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) {
-    Scene scene = make_background_scene(surfels);
+    Scene scene = wrap_background(surfels);
     scene.models.clear();
     scene.instances.clear();
     std::uint32_t first = 0;
@@ -57,21 +57,21 @@ protected:
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {}
         HostBvhCopy build() {
-            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
+            scene.activate(stream, {}, glm::vec3(0.0f));
             bvh.build_trees(stream, scene, {});
             stream.submit_and_wait();
             return bvh.download_bvh();
         }
         HostBvhCopy refit() {
-            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
+            scene.activate(stream, {}, glm::vec3(0.0f));
             bvh.refit_trees(stream, scene, {}, {{0, scene.size()}});
             stream.submit_and_wait();
             return bvh.download_bvh();
         }
         double cost() {
-            bvh.record_traversal_cost_measurement(stream);
+            bvh.measure_cost(stream);
             stream.submit_commands();
-            return bvh.read_traversal_cost(stream).value();
+            return bvh.read_cost(stream).value();
         }
     };
 
@@ -93,14 +93,13 @@ protected:
         EXPECT_EQ(std::count(node_visit_counts.begin(), node_visit_counts.end(), 1),
                   std::ptrdiff_t(node_visit_counts.size()))
             << description << ": nodes that no root reaches";
-        EXPECT_LE(host.nodes.size(),
-                  Bvh::compute_max_node_count(n, static_cast<std::uint32_t>(layout.models.size())))
+        EXPECT_LE(host.nodes.size(), Bvh::max_node_count(n, static_cast<std::uint32_t>(layout.models.size())))
             << description;
     }
 
     void expect_valid_tree(const Surfels& surfels, const std::string& description) {
-        Built built(device(), make_background_scene(surfels));
-        expect_valid_tree(built.build(), built.scene.get_scene_layout(), description);
+        Built built(device(), wrap_background(surfels));
+        expect_valid_tree(built.build(), built.scene.layout(), description);
     }
 };
 
@@ -141,19 +140,19 @@ TEST_F(BvhBuild, SurfelsThatCannotBeHitAreEmptyAndHarmless) {
         if (i % 4 == 2) s.opacity_logit[i] = -30.0f;
         if (i % 4 == 3) s.mean[i].z = -kInf;
     }
-    Built built(device(), make_background_scene(s));
+    Built built(device(), wrap_background(s));
     const HostBvhCopy host = built.build();
-    expect_valid_tree(host, built.scene.get_scene_layout(), "a third is hidden");
+    expect_valid_tree(host, built.scene.layout(), "a third is hidden");
     for (std::uint32_t i = 0; i < n; ++i) {
         const bool hidden = i % 3 == 0 || s.opacity_logit[i] < std::log(1.0f / 254.0f);
         EXPECT_EQ(test::compute_surfel_box(host, i).empty(), hidden) << "surfel " << i;
     }
     Surfels gone = s;
     std::fill(gone.opacity_logit.begin(), gone.opacity_logit.end(), -30.0f);
-    built.scene.get_surfel_parameters().upload(gone);
-    expect_valid_tree(built.build(), built.scene.get_scene_layout(), "all are hidden");
-    built.scene.get_surfel_parameters().upload(make_random_surfels(n));
-    expect_valid_tree(built.refit(), built.scene.get_scene_layout(), "all come back with a refit");
+    built.scene.surfel_parameters().upload(gone);
+    expect_valid_tree(built.build(), built.scene.layout(), "all are hidden");
+    built.scene.surfel_parameters().upload(make_random_surfels(n));
+    expect_valid_tree(built.refit(), built.scene.layout(), "all come back with a refit");
 }
 
 TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
@@ -170,8 +169,7 @@ TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
     for (const std::vector<std::uint32_t>& some :
          {std::vector<std::uint32_t>{n}, {0, n}, {n - 1, 1}, {1, 0, n - 1, 0}, sizes}) {
         Built built(device(), scene_of(make_random_surfels(n), some));
-        expect_valid_tree(built.build(), built.scene.get_scene_layout(),
-                          std::to_string(some.size()) + " models");
+        expect_valid_tree(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
     }
     // a surfel belongs to no model
     EXPECT_THROW(Built(device(), scene_of(make_random_surfels(10), {4, 5})), DataError);
@@ -187,15 +185,15 @@ TEST_F(BvhBuild, RefitFollowsTheSurfels) {
     std::normal_distribution<float> normal;
     for (int step = 0; step < 3; ++step) {
         for (glm::vec3& mean : s.mean) mean += glm::vec3(normal(random), normal(random), normal(random));
-        built.scene.get_surfel_parameters().upload(s);
+        built.scene.surfel_parameters().upload(s);
         const HostBvhCopy after = built.refit();
-        expect_valid_tree(after, built.scene.get_scene_layout(), "refit");
+        expect_valid_tree(after, built.scene.layout(), "refit");
         EXPECT_EQ(after.order, before.order);
         EXPECT_EQ(after.nodes.size(), before.nodes.size());
     }
     const double refitted = built.cost();
     EXPECT_GT(refitted, 1.2 * cost);
-    expect_valid_tree(built.build(), built.scene.get_scene_layout(), "rebuilt");
+    expect_valid_tree(built.build(), built.scene.layout(), "rebuilt");
     EXPECT_LT(built.cost(), 0.9 * refitted);
 }
 
@@ -230,7 +228,7 @@ test::HostBox compute_expected_box(const Surfels& surfels, std::size_t index) {
 
 TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
     const Surfels s = make_random_surfels(2'000);
-    Built built(device(), make_background_scene(s));
+    Built built(device(), wrap_background(s));
     const HostBvhCopy host = built.build();
     int n_checked = 0;
     for (std::size_t i = 0; i < s.size(); ++i) {
@@ -248,7 +246,7 @@ TEST_F(BvhBuild, SurfelBoxesHoldTheSurfelAndLittleMore) {
 TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
     constexpr std::uint32_t n = 5'000;
     const Surfels s = make_random_surfels(n);
-    Built built(device(), make_background_scene(s));
+    Built built(device(), wrap_background(s));
     const HostBvhCopy host = built.build();
     std::mt19937 random(6);
     std::uniform_real_distribution<double> unit(0.0, 1.0);

@@ -39,7 +39,7 @@ std::vector<InstancePose> make_random_poses(std::size_t count, std::mt19937& ran
 }
 
 Scene make_scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
-    Scene scene = make_background_scene(make_some_surfels(500, random));
+    Scene scene = wrap_background(make_some_surfels(500, random));
     scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};
     scene.instances.clear();
     for (std::uint32_t i = 0; i < n_instances; ++i) scene.instances.push_back({i % 5, ""});
@@ -58,19 +58,19 @@ protected:
         Bvh bvh;
         Stream stream;
         Built(Device& device, const Scene& s) : scene(device, s), bvh(device, scene), stream(device) {
-            scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
+            scene.activate(stream, {}, glm::vec3(0.0f));
             bvh.build_trees(stream, scene, {});
             stream.submit_and_wait();
         }
         HostBvhCopy move(const std::vector<InstancePose>& poses) {
-            scene.record_upload_of_instance_poses(stream, poses);
-            bvh.rebuild_top_level_tree(stream, scene);
+            scene.stage_poses(stream, poses);
+            bvh.rebuild_top_level(stream, scene);
             stream.submit_and_wait();
             return bvh.download_bvh();
         }
         bool is_there(std::size_t index) const {
-            return scene.get_instance_poses()[index].present &&
-                   scene.get_scene_layout().models[scene.get_scene_layout().instances[index].model].count > 0;
+            return scene.poses()[index].present &&
+                   scene.layout().models[scene.layout().instances[index].model].count > 0;
         }
     };
 
@@ -97,14 +97,14 @@ protected:
     /// Computes the world box of an instance in double. The box contains the corners of
     /// all surfel boxes of the model at the pose of the instance.
     static test::HostBox make_world_box(const Built& built, const HostBvhCopy& host, std::uint32_t instance) {
-        const Scene& layout = built.scene.get_scene_layout();
+        const Scene& layout = built.scene.layout();
         const SurfelModel& model = layout.models[layout.instances[instance].model];
         test::HostBox box;
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i) {
             const test::HostBox b = test::compute_surfel_box(host, i);
             for (int corner = 0; corner < 8; ++corner) {
                 const glm::dvec3 p =
-                    built.scene.get_instance_poses()[instance].world_from_model *
+                    built.scene.poses()[instance].world_from_model *
                     glm::dvec3(corner & 1 ? b.low.x : b.high.x, corner & 2 ? b.low.y : b.high.y,
                                corner & 4 ? b.low.z : b.high.z);
                 box.add({p, p});
@@ -159,7 +159,7 @@ TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
     std::mt19937 random(3);
     Built built(device(), make_scene_of_instances(40, random));
     const HostBvhCopy host = built.move(make_random_poses(40, random, 4.0));
-    const Scene& layout = built.scene.get_scene_layout();
+    const Scene& layout = built.scene.layout();
     std::normal_distribution<double> normal;
     std::size_t n_hits = 0;
     for (int r = 0; r < 100; ++r) {
@@ -168,7 +168,7 @@ TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
         std::set<std::pair<std::uint32_t, std::uint32_t>> expected, reached_surfels;
         for (std::uint32_t i = 0; i < 40; ++i) {
             const SurfelModel& model = layout.models[layout.instances[i].model];
-            const test::HostRay local = to_model(ray, built.scene.get_instance_poses()[i].world_from_model);
+            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
             for (std::uint32_t k = 0; k < model.count; ++k)
                 if (test::meets(local, test::compute_surfel_box(host, model.first + k)))
                     expected.insert({i, k});
@@ -176,7 +176,7 @@ TEST_F(BvhTop, RaysReachEverySurfelOfEveryInstance) {
         test::walk(host.top_nodes, 0, ray, [&](std::uint32_t entry) {
             const std::uint32_t i = host.top_order[entry];
             const SurfelModel& model = layout.models[layout.instances[i].model];
-            const test::HostRay local = to_model(ray, built.scene.get_instance_poses()[i].world_from_model);
+            const test::HostRay local = to_model(ray, built.scene.poses()[i].world_from_model);
             test::walk(host.nodes, host.roots[i], local, [&](std::uint32_t leaf) {
                 if (test::meets(local, test::compute_surfel_box(host, model.first + host.order[leaf])))
                     reached_surfels.insert({i, host.order[leaf]});

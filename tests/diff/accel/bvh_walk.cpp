@@ -9,7 +9,7 @@
 namespace relidar::test {
 namespace {
 
-std::uint32_t get_byte(const std::uint32_t* words, int slot) {
+std::uint32_t unpack_byte(const std::uint32_t* words, int slot) {
     return words[slot / 4] >> (8 * (slot % 4)) & 255u;
 }
 
@@ -74,10 +74,10 @@ HostBox decode_box(const shared::BvhNode& node, int slot) {
     const std::uint32_t* high[] = {node.high_x, node.high_y, node.high_z};
     HostBox box;
     for (int c = 0; c < 3; ++c) {
-        if (get_byte(low[c], slot) > get_byte(high[c], slot)) return {};
+        if (unpack_byte(low[c], slot) > unpack_byte(high[c], slot)) return {};
         const std::uint32_t exponent = node.exponents >> (8 * c) & 255u;
-        box.low[c] = decoded(node.origin[c], exponent, get_byte(low[c], slot));
-        box.high[c] = decoded(node.origin[c], exponent, get_byte(high[c], slot));
+        box.low[c] = decoded(node.origin[c], exponent, unpack_byte(low[c], slot));
+        box.high[c] = decoded(node.origin[c], exponent, unpack_byte(high[c], slot));
     }
     return box;
 }
@@ -95,7 +95,7 @@ std::array<Slot, RELIDAR_BVH_WIDTH> list_slots(const shared::BvhNode& node) {
     std::array<Slot, RELIDAR_BVH_WIDTH> slots;
     std::uint32_t child = node.first_child;
     for (int s = 0; s < RELIDAR_BVH_WIDTH; ++s) {
-        const std::uint32_t leaf = get_byte(node.leaves, s);
+        const std::uint32_t leaf = unpack_byte(node.leaves, s);
         slots[s].inner = node.exponents >> (24 + s) & 1u;
         if (slots[s].inner) slots[s].child = child++;
         else slots[s] = {false, 0, node.first_leaf + (leaf & 31u), leaf >> 5};

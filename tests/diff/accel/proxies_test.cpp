@@ -58,21 +58,21 @@ WorldRays make_rim_rays(float opacity, double factor, double alpha_min = 1.0 / 2
 TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
     constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than a single thread processes
     constexpr double kAlphaMin = 1.0 / 255.0;
-    Surfels surfels = make_benchmark_street_surfels(kAll);
+    Surfels surfels = make_street_surfels(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
     surfels.opacity_logit[7] = -20.0f;
     surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // too transparent to be hit
-    Scene scene = make_background_scene(surfels);
+    Scene scene = wrap_background(surfels);
     scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
     DeviceScene on_device(device(), scene);
     Stream stream(device());
-    on_device.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
+    on_device.activate(stream, {}, glm::vec3(0.0f));
     Kernel<shared::ModelRadiiParams> kernel(device(), "diff/accel/model_radii");
     const Array<std::uint32_t, shared::ModelRadii> radii(device(), 2, "radii");
     stream.fill(radii);
     run(stream, kernel, (kAll + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
-        {.records = on_device.get_surfel_records().address(),
-         .models = on_device.get_model_table().address(),
+        {.records = on_device.surfel_records().address(),
+         .models = on_device.model_table().address(),
          .radii = radii.address(),
          .alpha_min = float(kAlphaMin),
          .margin_m = 0.0f,
@@ -99,28 +99,28 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
 TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
     for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.6f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(make_one_surfel(opacity)), {},
+            Renderer renderer(device(), wrap_background(make_one_surfel(opacity)), {},
                               {.accel = {.proxy = proxy}});
-            renderer.record_scene_update_for_view(glm::vec3(0.0f));
+            renderer.update(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
     // A surfel whose opacity is below the smallest blended opacity has no proxy.
-    Renderer renderer(device(), make_background_scene(make_one_surfel(1.0f / 256.0f)), {});
-    renderer.record_scene_update_for_view(glm::vec3(0.0f));
+    Renderer renderer(device(), wrap_background(make_one_surfel(1.0f / 256.0f)), {});
+    renderer.update(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);
 }
 
 TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
-    ImageFormationModel model;
+    ImageModel model;
     model.primitive = PrimitiveType::gaussian;
     for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
         for (const float opacity : {0.005f, 0.1f, 0.999f}) {
-            Renderer renderer(device(), make_background_scene(make_one_gaussian(opacity)), model,
+            Renderer renderer(device(), wrap_background(make_one_gaussian(opacity)), model,
                               {.accel = {.proxy = proxy}});
-            renderer.record_scene_update_for_view(glm::vec3(0.0f));
+            renderer.update(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 0.999)).hits)
                 EXPECT_EQ(n, 1u) << "opacity " << opacity;
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(opacity, 1.001)).hits)
@@ -131,11 +131,11 @@ TEST_F(Proxies, HoldEverythingOfGaussiansThatCanBeSeen) {
 TEST_F(Proxies, FollowTheCutOfTheImageModel) {
     for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes})
         for (const float alpha_min : {1e-4f, 0.05f}) {
-            ImageFormationModel model;
+            ImageModel model;
             model.alpha_min = alpha_min;
-            Renderer renderer(device(), make_background_scene(make_one_surfel(0.6f)), model,
+            Renderer renderer(device(), wrap_background(make_one_surfel(0.6f)), model,
                               {.accel = {.proxy = proxy}});
-            renderer.record_scene_update_for_view(glm::vec3(0.0f));
+            renderer.update(glm::vec3(0.0f));
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 0.999, alpha_min)).hits)
                 EXPECT_EQ(n, 1u) << "alpha_min " << alpha_min;
             for (const std::uint32_t n : renderer.render_rays(make_rim_rays(0.6f, 1.001, alpha_min)).hits)
@@ -146,33 +146,33 @@ TEST_F(Proxies, FollowTheCutOfTheImageModel) {
 TEST_F(Proxies, RefitFollowsMovedSurfelsAndMovingInstancesBuildsNothing) {
     for (const ProxyShape proxy : {ProxyShape::triangles, ProxyShape::boxes}) {
         Stream stream(device());
-        DeviceScene scene(device(), make_background_scene(make_one_surfel(0.9f)));
+        DeviceScene scene(device(), wrap_background(make_one_surfel(0.9f)));
         AccelerationStructure accel(device(), scene, {.proxy = proxy});
-        ForwardPass forward(device(), {}, accel.get_proxy_shape_of_surfels(), {});
+        ForwardPass forward(device(), {}, accel.proxy_shape(), {});
         const Array<DeviceRay> ray(device(), std::vector<DeviceRay>{{{0, 0, 0}, {1, 0, 0}}}, "ray");
         Array<shared::RenderedRay> rendered(device(), 1, "rendered");
         const auto depth = [&] {
-            forward.record_forward_pass(stream, scene, accel, {&ray, 0, 1, 1}, rendered);
+            forward.record_forward(stream, scene, accel, {&ray, 0, 1, 1}, rendered);
             stream.submit_and_wait();
             const shared::RenderedRay r = rendered.download()[0];
             return r.depth / r.weight;
         };
-        scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
-        accel.record_bvh_refit_or_build(stream, scene);
+        scene.activate(stream, {}, glm::vec3(0.0f));
+        accel.record_refit(stream, scene);
         EXPECT_NEAR(depth(), 10.0f, 1e-5f);
         Surfels moved = make_one_surfel(0.9f);
         moved.mean[0].x = 4.0f;
-        scene.get_surfel_parameters().upload(moved);
-        scene.record_activation_of_surfel_parameters(stream, {}, glm::vec3(0.0f));
-        accel.record_bvh_refit_or_build(stream, scene);
+        scene.surfel_parameters().upload(moved);
+        scene.activate(stream, {}, glm::vec3(0.0f));
+        accel.record_refit(stream, scene);
         EXPECT_NEAR(depth(), 4.0f, 1e-5f);
-        const std::uint64_t updates = accel.get_build_and_refit_count();
+        const std::uint64_t updates = accel.n_updates();
         Pose pose;
         pose.translation.x = 3.0;
-        scene.upload_instance_poses_and_wait({pose});
-        accel.record_top_level_bvh_update(stream, scene);
+        scene.upload_poses({pose});
+        accel.record_top_level(stream, scene);
         EXPECT_NEAR(depth(), 7.0f, 1e-5f);
-        EXPECT_EQ(accel.get_build_and_refit_count(), updates);
+        EXPECT_EQ(accel.n_updates(), updates);
     }
 }
 

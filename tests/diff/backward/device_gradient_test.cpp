@@ -69,13 +69,13 @@ protected:
         // Sums of gradients do not depend on the traversal. All methods are therefore
         // tested with only one traversal.
         const bool tests_all_methods =
-            options.tests_all_methods && device().get_ray_tracing_backend() == RayTracingBackend::software;
+            options.tests_all_methods && device().backend() == RayTracingBackend::software;
         return tests_all_methods ? std::span(kGradientMethods)
                                  : std::span(kGradientMethods).first(kFewMethods);
     }
 
-    void expect_agreement(const ImageFormationModel& image, const test::RandomSceneOptions& options,
-                          const How& how, const std::string& title) {
+    void expect_agreement(const ImageModel& image, const test::RandomSceneOptions& options, const How& how,
+                          const std::string& title) {
         reference::Settings settings;
         settings.image = image;
         settings.image.primitive = options.primitive;
@@ -109,7 +109,7 @@ protected:
         }
     }
 
-    void expect_rows(const ImageFormationModel& image, const reference::Gradients& expected,
+    void expect_rows(const ImageModel& image, const reference::Gradients& expected,
                      const std::vector<reference::RayGradient>& d_rays, const DeviceGradients& actual,
                      const std::string& title, const How& options) {
         GradientTable table;

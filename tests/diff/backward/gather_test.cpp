@@ -94,7 +94,7 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             EXPECT_GT(std::ranges::count(touched, 0u), 100);
             EXPECT_GT(std::ranges::count(touched, 1u), 20);
             Stream stream(device());
-            gradients.surfels.record_zero_fill(stream);  // rows that are not written keep this value
+            gradients.surfels.fill_zero(stream);  // rows that are not written keep this value
             stream.submit_and_wait();
             gradients.zero_untouched = false;
             passes.run();
@@ -145,9 +145,7 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
         const test::GatheredHits hits = test::download_gathered_hits(many);
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
-        for (const std::uint32_t n :
-             convert_rays_to_rendered_values(many.renderer.get_last_rendered_batch().rendered->download())
-                 .hits)
+        for (const std::uint32_t n : to_ray_values(many.renderer.last_batch().rendered->download()).hits)
             n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);
@@ -172,11 +170,11 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
                 {.reduction = GradientReduction::gather});
     once.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
-    many.renderer.record_forward_pass({&many.rays, 0, 1, 20});
-    many.differentiable.record_backward_pass();
+    many.renderer.record_forward({&many.rays, 0, 1, 20});
+    many.differentiable.record_backward();
     many.renderer.stream().submit_and_wait();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download());
-    many.differentiable.backward_pass().reserve_hit_memory(many.renderer.stream(), 1u << 20);
+    many.differentiable.backward_pass().reserve_hits(many.renderer.stream(), 1u << 20);
     many.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download())
         << "room does not matter";

@@ -35,7 +35,7 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
                      w1 = 0.4 * 0.5;
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;
-        EXPECT_NEAR(passes.renderer.get_last_rendered_batch().rendered->download()[0].likelihood, w0 * k + w1,
+        EXPECT_NEAR(passes.renderer.last_batch().rendered->download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
         const Surfels device_result = passes.gradients().surfels.download();
         EXPECT_NEAR(device_result.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))

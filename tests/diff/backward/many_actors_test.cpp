@@ -71,7 +71,7 @@ class ManyActors : public test::DeviceTest {
 protected:
     /// Evaluates the SH along the ray for a thousand instances of one model, and along
     /// the surfel for a thousand models.
-    static ImageFormationModel make_image_model(bool has_models) {
+    static ImageModel make_image_model(bool has_models) {
         return {.sh_direction = has_models ? ShDirection::surfel : ShDirection::ray};
     }
 };
@@ -91,8 +91,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         test::GradientTable table;
         Passes passes(device(), settings.image, scene, upstream, test::make_options(settings.image));
         passes.run();
-        const std::vector<shared::RenderedRay> rendered =
-            passes.renderer.get_last_rendered_batch().rendered->download();
+        const std::vector<shared::RenderedRay> rendered = passes.renderer.last_batch().rendered->download();
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel pixel = reference::render(scene.world, brute, settings, scene.rays[i], 16);
             reference::backward(scene.world, brute, settings, scene.rays[i], 16, upstream[i], expected);
@@ -131,26 +130,26 @@ std::vector<float> train(Passes& passes) {
     passes.run_forward();
     renderer.stream().submit_and_wait();
     const std::vector<DeviceTarget> values =
-        make_targets_near(passes.renderer.get_last_rendered_batch().rendered->download());
+        make_targets_near(passes.renderer.last_batch().rendered->download());
     const Array<DeviceTarget> targets(device, values, "targets");
     const Array<float> terms(device, kLossTerms, "loss terms");
     const auto n = static_cast<std::uint32_t>(values.size());
     constexpr LearningRates kRates{1e-3, 1e-3, 5e-3, 0.05, 0.01, 0.05};
     ImageLoss loss(device, {});
     Adam adam(device, renderer.scene().size(), {});
-    std::vector<InstancePose> placed = renderer.scene().get_instance_poses();
+    std::vector<InstancePose> placed = renderer.scene().poses();
     std::vector<float> losses;
     for (int step = 1; step <= 20; ++step) {
         for (InstancePose& pose : placed) pose.world_from_model.translation.y += 1e-4;
-        renderer.record_scene_update_for_view(placed, passes.view_origin);
+        renderer.update(placed, passes.view_origin);
         renderer.stream().fill(terms);
-        renderer.record_forward_pass(passes.batch());
-        loss.record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(),
-                               {&targets, 0, 1, n, double(n), double(n)}, terms);
-        differentiable.record_backward_pass();
-        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(),
-                              differentiable.gradients().surfels, &differentiable.gradients().touched, kRates,
-                              step, 3);
+        renderer.record_forward(passes.batch());
+        loss.add_ray_losses(renderer.stream(), differentiable.last_batch(),
+                            {&targets, 0, 1, n, double(n), double(n)}, terms);
+        differentiable.record_backward();
+        adam.record_step(renderer.stream(), renderer.scene().surfel_parameters(),
+                         differentiable.gradients().surfels, &differentiable.gradients().touched, kRates,
+                         step, 3);
         renderer.stream().submit_and_wait();
         const std::vector<float> all = terms.download();
         losses.push_back(std::accumulate(all.begin(), all.end(), 0.0f));
@@ -171,8 +170,8 @@ TEST_F(ManyActors, Train) {
                     double(losses.back()));
         EXPECT_LT(losses.back(), 0.8f * losses.front());
         for (const float l : losses) EXPECT_TRUE(std::isfinite(l));
-        const Surfels end = passes.renderer.scene().get_surfel_parameters().download();
-        for (const SurfelParameterGroup& group : list_parameter_groups(end.get_parameter_set()))
+        const Surfels end = passes.renderer.scene().surfel_parameters().download();
+        for (const SurfelParameterGroup& group : list_groups(end.parameters_used()))
             for (const float x : group.values(end)) ASSERT_TRUE(std::isfinite(x)) << group.name;
     }
 }
@@ -190,10 +189,10 @@ TEST_F(ManyActors, AreLaunchedTogether) {
                       test::make_options(make_image_model(true)));
         passes.run();  // builds the tree, which takes a number of launches logarithmic in its size
         Stream& stream = passes.renderer.stream();
-        stream.reset_kernel_times();
+        stream.reset_times();
         passes.run();
-        surfel_loss.record_regularisation_losses(stream, passes.renderer.scene(),
-                                                 {&passes.gradients().surfels, nullptr}, terms);
+        surfel_loss.add_regularisers(stream, passes.renderer.scene(), {&passes.gradients().surfels, nullptr},
+                                     terms);
         stream.submit_and_wait();
         std::map<std::string, std::size_t> counts;
         for (const auto& [kernel, times] : stream.times().milliseconds) counts[kernel] = times.size();

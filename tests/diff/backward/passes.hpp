@@ -27,7 +27,7 @@ inline glm::dquat make_rotation_by(const glm::dvec3& rotation_vector) {
 /// Returns options that trace boxes. A chunk (hits fetched together) has 4 hits with SH
 /// along the ray, and 16 hits with SH along the surfel. All tests use these sizes,
 /// because creating kernels takes most of the test time.
-inline RendererOptions make_options(const ImageFormationModel& model) {
+inline RendererOptions make_options(const ImageModel& model) {
     return {.accel = {.proxy = ProxyShape::boxes},
             .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
 }
@@ -48,7 +48,7 @@ struct Passes {
     /// Creates the renderer and both passes.
     /// @param g [>= rays] derivatives of the loss with respect to all rendered rays,
     /// until a loss overwrites them
-    Passes(Device& device, const ImageFormationModel& model, const RandomScene& s,
+    Passes(Device& device, const ImageModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})
         : placed(to_scene(s.world)),
@@ -58,7 +58,7 @@ struct Passes {
           rays(device, to_device_rays(to_world_rays(s.rays)), "rays"),
           targets(device, to_targets(s.rays), "targets"),
           view_origin(s.view_origin) {
-        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
+        renderer.scene().upload_poses(placed.world_from_instance);
         std::vector<shared::RayGradient> u;
         for (std::size_t i = 0; i < s.rays.size(); ++i) {
             shared::RayGradient& d = u.emplace_back();
@@ -66,18 +66,18 @@ struct Passes {
             RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
         }
-        differentiable.get_last_rendered_batch().upstream->upload(u);
+        differentiable.last_batch().upstream->upload(u);
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
     DeviceGradients& gradients() { return differentiable.gradients(); }
     void run_forward() {
-        renderer.record_scene_update_for_view(view_origin);
-        renderer.record_forward_pass(batch());
+        renderer.update(view_origin);
+        renderer.record_forward(batch());
     }
     void run() {
         run_forward();
-        differentiable.record_backward_pass();
+        differentiable.record_backward();
         renderer.stream().submit_and_wait();
     }
     /// Returns the inner product of upstream gradients and rendered values over all rays,
@@ -85,9 +85,8 @@ struct Passes {
     double loss() {
         run_forward();
         renderer.stream().submit_and_wait();
-        const std::vector<shared::RenderedRay> r = renderer.get_last_rendered_batch().rendered->download();
-        const std::vector<shared::RayGradient> u =
-            differentiable.get_last_rendered_batch().upstream->download();
+        const std::vector<shared::RenderedRay> r = renderer.last_batch().rendered->download();
+        const std::vector<shared::RayGradient> u = differentiable.last_batch().upstream->download();
         double sum = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
 #define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += double(r[i].name) * u[i].name;
@@ -105,10 +104,9 @@ struct GatheredHits {
 };
 inline GatheredHits download_gathered_hits(Passes& passes) {
     const BackwardPass& backward = passes.differentiable.backward_pass();
-    if (!backward.get_max_hit_count_on_device()) return {};
-    const GatheredHits hits{backward.get_max_hit_count_on_device()->download()[0],
-                            backward.get_hit_capacity()};
-    passes.renderer.stream().fill(*backward.get_max_hit_count_on_device());
+    if (!backward.max_hit_count()) return {};
+    const GatheredHits hits{backward.max_hit_count()->download()[0], backward.hit_capacity()};
+    passes.renderer.stream().fill(*backward.max_hit_count());
     passes.renderer.stream().submit_and_wait();
     return hits;
 }

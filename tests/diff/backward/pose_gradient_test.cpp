@@ -181,7 +181,7 @@ TEST_F(PoseGradient, WithTheLikelihood) {
 }
 
 Scene make_background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
-    Scene layout = make_background_scene(make_benchmark_street_surfels(n_background + n_actor));
+    Scene layout = wrap_background(make_street_surfels(n_background + n_actor));
     layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
     layout.instances.push_back({1, "actor"});
     return layout;
@@ -203,21 +203,21 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);
     }
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        ImageFormationModel model;
+        ImageModel model;
         model.sh_direction = direction;
         DeviceScene scene(device(), layout);
-        scene.upload_instance_poses_and_wait({Pose{}, pose});
+        scene.upload_poses({Pose{}, pose});
         Stream stream(device());
-        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(view_origin));
+        scene.activate(stream, model, glm::vec3(view_origin));
         stream.submit_and_wait();
         DeviceGradients gradients(device(), scene, {.poses = true});
         gradients.records.upload(d_records);
         gradients.pose_sums->d_view.upload(d_view);
         PoseGradientKernels kernels(device());
-        kernels.compute_pose_gradients(stream, scene, model, glm::vec3(view_origin), gradients);
+        kernels.reduce(stream, scene, model, glm::vec3(view_origin), gradients);
         stream.submit_and_wait();
         const std::vector<float> poses = gradients.poses.download(),
-                                 records = test::to_floats(scene.get_surfel_records().download());
+                                 records = test::to_floats(scene.surfel_records().download());
         const auto three = [](const std::vector<float>& v, std::size_t index) {
             return glm::dvec3(v[index], v[index + 1], v[index + 2]);
         };
@@ -244,7 +244,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
         for (const auto& [name, group] : table.groups())
             EXPECT_LE(group.compute_worst_error(), test::kKernelGradient) << name;
         for (int again = 0; again < 5; ++again) {
-            kernels.compute_pose_gradients(stream, scene, model, glm::vec3(view_origin), gradients);
+            kernels.reduce(stream, scene, model, glm::vec3(view_origin), gradients);
             stream.submit_and_wait();
             EXPECT_EQ(gradients.poses.download(), poses);
         }
@@ -257,10 +257,10 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     const test::RandomSceneOptions options{.seed = 44, .actor_instances = 3};
     PoseProblem p(ShDirection::ray, options);
     Passes passes(device(), p.settings.image, p.scene, p.upstream, test::make_options(p.settings.image));
-    std::vector<InstancePose> placed = passes.renderer.scene().get_instance_poses();
+    std::vector<InstancePose> placed = passes.renderer.scene().poses();
     placed[1].world_from_model.translation = {-20.0, 0.0, 0.0};
     placed[2].present = false;
-    passes.renderer.scene().record_upload_of_instance_poses(passes.renderer.stream(), placed);
+    passes.renderer.scene().stage_poses(passes.renderer.stream(), placed);
     passes.run();
     const std::vector<float> poses = passes.gradients().poses.download();
     double met = 0.0;
@@ -270,7 +270,7 @@ TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
         met += std::abs(poses[18 + k]);
     }
     EXPECT_GT(met, 0.0);
-    passes.renderer.stream().fill(*passes.differentiable.get_last_rendered_batch().upstream);
+    passes.renderer.stream().fill(*passes.differentiable.last_batch().upstream);
     passes.run();
     for (const float x : passes.gradients().poses.download()) EXPECT_EQ(x, 0.0f);
     for (const float x : passes.gradients().sensor.download()) EXPECT_EQ(x, 0.0f);

@@ -42,7 +42,7 @@ struct Case {
           densifier(device, scene, options, kAlphaMin, kFrames, kSeed),
           stream(device) {
         if (with_poison) test::fill_with_nan(scene.surfels);
-        device_scene.get_surfel_parameters().upload(scene.surfels);
+        device_scene.surfel_parameters().upload(scene.surfels);
         std::mt19937 random(3);
         const std::size_t n = scene.surfels.size();
         for (std::size_t i = 0; i < n; ++i) {
@@ -58,8 +58,8 @@ struct Case {
             moment1.mean[i] = moment2.mean[i] = glm::vec3(float(i) + 0.125f);
         }
         show();
-        adam.get_first_moments().upload(moment1);
-        adam.get_second_moments().upload(moment2);
+        adam.first_moments().upload(moment1);
+        adam.second_moments().upload(moment2);
     }
 
     void show() {
@@ -76,7 +76,7 @@ std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
     std::vector<Fate> fates;
     for (std::size_t m = 0; m < test_case.scene.models.size(); ++m) {
         const SurfelModel& model = test_case.scene.models[m];
-        const double extent = test_case.densifier.get_model_extents_m()[m];
+        const double extent = test_case.densifier.model_extents_m()[m];
         reference::DensifyRules rules;
         rules.min_opacity = std::max(test_case.options.min_opacity, double(kAlphaMin));
         rules.max_scale =
@@ -84,8 +84,7 @@ std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
         rules.clone_scale = test_case.options.clone_extent_share * extent;
         rules.gradient_threshold = test_case.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
-        rules.key =
-            static_cast<std::uint32_t>(hash_integer_pair(hash_integer_pair(kSeed, 1), std::uint64_t(step)));
+        rules.key = static_cast<std::uint32_t>(hash_pair(hash_pair(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             fates.push_back(reference::decide_fate(
                 test::densify_surfel(test_case.scene.surfels, i),
@@ -114,9 +113,7 @@ std::vector<Row> compute_expected_rows(const std::vector<Fate>& fates, std::uint
         total += weight.back();
     }
     const std::uint32_t phase =
-        total ? static_cast<std::uint32_t>(
-                    hash_integer_pair(hash_integer_pair(kSeed, 2), std::uint64_t(step)) % total)
-              : 0u;
+        total ? static_cast<std::uint32_t>(hash_pair(hash_pair(kSeed, 2), std::uint64_t(step)) % total) : 0u;
     const std::vector<std::uint32_t> copies = reference::count_copies(weight, n_new, phase);
     std::vector<Row> rows;
     for (std::uint32_t i = 0; i < fates.size(); ++i)
@@ -136,9 +133,8 @@ void expect_values(const Case& test_case, const Row& row, const Surfels& surfels
     EXPECT_TRUE(are_bits_equal(&surfels.sh[index * kShFloats], &was.sh[row.source * kShFloats], kShFloats));
     EXPECT_EQ(surfels.rotation[index], was.rotation[row.source]);
     if (row.fate == Fate::split) {
-        s.mean =
-            reference::sample_point(s, reference::draw_standard_normal_pair(key, std::uint32_t(index), 2),
-                                    reference::draw_standard_normal_pair(key, std::uint32_t(index), 3).x);
+        s.mean = reference::sample_point(s, reference::normal_pair(key, std::uint32_t(index), 2),
+                                         reference::normal_pair(key, std::uint32_t(index), 3).x);
         s.scale /= 1.6;
         if (s.scale_w) *s.scale_w /= 1.6;
     } else {
@@ -155,8 +151,8 @@ void expect_values(const Case& test_case, const Row& row, const Surfels& surfels
 }
 
 void expect_state(Case& test_case, const std::vector<Row>& rows) {
-    const Surfels m1 = test_case.adam.get_first_moments().download(),
-                  m2 = test_case.adam.get_second_moments().download();
+    const Surfels m1 = test_case.adam.first_moments().download(),
+                  m2 = test_case.adam.second_moments().download();
     const SurfelStatistics& s = test_case.densifier.statistics();
     const std::vector<float> sums = s.gradient_sum.download(rows.size());
     const std::vector<std::uint32_t> n_observing_batches = s.n_observing_batches.download(rows.size()),
@@ -181,7 +177,7 @@ void expect_state(Case& test_case, const std::vector<Row>& rows) {
 }
 
 void expect_models(const Case& test_case, const std::vector<Row>& rows) {
-    const std::vector<SurfelModel>& now = test_case.device_scene.get_scene_layout().models;
+    const std::vector<SurfelModel>& now = test_case.device_scene.layout().models;
     ASSERT_EQ(now.size(), test_case.scene.models.size());
     std::uint32_t next = 0;
     for (std::size_t m = 0; m < now.size(); ++m) {
@@ -212,10 +208,9 @@ DensifyReport expect_reference(Case& test_case, int step) {
     const std::vector<Row> rows = compute_expected_rows(fates, report.added, step);
     EXPECT_EQ(report.after, rows.size());
     EXPECT_EQ(test_case.device_scene.size(), rows.size());
-    const Surfels now = test_case.device_scene.get_surfel_parameters().download();
+    const Surfels now = test_case.device_scene.surfel_parameters().download();
     if (now.size() != rows.size()) return report;
-    const std::uint32_t key =
-        static_cast<std::uint32_t>(hash_integer_pair(hash_integer_pair(kSeed, 1), std::uint64_t(step)));
+    const std::uint32_t key = static_cast<std::uint32_t>(hash_pair(hash_pair(kSeed, 1), std::uint64_t(step)));
     for (std::size_t i = 0; i < rows.size(); ++i) {
         EXPECT_EQ(test::get_tag(now, i), rows[i].source) << "row " << i;
         expect_values(test_case, rows[i], now, i, key);
@@ -247,7 +242,7 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
 /// decision must use it.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::make_random_model_scene({500, 300}, 21);
-    convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 1.5);
+    convert_surfels(scene.surfels, PrimitiveType::gaussian, 1.5);
     for (std::size_t i = 0; i < scene.surfels.size(); i += 3) scene.surfels.log_scale_w[i] -= 2.0f;
     DensifyOptions options = make_adaptive_options();
     options.clone_extent_share = 3e-3;
@@ -265,7 +260,7 @@ TEST_F(Densify, CapIsExactAndSpreadOverTheScene) {
     const DensifyReport r = expect_reference(c, 600);
     EXPECT_EQ(r.after, 700u);
     EXPECT_LT(r.added, r.clones + r.splits);
-    const Surfels now = c.device_scene.get_surfel_parameters().download();
+    const Surfels now = c.device_scene.surfel_parameters().download();
     std::size_t copies[2]{};
     for (std::size_t i = 1; i < now.size(); ++i)
         copies[test::get_tag(now, i) >= 450] += test::get_tag(now, i) == test::get_tag(now, i - 1);
@@ -281,10 +276,10 @@ TEST_F(Densify, NothingToDoChangesNothing) {
     for (float& x : scene.surfels.opacity_logit) x = 1.0f;
     for (SurfelModel& m : scene.models) m.half_size_m = glm::vec3(0.0f);
     Case c(device(), scene, options);
-    const auto address = c.device_scene.get_surfel_parameters().mean.address();
+    const auto address = c.device_scene.surfel_parameters().mean.address();
     const DensifyReport r = expect_reference(c, 600);
-    EXPECT_EQ(r.count_removed_surfels() + r.added, 0u);
-    EXPECT_EQ(c.device_scene.get_surfel_parameters().mean.address(), address);
+    EXPECT_EQ(r.n_removed() + r.added, 0u);
+    EXPECT_EQ(c.device_scene.surfel_parameters().mean.address(), address);
 }
 
 TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
@@ -292,16 +287,16 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     for (std::uint32_t i = 100; i < 150; ++i) scene.surfels.opacity_logit[i] = -20.0f;
     Case c(device(), scene, make_adaptive_options());
     expect_reference(c, 600);
-    EXPECT_EQ(c.device_scene.get_scene_layout().models[1].count, 0u);
-    EXPECT_GT(c.device_scene.get_scene_layout().models[2].count, 0u);
+    EXPECT_EQ(c.device_scene.layout().models[1].count, 0u);
+    EXPECT_GT(c.device_scene.layout().models[2].count, 0u);
 
     for (float& x : scene.surfels.opacity_logit) x = -20.0f;
     Case all(device(), scene, make_adaptive_options());
     EXPECT_EQ(expect_reference(all, 600).after, 0u);
     EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
-    all.densifier.record_opacity_reset_if_scheduled(all.stream, all.device_scene, all.adam, 3000);
+    all.densifier.reset_opacities(all.stream, all.device_scene, all.adam, 3000);
     all.stream.submit_and_wait();
-    EXPECT_EQ(all.device_scene.get_surfel_parameters().download().size(), 0u);
+    EXPECT_EQ(all.device_scene.surfel_parameters().download().size(), 0u);
 }
 
 /// After a densification, training must accept empty models and empty scenes.
@@ -309,7 +304,7 @@ TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {
         Renderer renderer(device(), test::make_random_model_scene(counts, 20), {});
-        renderer.record_scene_update_for_view(glm::vec3(0.0f));
+        renderer.update(glm::vec3(0.0f));
         WorldRays rays;
         rays.origin = {glm::vec3(0.0f)};
         rays.direction = {glm::vec3(1.0f, 0.0f, 0.0f)};
@@ -326,7 +321,7 @@ TEST_F(Densify, RunsAreEqualBitByBit) {
         c.densifier.statistics().n_observing_batches.upload(
             std::vector<std::uint32_t>(c.device_scene.size(), 2u));
         c.run(700);
-        results.push_back(c.device_scene.get_surfel_parameters().download());
+        results.push_back(c.device_scene.surfel_parameters().download());
     }
     ASSERT_GT(results[0].size(), 700u);
     EXPECT_EQ(results[0].mean, results[1].mean);
@@ -336,9 +331,9 @@ TEST_F(Densify, RunsAreEqualBitByBit) {
 
 TEST_F(Densify, IsDueAsThePaperSays) {
     Case c(device(), test::make_random_model_scene({10}, 19), make_adaptive_options());
-    for (const int step : {500, 600, 14900}) EXPECT_TRUE(c.densifier.should_densify_after_step(step)) << step;
+    for (const int step : {500, 600, 14900}) EXPECT_TRUE(c.densifier.is_densify_step(step)) << step;
     for (const int step : {100, 400, 550, 15000, 20000})
-        EXPECT_FALSE(c.densifier.should_densify_after_step(step)) << step;
+        EXPECT_FALSE(c.densifier.is_densify_step(step)) << step;
 }
 
 }  // namespace

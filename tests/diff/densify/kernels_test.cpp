@@ -60,9 +60,9 @@ void expect_allotted(Device& device, std::uint32_t largest) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
             EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_CLONE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP
                                                                                     : action[i]);
-            EXPECT_EQ(plan.count_copies_up_to_cumulative_weight(cumulative[i] + weight[i]) -
-                          plan.count_copies_up_to_cumulative_weight(cumulative[i]),
-                      copies[i])
+            EXPECT_EQ(
+                plan.cumulative_copies(cumulative[i] + weight[i]) - plan.cumulative_copies(cumulative[i]),
+                copies[i])
                 << "what the host expects";
         }
     }
@@ -91,16 +91,16 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     const Surfels tags = t.scene.surfels;
     Stream stream(device());
     for (const int step : {2999, 3001, 15000})
-        t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, step);
+        t.densifier.reset_opacities(stream, t.device_scene, t.adam, step);
     stream.submit_and_wait();
-    EXPECT_EQ(t.device_scene.get_surfel_parameters().download().opacity_logit, tags.opacity_logit)
+    EXPECT_EQ(t.device_scene.surfel_parameters().download().opacity_logit, tags.opacity_logit)
         << "nothing is due at these steps";
-    t.adam.get_first_moments().upload(tags);
-    t.adam.get_second_moments().upload(tags);
-    t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, 3000);
+    t.adam.first_moments().upload(tags);
+    t.adam.second_moments().upload(tags);
+    t.densifier.reset_opacities(stream, t.device_scene, t.adam, 3000);
     stream.submit_and_wait();
-    const Surfels after = t.device_scene.get_surfel_parameters().download(),
-                  m = t.adam.get_first_moments().download(), v = t.adam.get_second_moments().download();
+    const Surfels after = t.device_scene.surfel_parameters().download(),
+                  m = t.adam.first_moments().download(), v = t.adam.second_moments().download();
     const float limit = std::log(0.01f / 0.99f);
     std::size_t lowered = 0;
     for (std::size_t i = 0; i < after.size(); ++i) {
@@ -121,9 +121,9 @@ TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     Trained t(device(), kAlphaMin);
     const std::vector<float> before = t.scene.surfels.opacity_logit;
     Stream stream(device());
-    t.densifier.record_opacity_reset_if_scheduled(stream, t.device_scene, t.adam, 3000);
+    t.densifier.reset_opacities(stream, t.device_scene, t.adam, 3000);
     stream.submit_and_wait();
-    const std::vector<float> after = t.device_scene.get_surfel_parameters().download().opacity_logit;
+    const std::vector<float> after = t.device_scene.surfel_parameters().download().opacity_logit;
     const float limit = std::log(0.1f / 0.9f);  // opacity 2.5 * 0.04
     for (std::size_t i = 0; i < after.size(); ++i) EXPECT_NEAR(after[i], std::min(before[i], limit), 1e-6);
 }

@@ -34,8 +34,8 @@ struct Growing {
           adam(d, count, {}),
           densifier(d, scene, {.strategy = DensifyStrategy::adaptive}, 0.0f, 1, 1),
           stream(d) {
-        adam.get_first_moments().upload(scene.surfels);
-        adam.get_second_moments().upload(scene.surfels);
+        adam.first_moments().upload(scene.surfels);
+        adam.second_moments().upload(scene.surfels);
     }
     /// @param share share of the surfels that should grow
     DensifyReport grow(int step, double share, double other_allocation_bytes = 0.0) {
@@ -48,8 +48,7 @@ struct Growing {
     /// Checks that every surfel is a copy of an original surfel, in the original order.
     /// Its Adam moments must be equal to the original moments or zero.
     void expect_valid() {
-        const Surfels now = device_scene.get_surfel_parameters().download(),
-                      m = adam.get_first_moments().download();
+        const Surfels now = device_scene.surfel_parameters().download(), m = adam.first_moments().download();
         ASSERT_EQ(m.size(), now.size());
         for (std::size_t i = 0; i < now.size(); ++i) {
             const std::uint32_t tag = test::get_tag(now, i);
@@ -65,7 +64,7 @@ struct Growing {
 TEST_F(DensifyMemory, CapacityGrowsInSteps) {
     Growing g(device(), 1000);
     EXPECT_EQ(g.grow(500, 0.1).after, 1100u);
-    EXPECT_GE(g.device_scene.get_surfel_parameters().capacity(), 1500u) << "half as much again";
+    EXPECT_GE(g.device_scene.surfel_parameters().capacity(), 1500u) << "half as much again";
     const std::uint64_t held = device().allocated_bytes();
     EXPECT_EQ(g.grow(600, 0.1).after, 1210u);
     EXPECT_EQ(g.grow(700, 0.2).after, 1452u);
@@ -86,8 +85,7 @@ TEST_F(DensifyMemory, OutOfMemoryCapsAndContinues) {
         notes += r.note;
         g.expect_valid();
     }
-    EXPECT_LE(limited.peak_allocated_bytes(), std::uint64_t(12) << 20 | (1u << 20))
-        << "staging is the host's";
+    EXPECT_LE(limited.peak_bytes(), std::uint64_t(12) << 20 | (1u << 20)) << "staging is the host's";
     EXPECT_GT(size, 6000u) << "it grew as far as it could";
     EXPECT_LT(size, 12000u);
     EXPECT_NE(notes.find("adding surfels at " + std::to_string(size) + " surfels: "), std::string::npos)

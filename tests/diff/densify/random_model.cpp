@@ -50,7 +50,7 @@ reference::DensifiedSurfel densify_surfel(const Surfels& surfels, std::size_t in
             glm::exp(glm::dvec2(surfels.log_scale[index])),
             1.0 / (1.0 + std::exp(-double(surfels.opacity_logit[index]))),
             finite,
-            get_primitive_properties(surfels.primitive).third_scale
+            properties_of(surfels.primitive).third_scale
                 ? std::optional(std::exp(double(surfels.log_scale_w[index])))
                 : std::nullopt};
 }

@@ -39,8 +39,7 @@ struct Observed {
               std::uint32_t frame, bool is_full_frame) {
         gradients.mean.upload(d_mean);
         touched.upload(is_touched);
-        densifier.record_gradient_statistics_update(stream, scene,
-                                                    {&gradients, &touched, frame, is_full_frame});
+        densifier.record_statistics(stream, scene, {&gradients, &touched, frame, is_full_frame});
         stream.submit_and_wait();
     }
 };

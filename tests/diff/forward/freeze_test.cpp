@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the original scene with a scene whose actors are baked into the background by
-// transform_all_surfels_to_world().
+// freeze_scene().
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -22,11 +22,11 @@ protected:
         constexpr std::uint32_t kSurfels = 1500;
         test::TraversalCase random_case = test::make_random_case(5, kSurfels, 0);
         if (primitive == PrimitiveType::gaussian) random_case = test::to_gaussians(random_case, 4);
-        Scene scene = make_background_scene(random_case.surfels);
+        Scene scene = wrap_background(random_case.surfels);
         std::mt19937 random(7);
         std::uniform_real_distribution<float> u(-1.0f, 1.0f);
         for (float& v : scene.surfels.sh) v = 0.2f * u(random);
-        scene.surfels.add_motionless_gait();
+        scene.surfels.add_still_gait();
         for (GaitPhaseWindow& gait : scene.surfels.gait)
             gait = {u(random), u(random), 0.3f * glm::vec3(u(random), u(random), u(random))};
         scene.models = {{"background", 0, 900}};
@@ -69,30 +69,28 @@ TEST_F(Freeze, RendersAsThePlacedScene) {
     const WorldRays rays = test::make_random_case(5, 1500, 2000).rays;
     for (const PrimitiveType primitive : {PrimitiveType::surfel, PrimitiveType::gaussian})
         for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-            const ImageFormationModel model{.sh_direction = direction, .primitive = primitive};
+            const ImageModel model{.sh_direction = direction, .primitive = primitive};
             const Scene scene = make_some_actors(primitive);
             std::vector<InstancePose> placed = make_some_poses();
             for (const bool one_is_absent : {false, true}) {
                 placed[2].present = !one_is_absent;
-                const Surfels frozen = transform_all_surfels_to_world(scene, placed);
+                const Surfels frozen = freeze_scene(scene, placed);
                 EXPECT_EQ(frozen.size(), one_is_absent ? 1300u : 1500u);
                 EXPECT_FALSE(frozen.bends);
                 const glm::vec3 view(0.2f, -0.1f, 0.3f);
-                Renderer moving(device(), scene, model),
-                    still(device(), make_background_scene(frozen), model);
-                moving.record_scene_update_for_view(placed, view);
-                still.record_scene_update_for_view(view);
+                Renderer moving(device(), scene, model), still(device(), wrap_background(frozen), model);
+                moving.update(placed, view);
+                still.update(view);
                 expect_equal(moving.render_rays(rays), still.render_rays(rays),
-                             std::string(get_primitive_properties(primitive).name) +
+                             std::string(properties_of(primitive).name) +
                                  (direction == ShDirection::ray ? ", a ray" : ", a surfel"));
             }
         }
 }
 
 TEST_F(Freeze, WantsAPoseForEachInstance) {
-    EXPECT_THROW(
-        transform_all_surfels_to_world(make_some_actors(PrimitiveType::surfel), std::vector<InstancePose>(3)),
-        DataError);
+    EXPECT_THROW(freeze_scene(make_some_actors(PrimitiveType::surfel), std::vector<InstancePose>(3)),
+                 DataError);
 }
 
 }  // namespace

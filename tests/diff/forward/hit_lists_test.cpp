@@ -30,7 +30,7 @@ struct Provider {
 
 std::vector<Provider> list_providers(const Device& device) {
     const Provider brute{.name = "brute force", .brute_force = true};
-    if (device.get_ray_tracing_backend() == RayTracingBackend::software)
+    if (device.backend() == RayTracingBackend::software)
         return {{.name = "lane", .traversal_mode = BvhTraversalMode::lane},
                 {.name = "subgroup", .traversal_mode = BvhTraversalMode::subgroup},
                 brute};
@@ -41,7 +41,7 @@ std::vector<Provider> list_providers(const Device& device) {
 
 struct Placed {
     test::SceneAndPoses placed;
-    ImageFormationModel model;
+    ImageModel model;
     Stream stream;
     DeviceScene scene;
     AccelerationStructure accel;
@@ -54,27 +54,27 @@ struct Placed {
           accel(device, scene, {.proxy = provider.proxy}),
           rays(device, to_device_rays(test_case.rays), "rays") {
         model.primitive = test_case.surfels.primitive;
-        scene.upload_instance_poses_and_wait(placed.world_from_instance);
-        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
-        accel.record_bvh_refit_or_build(stream, scene);
+        scene.upload_poses(placed.world_from_instance);
+        scene.activate(stream, model, glm::vec3(0.0f));
+        accel.record_refit(stream, scene);
         stream.submit_and_wait();
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
 
     std::vector<shared::RenderedRay> render(const TraceOptions& options, StoredRayHits* kept = nullptr) {
-        ForwardPass forward(stream.device(), model, accel.get_proxy_shape_of_surfels(), options);
+        ForwardPass forward(stream.device(), model, accel.proxy_shape(), options);
         Array<shared::RenderedRay> rendered(stream.device(), rays.size(), "rendered rays");
-        forward.record_forward_pass(stream, scene, accel, batch(), rendered, kept);
+        forward.record_forward(stream, scene, accel, batch(), rendered, kept);
         stream.submit_and_wait();
-        EXPECT_EQ(forward.read_and_reset_truncated_ray_count(), 0u);
+        EXPECT_EQ(forward.consume_truncated(), 0u);
         return rendered.download();
     }
 
     shared::ForwardParams make_params(const Array<shared::RenderedRay>& rendered,
                                       const Array<std::uint32_t, shared::PassCapCount>& pass_cap) const {
         shared::ForwardParams params{};
-        params.scene = make_trace_scene_params(scene, accel, batch(), model, {}, pass_cap.address());
+        params.scene = trace_params(scene, accel, batch(), model, {}, pass_cap.address());
         params.rendered = rendered.address();
         return params;
     }
@@ -84,12 +84,11 @@ struct Placed {
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
         const Array<std::uint32_t, shared::PassCapCount> pass_cap(device, std::vector<std::uint32_t>{0u},
                                                                   "pass cap count");
-        HitListTracer lists(
-            device, get_traversal_kernel_variant(device),
-            make_trace_kernel_constants(device, accel.get_proxy_shape_of_surfels(), {}, model), capacity);
+        HitListTracer lists(device, kernel_variant(device),
+                            trace_constants(device, accel.proxy_shape(), {}, model), capacity);
         shared::ForwardParams params = make_params(rendered, pass_cap);
         stream.fill(rendered, kUntouched);
-        lists.render_with_hit_lists(stream, batch(), params);
+        lists.render(stream, batch(), params);
         stream.submit_and_wait();
         return rendered.download();
     }
@@ -182,8 +181,7 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitSortMethod::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
     for (const int requested_capacity : {1, 60, 512}) {
-        const int list_capacity =
-            std::min(requested_capacity, static_cast<int>(compute_max_hits_per_ray_list(device())));
+        const int list_capacity = std::min(requested_capacity, static_cast<int>(max_list_hits(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_capacity);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(list_capacity))
@@ -249,7 +247,7 @@ TEST_F(Lists, EndBehindAWall) {
     EXPECT_EQ(count_differences(placed.render({.order = HitSortMethod::lists}), expected), 0u);
     EXPECT_TRUE(std::ranges::all_of(expected, [](const auto& ray) { return ray.n_hits < 10; }));
     // the order of hits from a driver is unknown
-    if (device().get_ray_tracing_backend() != RayTracingBackend::software) return;
+    if (device().backend() != RayTracingBackend::software) return;
     EXPECT_EQ(count_differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
@@ -263,21 +261,20 @@ TEST_F(Lists, Grow) {
     const Array<std::uint32_t, shared::PassCapCount> pass_cap(device(), std::vector<std::uint32_t>{0u},
                                                               "pass cap count");
     const std::vector<SpecialisationConstant> constants =
-        make_trace_kernel_constants(device(), placed.accel.get_proxy_shape_of_surfels(), {}, placed.model);
-    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace",
-                                              get_traversal_kernel_variant(device()), constants);
-    HitListTracer lists(device(), get_traversal_kernel_variant(device()), constants, 3);
+        trace_constants(device(), placed.accel.proxy_shape(), {}, placed.model);
+    const Kernel<shared::ForwardParams> trace(device(), "diff/forward/trace", kernel_variant(device()),
+                                              constants);
+    HitListTracer lists(device(), kernel_variant(device()), constants, 3);
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
         shared::ForwardParams params = placed.make_params(rendered, pass_cap);
-        lists.render_with_hit_lists(placed.stream, placed.batch(), params);
-        run(placed.stream, trace, count_trace_threads(placed.batch()), params);
+        lists.render(placed.stream, placed.batch(), params);
+        run(placed.stream, trace, count_threads(placed.batch()), params);
         placed.stream.submit_and_wait();
-        EXPECT_EQ(count_differences(rendered.download(), expected), 0u)
-            << "room " << lists.get_hit_list_capacity();
+        EXPECT_EQ(count_differences(rendered.download(), expected), 0u) << "room " << lists.capacity();
     }
-    EXPECT_GE(lists.get_hit_list_capacity(), std::min(most, compute_max_hits_per_ray_list(device())));
-    EXPECT_LT(lists.get_hit_list_capacity(), 4 * most);
+    EXPECT_GE(lists.capacity(), std::min(most, max_list_hits(device())));
+    EXPECT_LT(lists.capacity(), 4 * most);
 }
 
 TEST_F(Lists, RoomThatCannotBeIsRefused) {

@@ -25,19 +25,18 @@ protected:
         std::vector<float> likelihood;  ///< [n]
         std::vector<float> surfaces;    ///< [n,4] normal and mode, or empty
     };
-    Found trace(const test::RandomScene& random, const ImageFormationModel& model,
-                const TraceOptions& options) {
+    Found trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options) {
         const test::SceneAndPoses placed = test::to_scene(random.world);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
         // adds an extra ray, to detect writes beyond the end
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
-        renderer.scene().upload_instance_poses_and_wait(placed.world_from_instance);
+        renderer.scene().upload_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(device(), to_device_rays(test::to_world_rays(random.rays)), "rays");
         const Array<shared::DeviceTarget> targets(device(), test::to_targets(random.rays), "targets");
-        const Array<shared::RenderedSurface>* surfaces = renderer.get_last_rendered_batch().surfaces;
+        const Array<shared::RenderedSurface>* surfaces = renderer.last_batch().surfaces;
         if (surfaces) renderer.stream().fill(*surfaces, 0xc0e00000u);  // -7 as a float
-        renderer.record_scene_update_for_view(glm::vec3(random.view_origin));
-        renderer.record_forward_pass({&rays, 0, 1, n_rays, 0, &targets});
+        renderer.update(glm::vec3(random.view_origin));
+        renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().submit_and_wait();
         Found result;
         if (surfaces) {
@@ -45,8 +44,7 @@ protected:
             for (int k = 0; k < 4; ++k, result.surfaces.pop_back())
                 EXPECT_EQ(result.surfaces.back(), -7.0f) << "wrote past the end";
         }
-        std::vector<shared::RenderedRay> image =
-            renderer.get_last_rendered_batch().rendered->download(n_rays);
+        std::vector<shared::RenderedRay> image = renderer.last_batch().rendered->download(n_rays);
         for (shared::RenderedRay& ray : image)
             result.likelihood.push_back(std::exchange(ray.likelihood, 0.0f));
         result.image = test::to_floats(image);
@@ -149,15 +147,14 @@ TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     const test::RandomScene scene = test::make_random_scene(options, {});
     const test::SceneAndPoses placed = test::to_scene(scene.world);
     Renderer renderer(device(), placed.scene, {}, {.trace = {.likelihood = kKernel}, .n_rays = 60});
-    renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
+    renderer.update(placed.world_from_instance, glm::vec3(scene.view_origin));
     const Array<DeviceRay> rays(device(), to_device_rays(test::to_world_rays(scene.rays)), "rays");
     const Array<shared::DeviceTarget> targets(device(), test::to_targets(scene.rays), "targets");
     const auto likelihoods = [&](const RayBatch& batch) {
-        renderer.record_forward_pass(batch);
+        renderer.record_forward(batch);
         renderer.stream().submit_and_wait();
         std::vector<float> ray_likelihoods;
-        for (const shared::RenderedRay& ray :
-             renderer.get_last_rendered_batch().rendered->download(batch.n_rays))
+        for (const shared::RenderedRay& ray : renderer.last_batch().rendered->download(batch.n_rays))
             ray_likelihoods.push_back(ray.likelihood);
         return ray_likelihoods;
     };
@@ -176,7 +173,7 @@ TEST_F(OnDemand, OfARenderer) {
     const test::SceneAndPoses placed = test::to_scene(scene.world);
     for (const bool with_normals : {true, false}) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = with_normals}});
-        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
+        renderer.update(placed.world_from_instance, glm::vec3(scene.view_origin));
         const RenderedRayValues actual = renderer.render_rays(test::to_world_rays(scene.rays));
         ASSERT_EQ(actual.normal.size(), with_normals ? scene.rays.size() : 0u);
         for (std::size_t i = 0; i < actual.normal.size(); ++i) {

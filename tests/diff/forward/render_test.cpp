@@ -21,10 +21,10 @@ namespace {
 
 class Forward : public test::DeviceTest {};
 
-RenderedRayValues render_once(Device& device, const Scene& scene, const ImageFormationModel& model,
+RenderedRayValues render_once(Device& device, const Scene& scene, const ImageModel& model,
                               const WorldRays& rays, const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
-    renderer.record_scene_update_for_view(glm::vec3(0.0f));
+    renderer.update(glm::vec3(0.0f));
     return renderer.render_rays(rays);
 }
 
@@ -101,7 +101,7 @@ TEST_F(Forward, AgreesWithDoubleReference) {
             Renderer renderer(device(), placed.scene, settings.image,
                               {.accel = {.proxy = proxy},
                                .trace = {.chunk = 5, .order = order, .initial_list_capacity = room}});
-            renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
+            renderer.update(placed.world_from_instance, glm::vec3(scene.view_origin));
             const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
             EXPECT_EQ(r.hits, e.hits);
             EXPECT_EQ(r.instance, e.instance);
@@ -121,13 +121,13 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     surfels.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};  // normal along x
     surfels.opacity_logit[0] = 3.0f;
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    const Scene scene = make_background_scene(surfels);
+    const Scene scene = wrap_background(surfels);
     Renderer renderer(device(), scene, {});
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
     for (const double x : {5.0, 9.0, 2.5}) {
         Pose pose;
         pose.translation = {x, 0.0, 0.0};
-        renderer.record_instance_poses_and_view({{pose}}, glm::vec3(0.0f));
+        renderer.record_poses({{pose}}, glm::vec3(0.0f));
         const RenderedRayValues r = renderer.render_rays(ray);
         ASSERT_EQ(r.hits[0], 1u);
         EXPECT_NEAR(r.depth[0] / r.weight[0], x, 1e-5);
@@ -145,13 +145,13 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
         const Expected e = render_reference(scene, settings);
         const test::SceneAndPoses placed = test::to_scene(scene.world);
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.chunk = 5}});
-        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
+        renderer.update(placed.world_from_instance, glm::vec3(scene.view_origin));
         const RenderedRayValues r = renderer.render_rays(test::to_world_rays(scene.rays));
         EXPECT_EQ(r.hit_logit, std::vector<float>(scene.rays.size(), 0.0f));
         EXPECT_LE(compute_normalised_error(r.drop_logit, e.drop_logit), test::kKernelNmse);
         EXPECT_LE(compute_normalised_error(r.depth, e.depth), test::kKernelNmse);
         const RenderedRayValues empty =
-            render_once(device(), make_background_scene({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
+            render_once(device(), wrap_background({}), settings.image, {{{0, 0, 0}}, {{1, 0, 0}}});
         EXPECT_GT(empty.drop_logit[0], empty.hit_logit[0]);
     }
 }
@@ -164,10 +164,10 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
     const test::SceneAndPoses placed = test::to_scene(random.world);
     const WorldRays rays = test::to_world_rays(random.rays);
     const auto rendered = [&](const Scene& scene) {
-        ImageFormationModel model;
+        ImageModel model;
         model.primitive = scene.surfels.primitive;
         Renderer renderer(device(), scene, model);
-        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(0.0f));
+        renderer.update(placed.world_from_instance, glm::vec3(0.0f));
         return renderer.render_rays(rays);
     };
     const RenderedRayValues flat = rendered(placed.scene);
@@ -177,7 +177,7 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
     // the smallest thickness corresponds to at least 1.5e-6 m
     for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {
         Scene thin = placed.scene;
-        convert_to_primitive(thin.surfels, PrimitiveType::gaussian, thickness);
+        convert_surfels(thin.surfels, PrimitiveType::gaussian, thickness);
         const RenderedRayValues r = rendered(thin);
         error.push_back(
             std::max(compute_normalised_error(r.depth, depth), compute_normalised_error(r.weight, weight)));
@@ -190,12 +190,12 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
 }
 
 TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
-    Scene scene = make_background_scene(test::to_surfels(test::make_random_scene({}, {}).world.surfels));
-    ImageFormationModel gaussians;
+    Scene scene = wrap_background(test::to_surfels(test::make_random_scene({}, {}).world.surfels));
+    ImageModel gaussians;
     gaussians.primitive = PrimitiveType::gaussian;
     const WorldRays ray{{{0, 0, 0}}, {{1, 0, 0}}};
     EXPECT_THROW(render_once(device(), scene, gaussians, ray), UsageError);
-    convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 1.0);
+    convert_surfels(scene.surfels, PrimitiveType::gaussian, 1.0);
     EXPECT_THROW(render_once(device(), scene, {}, ray), UsageError);
     EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
@@ -217,17 +217,16 @@ TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     const auto at = [](double value, bool present) {
         return InstancePose{Pose{{1, 0, 0, 0}, {value, 0, 0}}, present};
     };
-    renderer.record_instance_poses_and_view({at(9, true), at(3, true)}, glm::vec3(0.0f));
+    renderer.record_poses({at(9, true), at(3, true)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.render_rays(ray).instance[0], 0);
-    renderer.record_instance_poses_and_view({at(9, false), at(3, true)}, glm::vec3(0.0f));
+    renderer.record_poses({at(9, false), at(3, true)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.render_rays(ray).instance[0], 1);
-    renderer.record_instance_poses_and_view({at(9, false), at(3, false)}, glm::vec3(0.0f));
+    renderer.record_poses({at(9, false), at(3, false)}, glm::vec3(0.0f));
     EXPECT_EQ(renderer.render_rays(ray).instance[0], -1);
 }
 
 TEST_F(Forward, EmptySceneIsBackground) {
-    const RenderedRayValues r =
-        render_once(device(), make_background_scene({}), {}, {{{0, 0, 0}}, {{1, 0, 0}}});
+    const RenderedRayValues r = render_once(device(), wrap_background({}), {}, {{{0, 0, 0}}, {{1, 0, 0}}});
     EXPECT_EQ(r.hits[0], 0u);
     EXPECT_EQ(r.drop_logit[0], 1.0f);
     EXPECT_EQ(r.transmittance[0], 1.0f);
@@ -255,9 +254,9 @@ void expect_unharmed(Device& device, const Surfels& good, const WorldRays& rays)
     for (const float bad : {std::nanf(""), HUGE_VALF, -HUGE_VALF, 1e38f})
         poisoned.append_surfels(make_poisoned_copies(good, bad));
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
-        const ImageFormationModel model{.sh_direction = direction, .primitive = good.primitive};
-        const RenderedRayValues expected = render_once(device, make_background_scene(good), model, rays);
-        const RenderedRayValues actual = render_once(device, make_background_scene(poisoned), model, rays);
+        const ImageModel model{.sh_direction = direction, .primitive = good.primitive};
+        const RenderedRayValues expected = render_once(device, wrap_background(good), model, rays);
+        const RenderedRayValues actual = render_once(device, wrap_background(poisoned), model, rays);
         EXPECT_EQ(actual.hits, expected.hits);
         EXPECT_EQ(actual.depth, expected.depth);
         EXPECT_EQ(actual.intensity, expected.intensity);
@@ -270,7 +269,7 @@ TEST_F(Forward, PoisonedSurfelsNeverReachTheImage) {
     reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     Surfels good = test::to_surfels(scene.world.surfels), thick = good;
-    convert_to_primitive(thick, PrimitiveType::gaussian, 0.5);
+    convert_surfels(thick, PrimitiveType::gaussian, 0.5);
     for (const Surfels& sound : {good, thick})
         expect_unharmed(device(), sound, test::to_world_rays(scene.rays));
 }
@@ -293,20 +292,20 @@ TEST_F(Forward, StreetEqualsImageByOthers) {
     const std::filesystem::path file = get_shared_folder() / "bench" / "peer_render_A100k_kitti.npz";
     if (!std::filesystem::exists(file)) GTEST_SKIP() << file << " is not there";
     const std::vector<NamedArray> arrays = read_npz(file);
-    const std::vector<float> dirs = find(arrays, "dirs").convert_to_floats(),
-                             origin = find(arrays, "origin").convert_to_floats();
+    const std::vector<float> dirs = find(arrays, "dirs").to_floats(),
+                             origin = find(arrays, "origin").to_floats();
     WorldRays rays;
     for (std::size_t i = 0; i < dirs.size() / 3; ++i) {
         rays.origin.push_back({origin[0], origin[1], origin[2]});
         rays.direction.push_back({dirs[3 * i], dirs[3 * i + 1], dirs[3 * i + 2]});
     }
-    Surfels street = make_benchmark_street_surfels(100000);
-    street = street.reorder(compute_kd_tree_order(street.mean));
+    Surfels street = make_street_surfels(100000);
+    street = street.reorder(kd_tree_order(street.mean));
     const RenderedRayValues r =
-        render_once(device(), make_background_scene(street), {}, rays, {.trace = {.chunk = 64}});
-    const std::vector<float> depth = find(arrays, "depth").convert_to_floats(),
-                             intensity = find(arrays, "intensity").convert_to_floats(),
-                             t = find(arrays, "T").convert_to_floats();
+        render_once(device(), wrap_background(street), {}, rays, {.trace = {.chunk = 64}});
+    const std::vector<float> depth = find(arrays, "depth").to_floats(),
+                             intensity = find(arrays, "intensity").to_floats(),
+                             t = find(arrays, "T").to_floats();
     std::size_t equal = 0;
     for (std::size_t i = 0; i < rays.size(); ++i)
         equal += std::abs(r.depth[i] - depth[i]) <= 1e-3f &&

@@ -27,7 +27,7 @@ Scene wall(float shift) {
         s.opacity_logit[i] = 3.0f;
         s.sh[i * kShFloats + kShCoefficients] = 5.0f;
     }
-    return make_background_scene(s);
+    return wrap_background(s);
 }
 
 void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
@@ -61,16 +61,15 @@ double measure_distance_after(Device& device, float shift, bool cut_gradient, bo
     const TargetBatch measured{
         &device_targets, 0, 1, kRays, kRays, kRays, image ? ImageShape{kSide, kSide, false} : ImageShape{}};
     for (int step = 1; step <= 60; ++step) {
-        renderer.record_scene_update_for_view(glm::vec3(0.0f));
-        renderer.record_forward_pass(batch);
+        renderer.update(glm::vec3(0.0f));
+        renderer.record_forward(batch);
         for (const std::unique_ptr<Loss>& loss : losses)
-            loss->record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(), measured,
-                                    terms);
-        if (cut_gradient) renderer.stream().fill(*differentiable.get_last_rendered_batch().upstream);
-        differentiable.record_backward_pass();
+            loss->add_ray_losses(renderer.stream(), differentiable.last_batch(), measured, terms);
+        if (cut_gradient) renderer.stream().fill(*differentiable.last_batch().upstream);
+        differentiable.record_backward();
         const DeviceGradients& gradients = differentiable.gradients();
-        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(), gradients.surfels,
-                              &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
+        adam.record_step(renderer.stream(), renderer.scene().surfel_parameters(), gradients.surfels,
+                         &gradients.touched, {0.02, 0.0, 0.0, 0.0, 0.0, 1.0}, step, 3);
         renderer.stream().submit_and_wait();
     }
     double sum = 0.0, n = 0.0;

@@ -76,9 +76,8 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             stream.fill(upstream, 0x7fc00000u);
             double returned = 0.0;
             for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
-            loss.record_ray_losses(stream, {{}, &rendered, &upstream},
-                                   {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)},
-                                   sums);
+            loss.add_ray_losses(stream, {{}, &rendered, &upstream},
+                                {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
             stream.submit_and_wait();
             const std::vector<float> g = test::to_floats(upstream.download()), s = sums.download();
             EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);
@@ -107,12 +106,12 @@ TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     Array<shared::RayGradient> upstream(device(), 16, "upstream");
     // targets 0, 4, 8, ... are masked
-    loss.record_ray_losses(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
+    loss.add_ray_losses(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
     stream.submit_and_wait();
     for (const float x : test::to_floats(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
     // targets 1, 5, 9, ... have a measured value
-    loss.record_ray_losses(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
+    loss.add_ray_losses(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
     stream.submit_and_wait();
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }

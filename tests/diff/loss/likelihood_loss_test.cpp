@@ -45,8 +45,8 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
     const LossWeights weights{.likelihood = 0.7f, .likelihood_floor = 0.02f};
     LikelihoodLoss loss(device(), weights);
     Stream stream(device());
-    loss.record_ray_losses(stream, {{}, &rendered, &upstream},
-                           {&targets, 0, kStride, std::uint32_t(kRays), n_returned, double(kRays)}, terms);
+    loss.add_ray_losses(stream, {{}, &rendered, &upstream},
+                        {&targets, 0, kStride, std::uint32_t(kRays), n_returned, double(kRays)}, terms);
     stream.submit_and_wait();
     const std::vector<float> actual_terms = terms.download();
     for (std::size_t k = 0; k < kLossTerms; ++k)

@@ -62,9 +62,9 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
     Array<shared::RayGradient> upstream(device, n, "upstream");
     const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns),
                            image.circular};
-    loss.record_ray_losses(stream, {{}, &r, &upstream},
-                           {&t, 0, stride, static_cast<std::uint32_t>(n), n_known_pixels, double(n), shape},
-                           terms);
+    loss.add_ray_losses(stream, {{}, &r, &upstream},
+                        {&t, 0, stride, static_cast<std::uint32_t>(n), n_known_pixels, double(n), shape},
+                        terms);
     stream.submit_and_wait();
     Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
     for (const shared::RayGradient& g : upstream.download()) result.d_x.push_back(g.intensity);

@@ -42,19 +42,19 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
     const LossWeights weights{.box = 0.3f};
     const std::size_t n = scene.surfels.size();
     for (const bool all : {true, false}) {
-        if (!all) convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 3.0);
+        if (!all) convert_surfels(scene.surfels, PrimitiveType::gaussian, 3.0);
         const bool is_gaussian = !all;
         std::vector<std::uint32_t> touched(n);
         for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
         Stream stream(device());
         DeviceScene on_device(device(), scene);
         SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
-        d.record_zero_fill(stream);
+        d.fill_zero(stream);
         stream.fill(d.mean, 0x3e800000u);  // 0.25
         const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), touched, "touched");
         const Array<float> terms(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
         ActorBoxLoss loss(device(), weights);
-        loss.record_regularisation_losses(stream, on_device, {&d, all ? nullptr : &rows}, terms);
+        loss.add_regularisers(stream, on_device, {&d, all ? nullptr : &rows}, terms);
         stream.submit_and_wait();
 
         double box = 0.0;

@@ -35,20 +35,19 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
     const test::ImageBatch values = test::make_random_images(c.grid, 3 * c.channels, 1),
                            upstream = test::make_random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
-    AttentionActivations state = attention.allocate_attention_activations(device(), c.grid, true);
+    AttentionActivations state = attention.allocate_state(device(), c.grid, true);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels),
                                           d_to(device(), upstream),
                                           d_qkv = OnDevice::make_unwritten(device(), c.grid, 3 * c.channels);
-    attention.compute_attention(stream, qkv.slice(), state, to.slice());
-    attention.backpropagate_to_qkv(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
+    attention.attend(stream, qkv.slice(), state, to.slice());
+    attention.attend_vjp(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
     stream.submit_and_wait();
     EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
-    EXPECT_LT(
-        compute_worst_error(d_qkv.read(), reference::backpropagate_attention(values, c.heads, upstream)),
-        test::kLayer);
+    EXPECT_LT(compute_worst_error(d_qkv.read(), reference::attention_vjp(values, c.heads, upstream)),
+              test::kLayer);
     const std::vector<double> shares = test::to_doubles(state.share.values);
-    const std::size_t pixels = c.grid.count_pixels_per_image();
+    const std::size_t pixels = c.grid.n_image_pixels();
     ASSERT_EQ(shares.size(), c.grid.n * std::size_t(c.heads) * pixels * pixels);
     for (std::size_t row = 0; row < shares.size() / pixels; ++row) {
         double sum = 0.0;
@@ -62,10 +61,10 @@ TEST_F(AttentionTest, LargeScores) {
     const ImageBatchSize grid{1, 3, 7};
     const test::ImageBatch values = test::make_random_images(grid, 12, 1, 30.0);
     Attention attention(device(), 1);
-    AttentionActivations state = attention.allocate_attention_activations(device(), grid, false);
+    AttentionActivations state = attention.allocate_state(device(), grid, false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), grid, 4);
-    attention.compute_attention(stream, qkv.slice(), state, to.slice());
+    attention.attend(stream, qkv.slice(), state, to.slice());
     stream.submit_and_wait();
     // scores of 1e3 have an error of 1e-4
     EXPECT_LT(compute_worst_error(to.read(), reference::attend(values, 1)), 1e-3);
@@ -83,11 +82,10 @@ TEST_F(AttentionTest, TakesWhatItAsksFor) {
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }
     Attention attention(device(), 1);
-    AttentionActivations state =
-        attention.allocate_attention_activations(device(), test::get_grid(values), false);
+    AttentionActivations state = attention.allocate_state(device(), test::get_grid(values), false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), test::get_grid(values), n);
-    attention.compute_attention(stream, qkv.slice(), state, to.slice());
+    attention.attend(stream, qkv.slice(), state, to.slice());
     stream.submit_and_wait();
     EXPECT_LT(compute_worst_error(to.read(), expected), 1e-6);
 }

@@ -77,10 +77,10 @@ TEST_P(ConvSizes, DerivativeByTheInput) {
     Stream stream(device());
     const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::make_unwritten(device(), c.grid, c.n_in);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
-    conv.backpropagate_input(stream, d_to.slice(), weights.address(), d_from.slice());
+    conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
     stream.submit_and_wait();
-    EXPECT_LT(compute_worst_error(d_from.read(), reference::backpropagate_convolution_input(
-                                                     layer.d_to, layer.weights, c.n_in, int(c.taps))),
+    EXPECT_LT(compute_worst_error(d_from.read(),
+                                  reference::conv_input_vjp(layer.d_to, layer.weights, c.n_in, int(c.taps))),
               test::kLayer);
 }
 
@@ -93,18 +93,17 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
     const auto d_weights = test::to_device<shared::ConvWeights>(device(), guarded),
                again = test::to_device<shared::ConvWeights>(device(), guarded);
-    conv.reserve_partial_sums(
-        device(), conv.count_partial_sum_floats(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
+    conv.reserve_weight_sums(device(),
+                             conv.n_partial_sums(c.grid, std::uint32_t(c.n_in), std::uint32_t(c.n_out)));
     for (const auto* d : {&d_weights, &again}) {
-        conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d->address());
+        conv.weights_vjp(stream, from.slice(), d_to.slice(), d->address());
         stream.submit_and_wait();
     }
     std::vector<double> actual = test::to_doubles(d_weights), repeated = test::to_doubles(again);
     EXPECT_TRUE(std::isnan(actual.back())) << "wrote past the end";
     actual.pop_back();
     repeated.pop_back();
-    EXPECT_LT(compute_worst_error(
-                  actual, reference::backpropagate_convolution_weights(layer.from, layer.d_to, int(c.taps))),
+    EXPECT_LT(compute_worst_error(actual, reference::conv_weights_vjp(layer.from, layer.d_to, int(c.taps))),
               test::kLayer);
     EXPECT_EQ(actual, repeated);  // the order of summation is fixed
 }
@@ -122,10 +121,10 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights),
                d_weights = test::to_device<shared::ConvWeights>(
                    device(), std::vector<double>(layer.weights.size(), 0.0));
-    conv.reserve_partial_sums(device(), conv.count_partial_sum_floats(c.grid, 9, 17));
+    conv.reserve_weight_sums(device(), conv.n_partial_sums(c.grid, 9, 17));
     conv.run_convolution(stream, from.slice(), weights.address(), {}, to.slice());
-    conv.backpropagate_input(stream, d_to.slice(), weights.address(), d_from.slice());
-    conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d_weights.address());
+    conv.input_vjp(stream, d_to.slice(), weights.address(), d_from.slice());
+    conv.weights_vjp(stream, from.slice(), d_to.slice(), d_weights.address());
     stream.submit_and_wait();
     const double expected_product = test::dot(layer.d_to.values, to.read().values),
                  scale = 1e-5 * std::sqrt(double(layer.d_to.values.size()) * 81.0);
@@ -146,7 +145,7 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
                                             back = OnDevice::make_unwritten(device(), test::get_grid(one), 1);
         const auto weights = test::to_device<shared::ConvWeights>(device(), taps);
         conv.run_convolution(stream, from.slice(), weights.address(), {}, to.slice());
-        conv.backpropagate_input(stream, from.slice(), weights.address(), back.slice());
+        conv.input_vjp(stream, from.slice(), weights.address(), back.slice());
         stream.submit_and_wait();
         const test::ImageBatch output = to.read(), input_gradient = back.read();
         const int last = int(columns) - 1;

@@ -52,7 +52,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
         for (const int n_fixed : {0, 2}) {
             const std::vector<std::uint32_t> column_shifts{0, 1, grid.columns - 1, 2 * grid.columns + 2};
             const test::ImageBatch values = test::make_random_images(grid, kChannels, 1);
-            const std::vector<double> target_values = test::make_random_floats(grid.count_all_pixels(), 2);
+            const std::vector<double> target_values = test::make_random_floats(grid.n_pixels_total(), 2);
             const Batch expected = turned(values, target_values, column_shifts, n_fixed);
             const Kernel<shared::DropInputsParams> kernel(device(), "diff/network/drop_inputs");
             Stream stream(device());
@@ -61,7 +61,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             const Array<std::uint32_t, shared::ChosenSamples> chosen(device(), kChosen, "chosen");
             const Array<std::uint32_t, shared::SampleTurns> turns(device(), column_shifts, "turn");
             const Array<glm::vec2> affine = test::upload_pairs(device(), scale(), shift());
-            const std::size_t n = kImages * grid.count_pixels_per_image();
+            const std::size_t n = kImages * grid.n_image_pixels();
             const Array<float> images(device(), n * kChannels + 1, "images");
             const Array<float, shared::StartLogits> start(device(), n + 1, "start");
             const Array<float, shared::DropTargets> target(device(), n + 1, "target");

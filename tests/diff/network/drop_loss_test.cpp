@@ -54,14 +54,14 @@ TEST_F(DropLossTest, AgreesWithReference) {
                 reference::compute_drop_entropy(with_start ? d.sum : d.logit, d.target);
             stream.fill(d_logit, 0x7fc00000u);
             stream.fill(probability, 0x7fc00000u);
-            loss.compute_drop_loss(
+            loss.record_loss(
                 stream, n,
                 {logit.address_as<float, shared::DropLogits>(),
                  with_start ? start.address() : Address<float, shared::StartLogits>(), target.address(),
                  d_logit.address_as<float, shared::DropLogitGradients>(), probability.address()},
                 d.n_known_targets);
             stream.submit_and_wait();
-            const RayDropScore score = loss.read_loss_and_accuracy(d.n_known_targets);
+            const RayDropScore score = loss.read_loss(d.n_known_targets);
             EXPECT_NEAR(score.entropy, expected.mean, 1e-5 * expected.mean);
             EXPECT_NEAR(score.accuracy, expected.accuracy, 1e-6);
             std::vector<double> gradient = test::to_doubles(d_logit), p = test::to_doubles(probability);
@@ -86,15 +86,15 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const Array<float> d_logit(device(), n, "gradient");
     const auto entropy = [&](const std::vector<double>& logits) {
         const Array<float> logit = test::to_device(device(), logits);
-        loss.compute_drop_loss(stream, n,
-                               {logit.address_as<float, shared::DropLogits>(),
-                                {},
-                                target.address(),
-                                d_logit.address_as<float, shared::DropLogitGradients>(),
-                                {}},
-                               d.n_known_targets);
+        loss.record_loss(stream, n,
+                         {logit.address_as<float, shared::DropLogits>(),
+                          {},
+                          target.address(),
+                          d_logit.address_as<float, shared::DropLogitGradients>(),
+                          {}},
+                         d.n_known_targets);
         stream.submit_and_wait();
-        return loss.read_loss_and_accuracy(d.n_known_targets).entropy;
+        return loss.read_loss(d.n_known_targets).entropy;
     };
     for (std::size_t i = 0; i < n; i += 5) {
         std::vector<double> logits = test::make_random_floats(n, 9), above = logits, below = logits;
@@ -117,19 +117,19 @@ TEST_F(DropLossTest, NothingKnown) {
     Array<float, shared::DropProbabilities> probability(device(), n, "probability");
     for (const bool no_target : {true, false}) {
         stream.fill(d_logit, 0x7fc00000u);
-        loss.compute_drop_loss(stream, n,
-                               {logit.address_as<float, shared::DropLogits>(),
-                                {},
-                                no_target ? Address<float, shared::DropTargets>() : none.address(),
-                                d_logit.address_as<float, shared::DropLogitGradients>(),
-                                probability.address()},
-                               0);
+        loss.record_loss(stream, n,
+                         {logit.address_as<float, shared::DropLogits>(),
+                          {},
+                          no_target ? Address<float, shared::DropTargets>() : none.address(),
+                          d_logit.address_as<float, shared::DropLogitGradients>(),
+                          probability.address()},
+                         0);
         stream.submit_and_wait();
         for (const double x : test::to_doubles(d_logit)) EXPECT_EQ(x, 0.0);
-        EXPECT_EQ(loss.read_loss_and_accuracy(0).entropy, 0.0);
-        EXPECT_EQ(loss.read_loss_and_accuracy(0).accuracy, 0.0);
+        EXPECT_EQ(loss.read_loss(0).entropy, 0.0);
+        EXPECT_EQ(loss.read_loss(0).accuracy, 0.0);
     }
-    loss.compute_drop_loss(
+    loss.record_loss(
         stream, n,
         {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()}, 0);
     stream.submit_and_wait();

@@ -25,7 +25,7 @@ class DropNetworkTest : public test::DeviceTest {};
 RayDropImage make_dark_neighbours(int rows, int columns, const RayDropNetworkOptions& options,
                                   std::uint64_t seed) {
     std::mt19937_64 random(seed);
-    const std::vector<std::string> names = list_network_input_channels(options);
+    const std::vector<std::string> names = channel_names(options);
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     RayDropImage image{rows, columns, std::vector<float>(names.size() * n, 0.0f), std::vector<float>(n)};
     float* intensity = image.channels.data() + n;
@@ -66,19 +66,19 @@ TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
     RayDropNetworkOptions options = make_short_training();
     options.epochs = 20;
     const RayDropNetwork network =
-        train_ray_drop_network(device(), make_some_images(options, 32), options, 1, {});
+        train_drop_network(device(), make_some_images(options, 32), options, 1, {});
     RayDropRefiner refiner(device(), network);
     const RayDropImage untrained_image = make_dark_neighbours(16, 40, options, 99),
                        larger = make_dark_neighbours(25, 61, options, 98);
     // always predicting a return would reach 0.7
-    EXPECT_GT(compute_accuracy(refiner.predict_drop_probabilities(untrained_image), untrained_image), 0.97);
-    EXPECT_GT(compute_accuracy(refiner.predict_drop_probabilities(larger), larger), 0.97);
-    EXPECT_EQ(refiner.predict_drop_probabilities(larger), refiner.predict_drop_probabilities(larger));
+    EXPECT_GT(compute_accuracy(refiner.predict_drops(untrained_image), untrained_image), 0.97);
+    EXPECT_GT(compute_accuracy(refiner.predict_drops(larger), larger), 0.97);
+    EXPECT_EQ(refiner.predict_drops(larger), refiner.predict_drops(larger));
     // more shapes than the network caches
     const RayDropImage shapes[] = {untrained_image, larger, make_dark_neighbours(20, 50, options, 97)};
     for (const int which : {0, 1, 0, 2, 1, 2, 0})
-        EXPECT_EQ(refiner.predict_drop_probabilities(shapes[which]),
-                  RayDropRefiner(device(), network).predict_drop_probabilities(shapes[which]))
+        EXPECT_EQ(refiner.predict_drops(shapes[which]),
+                  RayDropRefiner(device(), network).predict_drops(shapes[which]))
             << which;
 }
 
@@ -89,10 +89,10 @@ TEST_F(DropNetworkTest, ColumnsAreNeighboursOnlyInAFullTurn) {
     for (const bool circular : {true, false}) {
         std::vector<RayDropImage> images = make_some_images(options, 4);
         for (RayDropImage& image : images) image.circular = circular;
-        RayDropRefiner refiner(device(), train_ray_drop_network(device(), images, options, 1, {}));
-        const std::vector<float> before = refiner.predict_drop_probabilities(images[0]);
+        RayDropRefiner refiner(device(), train_drop_network(device(), images, options, 1, {}));
+        const std::vector<float> before = refiner.predict_drops(images[0]);
         for (std::size_t row = 0; row < 16; ++row) images[0].channels[(16 + row) * 40] += 1.0f;
-        const std::vector<float> after = refiner.predict_drop_probabilities(images[0]);
+        const std::vector<float> after = refiner.predict_drops(images[0]);
         std::size_t n_changed = 0;
         for (std::size_t i = 0; i < before.size(); ++i) n_changed += i % 40 >= 30 && before[i] != after[i];
         EXPECT_EQ(n_changed > 0, circular);
@@ -104,11 +104,9 @@ TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
     RayDropNetworkOptions options = make_short_training();
     options.network = "pixel";
     options.levels = -1;
-    const RayDropNetwork network =
-        train_ray_drop_network(device(), make_some_images(options, 4), options, 1, {});
+    const RayDropNetwork network = train_drop_network(device(), make_some_images(options, 4), options, 1, {});
     const RayDropImage image = make_dark_neighbours(16, 40, options, 99);
-    EXPECT_LT(compute_accuracy(RayDropRefiner(device(), network).predict_drop_probabilities(image), image),
-              0.8);
+    EXPECT_LT(compute_accuracy(RayDropRefiner(device(), network).predict_drops(image), image), 0.8);
 }
 
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
@@ -117,9 +115,9 @@ TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
     options.network = "paper";  // the paper's network uses dropout
     options.width = 8;
     const std::vector<RayDropImage> images = make_some_images(options, 4);
-    const RayDropNetwork a = train_ray_drop_network(device(), images, options, 1, {}),
-                         b = train_ray_drop_network(device(), images, options, 1, {}),
-                         c = train_ray_drop_network(device(), images, options, 2, {});
+    const RayDropNetwork a = train_drop_network(device(), images, options, 1, {}),
+                         b = train_drop_network(device(), images, options, 1, {}),
+                         c = train_drop_network(device(), images, options, 2, {});
     EXPECT_EQ(a.parameters, b.parameters);
     EXPECT_EQ(a.running, b.running);
     EXPECT_NE(a.parameters, c.parameters);
@@ -129,10 +127,9 @@ TEST_F(DropNetworkTest, StartsAsTheRenderingItself) {
     RayDropNetworkOptions options = make_short_training();
     options.epochs = 1;
     options.rate = 1e-12;
-    const RayDropNetwork network =
-        train_ray_drop_network(device(), make_some_images(options, 2), options, 1, {});
-    for (const float p : RayDropRefiner(device(), network)
-                             .predict_drop_probabilities(make_dark_neighbours(16, 40, options, 5)))
+    const RayDropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
+    for (const float p :
+         RayDropRefiner(device(), network).predict_drops(make_dark_neighbours(16, 40, options, 5)))
         EXPECT_NEAR(p, 1.0 / (1.0 + std::exp(-0.3)), 1e-5);
 }
 
@@ -144,8 +141,8 @@ TEST_F(DropNetworkTest, PixelsThatAreNotKnownDoNotCount) {
         images[0].dropped[i] = images[1].dropped[i] = -1.0f;
         blinded[0].dropped[i] = blinded[1].dropped[i] = -3.0f;
     }
-    EXPECT_EQ(train_ray_drop_network(device(), images, options, 1, {}).parameters,
-              train_ray_drop_network(device(), blinded, options, 1, {}).parameters);
+    EXPECT_EQ(train_drop_network(device(), images, options, 1, {}).parameters,
+              train_drop_network(device(), blinded, options, 1, {}).parameters);
 }
 
 TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
@@ -157,7 +154,7 @@ TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
         return steps < 3;
     };
     const RayDropNetwork network =
-        train_ray_drop_network(device(), make_some_images(options, 4), options, 1, three);
+        train_drop_network(device(), make_some_images(options, 4), options, 1, three);
     EXPECT_EQ(steps, 3);
     EXPECT_FALSE(network.empty());
 }
@@ -166,7 +163,7 @@ RayDropTrainState train_for_steps(Device& device, const std::vector<RayDropImage
                                   const RayDropNetworkOptions& options, int step,
                                   const RayDropTrainState* start = nullptr) {
     RayDropTrainState saved_state;
-    train_ray_drop_network(
+    train_drop_network(
         device, images, options, 1,
         [&](const RayDropTrainProgress& p, const std::function<RayDropTrainState()>& state) {
             if (p.step == step) saved_state = state();
@@ -192,14 +189,14 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
             };
         };
         const RayDropNetwork expected =
-            train_ray_drop_network(device(), images, options, 1, collect_into(uninterrupted));
+            train_drop_network(device(), images, options, 1, collect_into(uninterrupted));
         ASSERT_EQ(uninterrupted.size(), 12u);
         const RayDropTrainState in_an_epoch = train_for_steps(device(), images, options, 4),
                                 at_its_end = train_for_steps(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
         EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
         const RayDropNetwork resumed =
-            train_ray_drop_network(device(), images, options, 1, collect_into(parts), &at_its_end);
+            train_drop_network(device(), images, options, 1, collect_into(parts), &at_its_end);
         EXPECT_EQ(resumed.parameters, expected.parameters) << name;
         EXPECT_EQ(resumed.running, expected.running) << name;
         EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
@@ -210,15 +207,15 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
             EXPECT_EQ(parts[i].entropy, uninterrupted[i + 6].entropy);
         }
         const RayDropTrainState all = train_for_steps(device(), images, options, 12, &in_an_epoch);
-        EXPECT_EQ(train_ray_drop_network(device(), images, options, 1, collect_into(parts), &all).parameters,
+        EXPECT_EQ(train_drop_network(device(), images, options, 1, collect_into(parts), &all).parameters,
                   expected.parameters);
         EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
         options.epochs = 1;
-        EXPECT_THROW(train_ray_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
             << "4 steps of 3";
         options.epochs = 4;
         options.width = 16;
-        EXPECT_THROW(train_ray_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
+        EXPECT_THROW(train_drop_network(device(), images, options, 1, {}, &in_an_epoch), DataError)
             << "of another network";
     }
 }
@@ -227,7 +224,7 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
     const auto message = [&](const std::vector<RayDropImage>& images,
                              const RayDropNetworkOptions& options) -> std::string {
         try {
-            train_ray_drop_network(device(), images, options, 1, {});
+            train_drop_network(device(), images, options, 1, {});
         } catch (const Error& error) {
             return error.what();
         }
@@ -254,7 +251,7 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
 TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
     RayDropNetworkOptions options = make_short_training();
     options.epochs = 1;
-    RayDropNetwork network = train_ray_drop_network(device(), make_some_images(options, 2), options, 1, {});
+    RayDropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
     EXPECT_THAT([&] { RayDropRefiner(device(), network); },
                 testing::ThrowsMessage<DataError>(Names("parameters ... requires")));
@@ -262,7 +259,7 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
     RayDropRefiner refiner(device(), network);
     EXPECT_THAT(
         [&] {
-            refiner.predict_drop_probabilities({16, 40, std::vector<float>(16 * 40), {}});
+            refiner.predict_drops({16, 40, std::vector<float>(16 * 40), {}});
         },
         testing::ThrowsMessage<DataError>(Names("channel")));
 }
@@ -271,8 +268,8 @@ TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
     const RayDropNetworkOptions options{.network = "paper", .rays = "origin,direction"};
     // Channels: depth, intensity, drop probability, origin (3), and the elevation of the
     // direction.
-    EXPECT_EQ(list_network_input_channels(options).size(), 7u);
-    EXPECT_NEAR(double(count_network_parameters(options)), 6.5e6, 0.1e6);
+    EXPECT_EQ(channel_names(options).size(), 7u);
+    EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
 }
 
 }  // namespace

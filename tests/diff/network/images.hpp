@@ -73,7 +73,7 @@ public:
         : tensor_(device, before + std::uint32_t(images.channels) + after, get_grid(images), "images"),
           before_(before),
           shape_(images) {
-        std::vector<float> values(tensor_.channels * tensor_.grid.count_all_pixels(), kGuard);
+        std::vector<float> values(tensor_.channels * tensor_.grid.n_pixels_total(), kGuard);
         for_slice([&](std::size_t in_tensor, std::size_t in_slice) {
             values[in_tensor] = float(images.values[in_slice]);
         });
@@ -87,7 +87,7 @@ public:
     }
 
     network::ChannelSlice slice() const {
-        return tensor_.get_channel_range(before_, std::uint32_t(shape_.channels));
+        return tensor_.channel_range(before_, std::uint32_t(shape_.channels));
     }
     ImageBatch read() const {
         std::vector<float> values = tensor_.values.download();

@@ -51,12 +51,12 @@ struct OnePass {
                                                              std::vector<double>(layer.beta.size(), 0.5),
                                                              std::vector<double>(layer.beta.size(), 2.0))),
           stream(device) {
-        norm.reserve_channel_sums(device, std::uint32_t(test_case.channels), test_case.grid);
+        norm.reserve_sums(device, std::uint32_t(test_case.channels), test_case.grid);
     }
     NormWeights weights() const { return {beta_gamma.address(), running.address()}; }
     test::ImageBatch forward(Device& device, const OnDevice& from, const NormCase& test_case) {
         const OnDevice to = OnDevice::make_unwritten(device, test_case.grid, test_case.channels);
-        norm.run_norm_relu_dropout_for_training(stream, from.slice(), weights(), state, to.slice());
+        norm.normalise_batch(stream, from.slice(), weights(), state, to.slice());
         stream.submit_and_wait();
         return to.read();
     }
@@ -103,7 +103,7 @@ TEST_P(NormSizes, ForwardAndRunningMoments) {
     const test::ImageBatch actual = pass.forward(device(), from, c);
     const reference::Moments moments = reference::compute_moments(values);
     EXPECT_LT(compute_worst_error(actual, reference::normalise(values, moments, pass.layer)), test::kLayer);
-    const double n = double(c.grid.count_all_pixels());
+    const double n = double(c.grid.n_pixels_total());
     const std::vector<glm::vec2> running = pass.running.download();
     for (std::size_t k = 0; k < running.size(); ++k) {
         EXPECT_NEAR(running[k].x, 0.9 * 0.5 + 0.1 * moments.mean[k], 1e-5);
@@ -118,7 +118,7 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
     pass.state.dropout = 0.9f;  // has no effect here
     pass.state.dropout_key = 3;
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels);
-    pass.norm.run_norm_relu_for_inference(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
+    pass.norm.normalise(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
     pass.stream.submit_and_wait();
     const std::vector<double> mean(pass.layer.beta.size(), 0.5), variance(pass.layer.beta.size(), 2.0);
     EXPECT_LT(compute_worst_error(to.read(), reference::normalise(values, {mean, variance}, pass.layer)),
@@ -142,8 +142,8 @@ TEST_P(NormSizes, Derivatives) {
         // writes only a part of the array, starting at the fourth element
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));
         const test::ImageBatch actual = pass.forward(device(), from, c);
-        pass.norm.backpropagate_norm_layer(pass.stream, from.slice(), pass.state, d_to.slice(),
-                                           d_from.slice(), {d_parameters, 4});
+        pass.norm.norm_vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(),
+                           {d_parameters, 4});
         pass.stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(
                       actual, reference::normalise(values, reference::compute_moments(values), pass.layer)),
@@ -173,7 +173,7 @@ TEST_P(NormSizes, DerivativeByABias) {
     const OnDevice d_to(device(), upstream);
     const auto d_bias =
         test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
-    pass.norm.backpropagate_bias(pass.stream, d_to.slice(), d_bias.address());
+    pass.norm.bias_vjp(pass.stream, d_to.slice(), d_bias.address());
     pass.stream.submit_and_wait();
     std::vector<double> actual = test::to_doubles(d_bias);
     EXPECT_EQ(actual.back(), -7.0) << "wrote past the end";

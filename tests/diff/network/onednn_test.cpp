@@ -135,9 +135,9 @@ TEST_P(OneDnnConv, Agrees) {
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
         network::ConvolutionKernels conv(device(), taps);
         network::NormalisationKernels norm(device());
-        norm.reserve_channel_sums(device(), std::uint32_t(size.n_out), size.grid);
-        conv.reserve_partial_sums(device(), conv.count_partial_sum_floats(size.grid, std::uint32_t(size.n_in),
-                                                                          std::uint32_t(size.n_out)));
+        norm.reserve_sums(device(), std::uint32_t(size.n_out), size.grid);
+        conv.reserve_weight_sums(
+            device(), conv.n_partial_sums(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), size.grid, size.n_out),
@@ -147,9 +147,9 @@ TEST_P(OneDnnConv, Agrees) {
         const Array<float, shared::ConvWeights> d_w(device(), weights.size(), "gradient");
         const Array<float, shared::ConvBias> d_b(device(), bias.size(), "gradient");
         conv.run_convolution(stream, from.slice(), w.address(), b.address(), to.slice());
-        conv.backpropagate_input(stream, d_to.slice(), w.address(), d_from.slice());
-        conv.backpropagate_weights(stream, from.slice(), d_to.slice(), d_w.address());
-        norm.backpropagate_bias(stream, d_to.slice(), d_b.address());
+        conv.input_vjp(stream, d_to.slice(), w.address(), d_from.slice());
+        conv.weights_vjp(stream, from.slice(), d_to.slice(), d_w.address());
+        norm.bias_vjp(stream, d_to.slice(), d_b.address());
         stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(to.read(), expected.to), test::kLayer);
         EXPECT_LT(compute_worst_error(d_from.read(), expected.d_from), test::kLayer);
@@ -219,7 +219,7 @@ TEST_F(OneDnnNorm, Agrees) {
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
         network::NormalisationKernels norm(device());
-        norm.reserve_channel_sums(device(), channels, grid);
+        norm.reserve_sums(device(), channels, grid);
         network::NormActivations state(device(), channels);
         const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::upload_pairs<shared::RunningMoments>(device(), beta, gamma);
@@ -228,10 +228,9 @@ TEST_F(OneDnnNorm, Agrees) {
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), grid, channels),
             d_from = OnDevice::make_unwritten(device(), grid, channels);
-        norm.run_norm_relu_dropout_for_training(stream, from.slice(),
-                                                {parameters.address(), running.address()}, state, to.slice());
-        norm.backpropagate_norm_layer(stream, from.slice(), state, d_to.slice(), d_from.slice(),
-                                      {d_parameters, 0});
+        norm.normalise_batch(stream, from.slice(), {parameters.address(), running.address()}, state,
+                             to.slice());
+        norm.norm_vjp(stream, from.slice(), state, d_to.slice(), d_from.slice(), {d_parameters, 0});
         stream.submit_and_wait();
         EXPECT_LT(compute_worst_error(to.read(), expected.to), test::kLayer);
         EXPECT_LT(compute_worst_error(d_from.read(), expected.d_from), 2e-5);
@@ -248,7 +247,7 @@ class OneDnnResample : public OneDnnTest {};
 TEST_F(OneDnnResample, PoolingAgrees) {
     for (const ImageBatchSize& grid : {ImageBatchSize{4, 7, 13}, ImageBatchSize{1, 66, 1030}}) {
         const ImageBatch values = test::make_random_images(grid, 3, 1),
-                         d_output = test::make_random_images(network::halve_image_size(grid), 3, 2);
+                         d_output = test::make_random_images(network::half_size(grid), 3, 2);
         const memory::desc of_from = describe_images(values), of_to = describe_images(d_output);
         const memory::dims two{2, 2}, none{0, 0};
         const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training,
@@ -265,10 +264,10 @@ TEST_F(OneDnnResample, PoolingAgrees) {
         network::ResamplingKernels resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
-            to = OnDevice::make_unwritten(device(), network::halve_image_size(grid), 3),
+            to = OnDevice::make_unwritten(device(), network::half_size(grid), 3),
             d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
         resample.max_pool(stream, from.slice(), to.slice());
-        resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
+        resample.max_pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
         stream.submit_and_wait();
         EXPECT_EQ(to.read().values, get_images(out, d_output).values);
         EXPECT_EQ(d_from.read().values, get_images(d_in, values).values);
@@ -301,8 +300,8 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), size.large, 3),
             d_from = OnDevice::make_unwritten(device(), size.small, 3);
-        resample.upsample_bilinear(stream, from.slice(), to.slice());
-        resample.backpropagate_upsample(stream, d_to.slice(), d_from.slice());
+        resample.upsample(stream, from.slice(), to.slice());
+        resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
         stream.submit_and_wait();
         // tolerance: single precision computes a position among 1030 pixels with an error
         // of about 3e-5

@@ -55,7 +55,7 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     test::ImageBatch values = test::make_random_images(c.grid, c.channels, 1);
     // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
-    const ImageBatchSize small = network::halve_image_size(c.grid);
+    const ImageBatchSize small = network::half_size(c.grid);
     EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2, c.grid.circular}));
     const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
                            before = test::make_random_images(c.grid, c.channels, 3);
@@ -64,11 +64,11 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), small, c.channels),
                                            d_to(device(), upstream), d_from(device(), before);
     resample.max_pool(stream, from.slice(), to.slice());
-    resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
+    resample.max_pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.submit_and_wait();
     EXPECT_EQ(to.read().values, reference::pool(values).values);
     test::ImageBatch expected = reference::backpropagate_pool(values, upstream);
-    // backpropagate_max_pool adds to the existing gradient
+    // max_pool_vjp adds to the existing gradient
     for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];
     EXPECT_LT(compute_worst_error(d_from.read(), expected), 1e-6);
 }
@@ -89,7 +89,7 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
     Stream stream(device());
     const OnDevice from(device(), values), d_to(device(), ones),
         d_from(device(), test::ImageBatch(1, 1, 2, 10));
-    resample.backpropagate_max_pool(stream, from.slice(), d_to.slice(), d_from.slice());
+    resample.max_pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.submit_and_wait();
     const test::ImageBatch d = d_from.read();
     for (int q = 0; q < 5; ++q)
@@ -107,13 +107,12 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.large, c.channels),
                                            d_to(device(), upstream),
                                            d_from = OnDevice::make_unwritten(device(), c.small, c.channels);
-    resample.upsample_bilinear(stream, from.slice(), to.slice());
-    resample.backpropagate_upsample(stream, d_to.slice(), d_from.slice());
+    resample.upsample(stream, from.slice(), to.slice());
+    resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
     stream.submit_and_wait();
     const test::ImageBatch actual = to.read(), back = d_from.read();
     EXPECT_LT(compute_worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
-    EXPECT_LT(compute_worst_error(back, reference::backpropagate_upsample(upstream, back.rows, back.columns)),
-              2e-6);
+    EXPECT_LT(compute_worst_error(back, reference::upsample_vjp(upstream, back.rows, back.columns)), 2e-6);
     // The forward and the backward kernel compute pixel positions in the same way, so
     // they are transposes up to rounding.
     const double forth = test::dot(upstream.values, actual.values);
@@ -132,8 +131,8 @@ TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     const OnDevice from(device(), first), to = OnDevice::make_unwritten(device(), {1, 4, 8}, 1),
                                           even(device(), ones),
                                           even_to = OnDevice::make_unwritten(device(), {1, 7, 11}, 1);
-    resample.upsample_bilinear(stream, from.slice(), to.slice());
-    resample.upsample_bilinear(stream, even.slice(), even_to.slice());
+    resample.upsample(stream, from.slice(), to.slice());
+    resample.upsample(stream, even.slice(), even_to.slice());
     stream.submit_and_wait();
     const test::ImageBatch actual = to.read();
     const double column[8] = {0.75, 0.75, 0.25, 0.0, 0.0, 0.0, 0.0, 0.25}, row[4] = {1.0, 0.75, 0.25, 0.0};

@@ -13,10 +13,10 @@
 namespace relidar {
 namespace {
 
-using reference::ImageBatch;
 using network::ConvParameterOffsets;
 using network::UnetBlockOffsets;
 using network::UnetParameterLayout;
+using reference::ImageBatch;
 
 /// Implements the network in double precision. In training mode, normalises each batch by
 /// the mean and variance of that batch.
@@ -106,7 +106,7 @@ protected:
         network_.heads = GetParam().heads;
         network_.taps = GetParam().taps;
         const UnetParameterLayout plan(network_);
-        network::initialise_network_parameters(network_, plan, 5);
+        network::init_parameters(network_, plan, 5);
         // uses random values instead of the initial zeros, which would hide errors of
         // gradients
         parameters_ = test::make_random_floats(plan.n_parameters, 6, 0.4, 0.1);
@@ -116,7 +116,7 @@ protected:
             network_.running[i] = float(i % 2 ? 1.0 + std::abs(running[i]) : running[i]);
         inputs_ = test::make_random_images(GetParam().grid, 3, 8);
     }
-    void fill_inputs(const network::Unet& unet) { test::upload(unet.get_input_images(), inputs_.values); }
+    void fill_inputs(const network::Unet& unet) { test::upload(unet.input_images(), inputs_.values); }
 };
 
 INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
@@ -142,32 +142,32 @@ void expect_near(const std::vector<double>& device_result, const std::vector<dou
 TEST_P(UnetTest, LogitsAreTheReferencesInBothModes) {
     prepare();
     network::Unet unet(device(), network_);
-    unet.allocate_activations(device(), GetParam().grid, true);
+    unet.allocate(device(), GetParam().grid, true);
     fill_inputs(unet);
     Stream stream(device());
     unet.run_inference(stream);
     stream.submit_and_wait();
-    expect_near(test::to_doubles(unet.get_drop_logits().values),
+    expect_near(test::to_doubles(unet.logits().values),
                 ReferenceUnet(network_, parameters_, false).compute_logits(inputs_).values, 1e-5,
                 "evaluation");
-    unet.run_training_forward_pass(stream, 1, 0.0f);
+    unet.forward(stream, 1, 0.0f);
     stream.submit_and_wait();
-    expect_near(test::to_doubles(unet.get_drop_logits().values),
+    expect_near(test::to_doubles(unet.logits().values),
                 ReferenceUnet(network_, parameters_, true).compute_logits(inputs_).values, 1e-4, "training");
 }
 
 TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     prepare();
     network::Unet unet(device(), network_);
-    unet.allocate_activations(device(), GetParam().grid, true);
+    unet.allocate(device(), GetParam().grid, true);
     fill_inputs(unet);
-    const std::vector<double> upstream = test::make_random_floats(GetParam().grid.count_all_pixels(), 9);
-    test::upload(unet.get_drop_logit_gradients(), upstream);
+    const std::vector<double> upstream = test::make_random_floats(GetParam().grid.n_pixels_total(), 9);
+    test::upload(unet.d_logits(), upstream);
     Stream stream(device());
-    unet.run_training_forward_pass(stream, 1, 0.0f);
-    unet.run_backward_pass(stream);
+    unet.forward(stream, 1, 0.0f);
+    unet.backward(stream);
     stream.submit_and_wait();
-    const std::vector<double> gradients = test::to_doubles(unet.get_parameter_gradients());
+    const std::vector<double> gradients = test::to_doubles(unet.gradients());
 
     const auto loss = [&](std::size_t parameter, double step) {
         std::vector<double> moved = parameters_;

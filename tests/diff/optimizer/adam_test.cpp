@@ -69,7 +69,7 @@ TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     for (int t = 1; t <= 2; ++t) {
         g.push_back(make_random_surfels(n, 20 + std::uint64_t(t), PrimitiveType::surfel));
         gradients.upload(g.back());
-        adam.record_adam_step(stream, parameters, gradients, nullptr, rates, t, 2);
+        adam.record_step(stream, parameters, gradients, nullptr, rates, t, 2);
         stream.submit_and_wait();
     }
     const Surfels actual = parameters.download();
@@ -100,7 +100,7 @@ TEST_F(AdamTest, StepsEachParameterOnceInALargeLaunch) {
     SurfelArrays parameters(device(), n, "parameters"), gradients(device(), n, "gradients");
     parameters.upload(start);
     gradients.upload(gradient);
-    adam.record_adam_step(stream, parameters, gradients, nullptr, {.sh = 1e-2, .sh_rest_factor = 1.0}, 1, 3);
+    adam.record_step(stream, parameters, gradients, nullptr, {.sh = 1e-2, .sh_rest_factor = 1.0}, 1, 3);
     stream.submit_and_wait();
     const Surfels actual = parameters.download();
     const auto n_wrong =
@@ -140,7 +140,7 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
     for (int k = 0; k < 5 && set.bends; ++k)
         expect((&start.gait[i].phase)[k], (&actual.gait[i].phase)[k], kRates.gait,
                [&](const Surfels& surfels) { return (&surfels.gait[i].phase)[k]; });
-    if (get_primitive_properties(set.primitive).third_scale)
+    if (properties_of(set.primitive).third_scale)
         expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale,
                [&](const Surfels& surfels) { return surfels.log_scale_w[i]; });
     expect(start.opacity_logit[i], actual.opacity_logit[i], kRates.opacity_logit,
@@ -170,7 +170,7 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         const std::uint32_t n_fixed = untouched == Untouched::none ? 0 : 37;
         const ForcedBehaviourScope forced(device(), {.coalesces = GetParam()});
         Adam adam(device(), n, {.only_touched = only_touched, .n_fixed = n_fixed}, parameter_set);
-        adam.set_max_log_scale_of_each_surfel(device(), bounds);
+        adam.set_max_log_scales(device(), bounds);
         Stream stream(device());
         SurfelArrays parameters(device(), n, "parameters", parameter_set),
             gradients(device(), n, "gradients", parameter_set);
@@ -187,8 +187,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
             std::vector<std::uint32_t> touched(n);
             for (std::uint32_t i = 0; i < n; ++i) touched[i] = is_touched(i, t);
             const Array<std::uint32_t, shared::TouchedSurfels> on_device(device(), touched, "touched");
-            adam.record_adam_step(stream, parameters, gradients,
-                                  untouched == Untouched::none ? nullptr : &on_device, kRates, t, 2);
+            adam.record_step(stream, parameters, gradients,
+                             untouched == Untouched::none ? nullptr : &on_device, kRates, t, 2);
             stream.submit_and_wait();
         }
         const Surfels actual = parameters.download();
@@ -207,10 +207,10 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
 }
 
 TEST(Schedule, IsExponentialBetweenItsEnds) {
-    EXPECT_DOUBLE_EQ(interpolate_exponentially(1e-2, 1e-4, 0, 100), 1e-2);
-    EXPECT_NEAR(interpolate_exponentially(1e-2, 1e-4, 50, 100), 1e-3, 1e-15);
-    EXPECT_NEAR(interpolate_exponentially(1e-2, 1e-4, 100, 100), 1e-4, 1e-16);
-    EXPECT_NEAR(interpolate_exponentially(1e-2, 1e-4, 1000, 100), 1e-4, 1e-16);
+    EXPECT_DOUBLE_EQ(interpolate_exp(1e-2, 1e-4, 0, 100), 1e-2);
+    EXPECT_NEAR(interpolate_exp(1e-2, 1e-4, 50, 100), 1e-3, 1e-15);
+    EXPECT_NEAR(interpolate_exp(1e-2, 1e-4, 100, 100), 1e-4, 1e-16);
+    EXPECT_NEAR(interpolate_exp(1e-2, 1e-4, 1000, 100), 1e-4, 1e-16);
 }
 
 }  // namespace

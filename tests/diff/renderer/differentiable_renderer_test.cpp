@@ -29,7 +29,7 @@ protected:
     WorldRays rays = test::to_world_rays(scene.rays);
 
     void place(Renderer& renderer) {
-        renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(scene.view_origin));
+        renderer.update(placed.world_from_instance, glm::vec3(scene.view_origin));
     }
 };
 
@@ -68,7 +68,7 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     // renders a small batch before a larger batch
     renderer.render_rays({{rays.origin[0]}, {rays.direction[0]}});
     EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
-    const HostGradients device_result = differentiable.compute_gradients(to_arrays(d_rendered));
+    const HostGradients device_result = differentiable.backpropagate(to_arrays(d_rendered));
     test::GradientTable table;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
         table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(device_result.surfels.mean[i], 3));
@@ -99,9 +99,8 @@ TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
     Renderer& renderer = differentiable.renderer();
     place(renderer);
     renderer.render_rays(rays);
-    const HostGradients all = differentiable.compute_gradients(to_arrays(d_rendered));
-    const HostGradients depth_alone =
-        differentiable.compute_gradients({.depth = to_arrays(d_rendered).depth});
+    const HostGradients all = differentiable.backpropagate(to_arrays(d_rendered));
+    const HostGradients depth_alone = differentiable.backpropagate({.depth = to_arrays(d_rendered).depth});
     EXPECT_EQ(depth_alone.surfels.mean, all.surfels.mean);
     EXPECT_EQ(depth_alone.surfels.sh, std::vector<float>(all.surfels.sh.size(), 0.0f));
     EXPECT_TRUE(all.poses.empty() && all.sensor.empty() && all.rays.empty());
@@ -114,7 +113,7 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";
     Surfels surfels = test::to_surfels(scene.world.surfels);
     for (int i = 0; i < 4; ++i) surfels.append_surfels(Surfels(surfels));
-    const Scene many = make_background_scene(surfels);
+    const Scene many = wrap_background(surfels);
     const RenderedGradients d = to_arrays(test::make_random_upstream(scene.rays.size(), 7));
     const GradientOptions bit_equal{.sums = {.reduction = GradientReduction::gather}};
     std::vector<RenderedRayValues> images;
@@ -122,10 +121,10 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
     for (const std::uint64_t n_bytes : {impl.largest_allocation.n_bytes, std::uint64_t(1)}) {
         const std::uint64_t before = std::exchange(impl.largest_allocation.n_bytes, n_bytes);
         DifferentiableRenderer differentiable(device(), many, settings.image, {.keep_hits = 8}, bit_equal);
-        differentiable.renderer().record_scene_update_for_view(glm::vec3(scene.view_origin));
+        differentiable.renderer().update(glm::vec3(scene.view_origin));
         images.push_back(differentiable.renderer().render_rays(rays));
-        gradients.push_back(differentiable.compute_gradients(d));
-        const Array<float>& sh = differentiable.renderer().scene().get_surfel_parameters().sh;
+        gradients.push_back(differentiable.backpropagate(d));
+        const Array<float>& sh = differentiable.renderer().scene().surfel_parameters().sh;
         EXPECT_EQ(sh.buffer().impl().memory.size() > 1, n_bytes == 1);
         impl.largest_allocation.n_bytes = before;
     }
@@ -146,8 +145,8 @@ TEST_F(Differentiable, ArraysOutliveSubmittedWork) {
         DifferentiableRenderer differentiable(device(), placed.scene, settings.image,
                                               {.n_rays = batch.n_rays});
         place(differentiable.renderer());
-        differentiable.renderer().record_forward_pass(batch);
-        differentiable.record_backward_pass();
+        differentiable.renderer().record_forward(batch);
+        differentiable.record_backward();
         differentiable.renderer().stream().submit_commands();
     }
     EXPECT_GT(work.n_destroyed(), 20);
@@ -160,9 +159,9 @@ TEST_F(Differentiable, KeepsFewerHitsIfMemoryIsExhausted) {
     std::uint64_t& limit = device().impl().memory_limit_bytes;
     const std::uint64_t before = std::exchange(limit, device().allocated_bytes() + (48 << 20));
     Renderer renderer(device(), placed.scene, settings.image, {.n_rays = 65536, .keep_hits = 256});
-    EXPECT_EQ(renderer.get_stored_hits_per_ray(), 32u);
-    EXPECT_THROW(renderer.set_stored_hits_per_ray(128), OutOfDeviceMemory);
-    EXPECT_EQ(renderer.get_stored_hits_per_ray(), 32u) << "unchanged after the failure";
+    EXPECT_EQ(renderer.stored_hits_per_ray(), 32u);
+    EXPECT_THROW(renderer.set_stored_hits(128), OutOfDeviceMemory);
+    EXPECT_EQ(renderer.stored_hits_per_ray(), 32u) << "unchanged after the failure";
     place(renderer);
     EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
     limit = before;
@@ -173,10 +172,10 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
         settings.image.sh_direction = direction;
         Renderer moved(device(), placed.scene, settings.image), anew(device(), placed.scene, settings.image);
         place(moved);
-        std::vector<InstancePose> poses = moved.scene().get_instance_poses();
+        std::vector<InstancePose> poses = moved.scene().poses();
         poses[1].world_from_model.translation.x += 0.3;
-        moved.record_instance_poses_and_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
-        anew.record_scene_update_for_view(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        moved.record_poses(poses, glm::vec3(0.1f, 0.0f, 0.2f));
+        anew.update(poses, glm::vec3(0.1f, 0.0f, 0.2f));
         const RenderedRayValues a = moved.render_rays(rays), b = anew.render_rays(rays);
         EXPECT_EQ(a.depth, b.depth);
         EXPECT_EQ(a.intensity, b.intensity);
@@ -200,10 +199,10 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
             losses.back() += error * error;
             d.intensity[i] = 2.0f * error;
         }
-        differentiable.compute_gradients(d);
+        differentiable.backpropagate(d);
         const DeviceGradients& gradients = differentiable.gradients();
-        adam.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(), gradients.surfels,
-                              &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
+        adam.record_step(renderer.stream(), renderer.scene().surfel_parameters(), gradients.surfels,
+                         &gradients.touched, {0.0, 0.0, 0.0, 0.0, 0.05, 0.05}, step, 3);
     }
     EXPECT_LT(losses.back(), 0.1 * losses.front());
 }
@@ -212,13 +211,13 @@ TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     DifferentiableRenderer differentiable(device(), placed.scene, settings.image);
     Renderer& renderer = differentiable.renderer();
     EXPECT_THROW(renderer.render_rays(rays), UsageError) << "call place() first";
-    EXPECT_THROW(differentiable.compute_gradients({}), UsageError) << "not rendered";
+    EXPECT_THROW(differentiable.backpropagate({}), UsageError) << "not rendered";
     place(renderer);
     renderer.render_rays(rays);
-    EXPECT_THROW(differentiable.compute_gradients({.weight = std::vector<float>(3)}), DataError);
+    EXPECT_THROW(differentiable.backpropagate({.weight = std::vector<float>(3)}), DataError);
     EXPECT_THROW(renderer.upload_surfels(placed.scene.surfels.slice(0, 2)), DataError);
-    EXPECT_THROW(renderer.record_scene_update_for_view({InstancePose{}}, glm::vec3(0.0f)), DataError);
-    differentiable.change_surfels_and_reallocate_memory([](double bytes) { EXPECT_GT(bytes, 0.0); });
+    EXPECT_THROW(renderer.update({InstancePose{}}, glm::vec3(0.0f)), DataError);
+    differentiable.resize([](double bytes) { EXPECT_GT(bytes, 0.0); });
     EXPECT_THROW(renderer.render_rays(rays), UsageError) << "the structure is gone";
     place(renderer);
     EXPECT_EQ(renderer.render_rays(rays).size(), rays.size());
@@ -231,12 +230,11 @@ protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        options = apply_environment_variables(
-            {.index = device().info().index, .traversal = device().get_ray_tracing_backend()});
+        options = apply_environment({.index = device().info().index, .traversal = device().backend()});
     }
     void TearDown() override {
-        gpu::set_injected_faults("");
-        set_device_open_callbacks({});
+        gpu::inject_faults("");
+        set_open_callbacks({});
         test::DeviceTest::TearDown();
     }
 
@@ -244,20 +242,19 @@ protected:
 };
 
 TEST_F(FirstUseTest, FindsWhatIsWrong) {
-    const CheckVerdict unforced = device().get_ray_tracing_backend() == RayTracingBackend::ray_query
-                                      ? CheckVerdict::right
-                                      : CheckVerdict::unknown;
-    const DeviceTestResults right = test_device_capabilities(options);
+    const CheckVerdict unforced =
+        device().backend() == RayTracingBackend::ray_query ? CheckVerdict::right : CheckVerdict::unknown;
+    const DeviceTestResults right = test_device(options);
     EXPECT_TRUE(right.float_atomics && right.float_swaps);
     EXPECT_EQ(right.subgroup_size, 0);
     EXPECT_EQ(right.ray_query, unforced);
-    gpu::set_injected_faults("float_atomics,float_swaps,ray_query");
-    const DeviceTestResults wrong = test_device_capabilities(options);
+    gpu::inject_faults("float_atomics,float_swaps,ray_query");
+    const DeviceTestResults wrong = test_device(options);
     EXPECT_EQ(wrong.float_atomics, !device().info().float_atomics);
     EXPECT_FALSE(wrong.float_swaps);
     EXPECT_EQ(wrong.ray_query, unforced == CheckVerdict::right ? CheckVerdict::wrong : CheckVerdict::unknown);
     if (unforced == CheckVerdict::right) {
-        EXPECT_GT(count_wrongly_traced_rays(device()), 10);
+        EXPECT_GT(count_wrong_rays(device()), 10);
     }
 }
 
@@ -265,28 +262,27 @@ TEST_F(FirstUseTest, FindsWhatIsWrong) {
 /// the largest remaining size must be chosen.
 TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
     if (!device().info().software) GTEST_SKIP() << "no subgroups of a known size";
-    const std::vector<int> sizes = list_requestable_subgroup_sizes(device());
+    const std::vector<int> sizes = subgroup_sizes(device());
     const int size = device().info().subgroup_size;
-    gpu::set_injected_faults("subgroups:" + std::to_string(size));
+    gpu::inject_faults("subgroups:" + std::to_string(size));
     if (sizes.size() == 1) {
-        EXPECT_THROW(test_device_capabilities(options), DeviceError);
+        EXPECT_THROW(test_device(options), DeviceError);
         return;
     }
     const int other = sizes.back() == size ? sizes[sizes.size() - 2] : sizes.back();
-    EXPECT_EQ(test_device_capabilities(options).subgroup_size, other);
+    EXPECT_EQ(test_device(options).subgroup_size, other);
 }
 
 TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
     std::vector<std::string> notes;
-    set_device_open_callbacks(
-        {test_device_capabilities, [&](const std::string& text) { notes.push_back(text); }});
-    gpu::set_injected_faults("float_atomics");
+    set_open_callbacks({test_device, [&](const std::string& text) { notes.push_back(text); }});
+    gpu::inject_faults("float_atomics");
     Device opened(options);
-    const ImageFormationModel model{.sh_direction = ShDirection::surfel};
+    const ImageModel model{.sh_direction = ShDirection::surfel};
     Surfels surfels;
     surfels.resize(1);
-    DifferentiableRenderer differentiable(opened, make_background_scene(surfels), model);
-    EXPECT_NE(differentiable.backward_pass().get_max_hit_count_on_device(), nullptr);
+    DifferentiableRenderer differentiable(opened, wrap_background(surfels), model);
+    EXPECT_NE(differentiable.backward_pass().max_hit_count(), nullptr);
     EXPECT_EQ(notes.size(), device().info().float_atomics ? 1u : 0u);
 }
 

@@ -28,22 +28,21 @@ protected:
     CollectedHits collect(const TraversalCase& test_case, const Setting& setting) {
         const ForcedBehaviourScope forced(device(), {.brute_force = setting.brute_force});
         const test::SceneAndPoses placed = test::to_scene(test_case.surfels, test_case.instances);
-        const ImageFormationModel model{.primitive = test_case.surfels.primitive};
+        const ImageModel model{.primitive = test_case.surfels.primitive};
         Stream stream(device());
         DeviceScene scene(device(), placed.scene);
-        scene.upload_instance_poses_and_wait(placed.world_from_instance);
+        scene.upload_poses(placed.world_from_instance);
         AccelerationStructure structure(device(), scene, setting.accel);
-        scene.record_activation_of_surfel_parameters(stream, model, glm::vec3(0.0f));
-        structure.record_bvh_refit_or_build(stream, scene);
+        scene.activate(stream, model, glm::vec3(0.0f));
+        structure.record_refit(stream, scene);
         stream.submit_and_wait();
-        std::vector<SpecialisationConstant> constants = make_trace_kernel_constants(
-            device(), structure.get_proxy_shape_of_surfels(), setting.trace, model);
+        std::vector<SpecialisationConstant> constants =
+            trace_constants(device(), structure.proxy_shape(), setting.trace, model);
         for (SpecialisationConstant& c : constants)
             if (setting.as_on_gpus && c.id == SpecialisationConstantId::TOGETHER) c.value = 1u;
         return test::convert_to_world(
-            collect_ray_hits(device(), get_traversal_kernel_variant(device()), constants,
-                             make_trace_scene_params(scene, structure.get_device_addresses(), model),
-                             test_case.rays, kMaxHits),
+            collect_hits(device(), kernel_variant(device()), constants,
+                         trace_params(scene, structure.addresses(), model), test_case.rays, kMaxHits),
             placed);
     }
     void expect_conformance(const std::vector<TraversalCase>& cases);
@@ -54,7 +53,7 @@ protected:
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
     const TraceOptions subgroup{.chunk = chunk, .traversal_mode = BvhTraversalMode::subgroup};
-    if (device.get_ray_tracing_backend() == RayTracingBackend::software)
+    if (device.backend() == RayTracingBackend::software)
         return {{"lane", {}, {.chunk = chunk, .traversal_mode = BvhTraversalMode::lane}},
                 {"subgroup", {}, subgroup},
                 {"subgroup as on GPUs", {}, subgroup, false, true},

@@ -29,8 +29,8 @@ void add_error(HitDifferences& differences, const std::string& message) {
 
 }  // namespace
 
-bool is_on_boundary(const reference::World& world, const ImageFormationModel& model,
-                    const reference::Ray& ray, const reference::Hit& hit) {
+bool is_on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+                    const reference::Hit& hit) {
     const reference::DoubleRecord r = reference::make_record(world.surfels[hit.surfel]);
     const auto local = reference::to_model(world.instances[hit.instance].at(ray.time_s), ray);
     const reference::PlaneHit<double> met = reference::meet(r, local);
@@ -55,7 +55,7 @@ bool is_on_boundary(const reference::World& world, const ImageFormationModel& mo
     return at_cut || at_near_limit;
 }
 
-void compare_hits(const reference::World& world, const ImageFormationModel& model, const reference::Ray& ray,
+void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,
                   const std::vector<reference::Hit>& actual, HitDifferences& differences) {
     differences.n_rays += 1;

@@ -27,7 +27,7 @@ struct HitDifferences {
 /// Compares the expected and the actual hits of a ray and adds the result to
 /// `differences`.
 /// @param ray_index index of the ray for messages
-void compare_hits(const reference::World& world, const ImageFormationModel& model, const reference::Ray& ray,
+void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,
                   const std::vector<reference::Hit>& actual, HitDifferences& differences);
 
@@ -35,7 +35,7 @@ void compare_hits(const reference::World& world, const ImageFormationModel& mode
 /// - near| is within the rounding error. For a surfel, the error of the intersection
 /// grows as 1 / |n . d|. For a 3D Gaussian, it is the error of a point in standard
 /// deviations.
-bool is_on_boundary(const reference::World& world, const ImageFormationModel& model,
-                    const reference::Ray& ray, const reference::Hit& hit);
+bool is_on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
+                    const reference::Hit& hit);
 
 }  // namespace relidar::test

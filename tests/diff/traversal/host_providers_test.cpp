@@ -22,7 +22,7 @@ constexpr std::uint64_t kSeed = 20261121;
 constexpr int kAll = 1 << 30;
 
 HitDifferences compare(const TraversalCase& test_case, const HitProvider& expected, const HitProvider& actual,
-                       const ImageFormationModel& model = {}) {
+                       const ImageModel& model = {}) {
     const World world = to_world(test_case);
     HitDifferences differences;
     const std::vector<Ray> rays = test::to_reference(test_case.rays);
@@ -60,13 +60,13 @@ TEST(HostProviders, EmbreeAgreesOnAllCases) {
 TEST(HostProviders, AgreeOnModelsThatMove) {
     for (const TraversalCase& c : test::make_moving_cases(kSeed, 3000)) {
         const World world = to_world(c);
-        ImageFormationModel model;
+        ImageModel model;
         model.primitive = c.surfels.primitive;
         const BruteForce brute(world, model, Precision::float_record);
         const HitDifferences d = compare(c, BruteForce(world, model, Precision::double_record), brute);
         EXPECT_EQ(d.n_errors, 0u) << c.name << ", seed " << kSeed << ": " << d.first_error;
         EXPECT_LE(double(d.n_flips), 1e-3 * double(d.n_hits) + 1.0) << c.name;
-        if (!get_primitive_properties(c.surfels.primitive).third_scale)
+        if (!properties_of(c.surfels.primitive).third_scale)
             expect_identical(compare(c, brute, EmbreeFilter(world, model)), c);
     }
 }
@@ -79,8 +79,8 @@ TEST(HostProviders, EmbreeAgreesOn100000RandomRays) {
 }
 
 TEST(HostProviders, EmbreeAgreesInTheStreet) {
-    const TraversalCase c = test::make_street_test_case(make_benchmark_street_surfels(100000),
-                                                        make_benchmark_rays("waymo"), 6.0, 9);
+    const TraversalCase c =
+        test::make_street_test_case(make_street_surfels(100000), make_street_rays("waymo"), 6.0, 9);
     const HitDifferences d = compare_embree(c);
     expect_identical(d, c);
     EXPECT_GT(d.n_hits, d.n_rays);

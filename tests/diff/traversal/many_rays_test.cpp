@@ -53,7 +53,7 @@ class ManyRays : public test::DeviceHits, public testing::WithParamInterface<Pri
 protected:
     TraversalCase case_ = test::make_random_case(20261120, 900, get_many_count());
     test::SceneAndPoses placed_;
-    ImageFormationModel model_;
+    ImageModel model_;
 
     void SetUp() override {
         DeviceHits::SetUp();
@@ -66,10 +66,9 @@ protected:
 
     CollectedHits collect(const DeviceScene& scene, const AccelerationStructure& accel,
                           const TraceOptions& options) {
-        return collect_ray_hits(
-            device(), get_traversal_kernel_variant(device()),
-            make_trace_kernel_constants(device(), accel.get_proxy_shape_of_surfels(), options, model_),
-            make_trace_scene_params(scene, accel.get_device_addresses(), model_), case_.rays, 64);
+        return collect_hits(device(), kernel_variant(device()),
+                            trace_constants(device(), accel.proxy_shape(), options, model_),
+                            trace_params(scene, accel.addresses(), model_), case_.rays, 64);
     }
 
     void expect_agreement(const DeviceScene& scene, const AccelerationStructure& accel,
@@ -80,7 +79,7 @@ protected:
         }();
         for (const BvhTraversalMode traversal_mode : {BvhTraversalMode::lane, BvhTraversalMode::subgroup}) {
             if (traversal_mode == BvhTraversalMode::lane &&
-                device().get_ray_tracing_backend() == RayTracingBackend::ray_query)
+                device().backend() == RayTracingBackend::ray_query)
                 continue;
             const CollectedHits result = collect(scene, accel, {.traversal_mode = traversal_mode});
             std::size_t n_different = 0;
@@ -107,26 +106,26 @@ INSTANTIATE_TEST_SUITE_P(Primitives, ManyRays,
 TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Stream stream(device());
     DeviceScene scene(device(), placed_.scene);
-    scene.upload_instance_poses_and_wait(placed_.world_from_instance);
+    scene.upload_poses(placed_.world_from_instance);
     AccelerationStructure accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
         // The surfel ranges of this case are consecutive, so a surfel has the same index
         // in the case and in the scene.
-        scene.get_surfel_parameters().upload(case_.surfels);
-        scene.record_activation_of_surfel_parameters(stream, model_, glm::vec3(0.0f));
-        accel.record_bvh_refit_or_build(stream, scene, rebuild);
+        scene.surfel_parameters().upload(case_.surfels);
+        scene.activate(stream, model_, glm::vec3(0.0f));
+        accel.record_refit(stream, scene, rebuild);
         stream.submit_and_wait();
     };
     update(false);
     expect_agreement(scene, accel, "built");
     move_randomly(case_.surfels, random);
     update(false);
-    ASSERT_EQ(accel.count_refits_since_build(), 1);
+    ASSERT_EQ(accel.n_refits(), 1);
     expect_agreement(scene, accel, "refitted");
     move_randomly(case_.surfels, random);
     update(true);
-    ASSERT_EQ(accel.count_refits_since_build(), 0);
+    ASSERT_EQ(accel.n_refits(), 0);
     expect_agreement(scene, accel, "rebuilt");
 }
 

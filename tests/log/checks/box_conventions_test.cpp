@@ -16,11 +16,11 @@ namespace {
 using testing::HasSubstr;
 
 std::string describe_fault_after(const std::function<void(BoxTrack&, Pose&)>& change) {
-    static const LidarSequence street = make_synthetic_street({.n_frames = 8, .rows = 32, .columns = 720});
-    LidarSequence log = street;
+    static const Log street = make_street_log({.n_frames = 8, .rows = 32, .columns = 720});
+    Log log = street;
     for (BoxTrack& box : log.boxes)
         for (Pose& pose : box.world_from_box.pose) change(box, pose);
-    return checks::describe_box_fault(log);
+    return checks::describe_fault(log);
 }
 
 void swap_length_and_width(BoxTrack& box, Pose& pose) {
@@ -62,7 +62,7 @@ TEST(BoxConventions, MirroredBoxesAreRecognised) {
 }
 
 TEST(BoxConventions, TheBoxOfTheRecordingVehicleIsLeftOut) {
-    LidarSequence log = make_synthetic_street({.n_frames = 5, .rows = 8, .columns = 128});
+    Log log = make_street_log({.n_frames = 5, .rows = 8, .columns = 128});
     const std::size_t n_boxes = log.boxes.size();
     const auto add_box_around_sensor = [&](const std::string& id, std::size_t n_around) {
         BoxTrack& box = log.boxes.emplace_back(BoxTrack{id, "Car", {4.5, 1.9, 1.6}, log.world_from_vehicle});
@@ -72,7 +72,7 @@ TEST(BoxConventions, TheBoxOfTheRecordingVehicleIsLeftOut) {
     add_box_around_sensor("ego", 5);
     add_box_around_sensor("overtaken", 2);
     log.notes.clear();
-    checks::remove_boxes_of_vehicle(log);
+    checks::remove_ego_boxes(log);
     ASSERT_EQ(log.boxes.size(), n_boxes + 1);
     EXPECT_EQ(log.boxes.back().id, "overtaken");
     EXPECT_THAT(log.notes, testing::ElementsAre(HasSubstr("'ego' (Car, 5 of 5 poses)")));

@@ -21,16 +21,16 @@ namespace {
 
 const float kNan = std::numeric_limits<float>::quiet_NaN();
 
-const LidarSequence& make_good_sequence() {
-    static const LidarSequence log = make_synthetic_street({.n_frames = 3, .rows = 4, .columns = 32});
+const Log& make_good_sequence() {
+    static const Log log = make_street_log({.n_frames = 3, .rows = 4, .columns = 32});
     return log;
 }
 
-std::string get_error_after(const std::function<void(LidarSequence&)>& damage) {
-    LidarSequence log = make_good_sequence();
+std::string get_error_after(const std::function<void(Log&)>& damage) {
+    Log log = make_good_sequence();
     damage(log);
     try {
-        require_valid_sequence(log);
+        check_sequence(log);
     } catch (const DataError& error) {
         return error.what();
     }
@@ -45,8 +45,8 @@ std::size_t returned(const Scan& scan) {
 }
 
 TEST(CheckSequence, GoodLogsPass) {
-    EXPECT_NO_THROW(require_valid_sequence(make_good_sequence()));
-    EXPECT_EQ(get_error_after([](LidarSequence& s) {
+    EXPECT_NO_THROW(check_sequence(make_good_sequence()));
+    EXPECT_EQ(get_error_after([](Log& s) {
                   s.frames[1].scan.second_returns.assign(
                       1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
                   s.frames[1].scan.second_returns[0].range_m[returned(s.frames[1].scan)] = 30.0f;
@@ -55,14 +55,13 @@ TEST(CheckSequence, GoodLogsPass) {
 }
 
 /// Checks that each modification of a sequence causes an error that names the values.
-void expect_errors(const std::vector<std::pair<std::function<void(LidarSequence&)>, std::string>>& cases) {
+void expect_errors(const std::vector<std::pair<std::function<void(Log&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) EXPECT_THAT(get_error_after(damage), test::Names(expected));
 }
 
 TEST(CorrectInversePoses, IfTheScansConfirm) {
-    const LidarSequence street =
-        make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 240, .moving_cars = false});
-    const auto largest_error_m = [&](const LidarSequence& log) {
+    const Log street = make_street_log({.n_frames = 12, .rows = 16, .columns = 240, .moving_cars = false});
+    const auto largest_error_m = [&](const Log& log) {
         double largest_m = 0.0;
         const Pose first = inverse(log.world_from_vehicle.pose[0]),
                    truth = inverse(street.world_from_vehicle.pose[0]);
@@ -72,8 +71,8 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
                                                   (truth * street.world_from_vehicle.pose[i]).translation));
         return largest_m;
     };
-    LidarSequence log = street;
-    read::correct_poses_if_stored_inverted(log);
+    Log log = street;
+    read::fix_inverted_poses(log);
     EXPECT_EQ(log.notes, street.notes);
     EXPECT_EQ(largest_error_m(log), 0.0);
     for (Pose& pose : log.world_from_vehicle.pose) {
@@ -82,7 +81,7 @@ TEST(CorrectInversePoses, IfTheScansConfirm) {
     }
     log.world_offset_m = glm::dvec3(0.0);
     EXPECT_GT(largest_error_m(log), 3.0);
-    read::correct_poses_if_stored_inverted(log);
+    read::fix_inverted_poses(log);
     EXPECT_LT(largest_error_m(log), 1e-6);
     ASSERT_EQ(log.notes.size(), street.notes.size() + 1);
     EXPECT_THAT(log.notes.back(), testing::HasSubstr("sensor-from-world"));
@@ -97,62 +96,53 @@ TEST(ChoosePoses, WithoutScansANoteAsksWhetherTheVehicleDrivesBackward) {
     }
     forward.time_s = backward.time_s;
     Notes notes;
-    EXPECT_EQ(
-        read::choose_pose_interpretation({{read::kScalarFirst, backward}, {read::kScalarLast, forward}},
-                                           nullptr, "poses", notes),
-        0u);
+    EXPECT_EQ(read::choose_poses({{read::kScalarFirst, backward}, {read::kScalarLast, forward}}, nullptr,
+                                 "poses", notes),
+              0u);
     ASSERT_EQ(notes.size(), 1u);
     EXPECT_THAT(notes[0], test::Names("uncertain ... -1.00 m ... 1.00 m with qx qy qz qw ... first line"));
 }
 
 TEST(CheckSequence, NamesFramePoseOrBox) {
     expect_errors({
-        {[](LidarSequence& s) { s.frames.clear(); }, "frame"},
-        {[](LidarSequence& s) { s.lidars.push_back(s.lidars[0]); }, "LiDARs ... ''"},
-        {[](LidarSequence& s) { s.lidars[0].vehicle_from_sensor.rotation.w = 2.0; },
+        {[](Log& s) { s.frames.clear(); }, "frame"},
+        {[](Log& s) { s.lidars.push_back(s.lidars[0]); }, "LiDARs ... ''"},
+        {[](Log& s) { s.lidars[0].vehicle_from_sensor.rotation.w = 2.0; },
          "LiDAR '' ... vehicle_from_sensor ... 2"},
-        {[](LidarSequence& s) { s.frames[2].time_s = s.frames[1].time_s; },
-         "frame 2 ... 0.1 s ... frame 1 ... 0.1 s"},
-        {[](LidarSequence& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2 ... time"},
-        {[](LidarSequence& s) { s.frames[2].index = 1; }, "frame 1"},
-        {[](LidarSequence& s) { s.world_from_vehicle.pose[1].translation.x = double(kNan); },
+        {[](Log& s) { s.frames[2].time_s = s.frames[1].time_s; }, "frame 2 ... 0.1 s ... frame 1 ... 0.1 s"},
+        {[](Log& s) { s.frames[2].time_s = s.frames[1].time_s + 1e-5; }, "frame 2 ... time"},
+        {[](Log& s) { s.frames[2].index = 1; }, "frame 1"},
+        {[](Log& s) { s.world_from_vehicle.pose[1].translation.x = double(kNan); },
          "vehicle, pose 1 ... (nan"},
-        {[](LidarSequence& s) { s.world_from_vehicle.pose[1].translation.x = 5e6; }, "5000000 ... 1000000 m"},
-        {[](LidarSequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1' ... 0"},
-        {[](LidarSequence& s) {
-             std::swap(s.boxes[1].world_from_box.time_s[0], s.boxes[1].world_from_box.time_s[1]);
-         },
+        {[](Log& s) { s.world_from_vehicle.pose[1].translation.x = 5e6; }, "5000000 ... 1000000 m"},
+        {[](Log& s) { s.boxes[1].size_m.y = 0.0; }, "box '1' ... 0"},
+        {[](Log& s) { std::swap(s.boxes[1].world_from_box.time_s[0], s.boxes[1].world_from_box.time_s[1]); },
          "box '1', pose 1 ... 0 s ... 0.1 s"},
-        {[](LidarSequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; },
+        {[](Log& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; },
          "box '1', pose 2: ... 100000 m"},
     });
 }
 
 TEST(CheckSequence, NamesFrameRayAndField) {
     expect_errors({
-        {[](LidarSequence& s) { s.frames[1].scan.range_m.pop_back(); },
-         "frame 1, range_m ... 127 ... 4 x 32"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.channel.clear(); }, "frame 1, rays.channel ... 0"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.rows = 1 << 30; }, "frame 1 ... 1073741824 x 32"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },
+        {[](Log& s) { s.frames[1].scan.range_m.pop_back(); }, "frame 1, range_m ... 127 ... 4 x 32"},
+        {[](Log& s) { s.frames[1].scan.rays.channel.clear(); }, "frame 1, rays.channel ... 0"},
+        {[](Log& s) { s.frames[1].scan.rays.rows = 1 << 30; }, "frame 1 ... 1073741824 x 32"},
+        {[](Log& s) { s.frames[1].scan.rays.direction[5] *= 1.1f; },
          "frame 1, ray 5 ... rays.direction ... 1.1"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.origin[5].z = kNan; },
-         "frame 1, ray 5 ... rays.origin ... nan"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
+        {[](Log& s) { s.frames[1].scan.rays.origin[5].z = kNan; }, "frame 1, ray 5 ... rays.origin ... nan"},
+        {[](Log& s) { s.frames[1].scan.rays.time_offset_s[5] = 1e9f; },
          "frame 1, ray 5, rays.time_offset_s ... 1000000000"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.channel[5] = 4; },
-         "frame 1, ray 5, rays.channel ... 4 ... 3"},
-        {[](LidarSequence& s) { s.frames[1].scan.rays.divergence_rad = -1e-3f; },
+        {[](Log& s) { s.frames[1].scan.rays.channel[5] = 4; }, "frame 1, ray 5, rays.channel ... 4 ... 3"},
+        {[](Log& s) { s.frames[1].scan.rays.divergence_rad = -1e-3f; },
          "frame 1, ray 0, divergence ... -0.001"},
-        {[](LidarSequence& s) { s.frames[2].scan.range_m[7] = kNan; }, "frame 2, ray 7, range_m ... nan"},
-        {[](LidarSequence& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m ... -1"},
-        {[](LidarSequence& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; },
+        {[](Log& s) { s.frames[2].scan.range_m[7] = kNan; }, "frame 2, ray 7, range_m ... nan"},
+        {[](Log& s) { s.frames[2].scan.range_m[7] = -1.0f; }, "frame 2, ray 7, range_m ... -1"},
+        {[](Log& s) { s.frames[2].scan.intensity[returned(s.frames[2].scan)] = 255.0f; },
          "intensity ... 255"},
-        {[](LidarSequence& s) { s.frames[2].scan.range_m[returned(s.frames[2].scan)] = 0.0f; },
-         "intensity ... 0"},
-        {[](LidarSequence& s) { s.frames[2].scan.second_returns.resize(1); },
-         "frame 2, second_returns.range_m ... 0"},
-        {[](LidarSequence& s) {
+        {[](Log& s) { s.frames[2].scan.range_m[returned(s.frames[2].scan)] = 0.0f; }, "intensity ... 0"},
+        {[](Log& s) { s.frames[2].scan.second_returns.resize(1); }, "frame 2, second_returns.range_m ... 0"},
+        {[](Log& s) {
              Scan& scan = s.frames[2].scan;
              scan.range_m[3] = scan.intensity[3] = 0.0f;
              scan.second_returns.assign(1, {std::vector<float>(128, 0.0f), std::vector<float>(128, 0.0f)});
@@ -163,15 +153,15 @@ TEST(CheckSequence, NamesFrameRayAndField) {
 }
 
 /// Makes ten frames. One frame starts `gap_s` seconds late.
-LidarSequence make_sequence_with_gap(double gap_s) {
-    LidarSequence log;
+Log make_sequence_with_gap(double gap_s) {
+    Log log;
     log.name = "log";
     for (int i = 0; i < 10; ++i) log.frames.push_back({i, 0.1 * i + (i > 6 ? gap_s : 0.0), {}});
     return log;
 }
 
 TEST(CheckGaps, SaysWhereFramesAreMissing) {
-    LidarSequence log = make_sequence_with_gap(4.9);
+    Log log = make_sequence_with_gap(4.9);
     checks::note_faults(log);
     ASSERT_EQ(log.notes.size(), 1u);
     EXPECT_EQ(log.notes[0].id, "time_gaps");
@@ -182,15 +172,15 @@ TEST(CheckGaps, SaysWhereFramesAreMissing) {
 }
 
 TEST(CheckGaps, AJumpOfTheClockIsAnError) {
-    LidarSequence log = make_sequence_with_gap(3600.0);
+    Log log = make_sequence_with_gap(3600.0);
     try {
-        require_valid_sequence(log);
+        check_sequence(log);
         FAIL() << "an hour between two frames";
     } catch (const DataError& error) {
         EXPECT_THAT(error.what(), test::Names("frame 7 ... 3600.1 s ... frame 6"));
     }
-    for (LidarFrame& frame : log.frames) frame.time_s = 100.0 * frame.index;
-    EXPECT_NO_THROW(require_valid_sequence(log)) << "scans that are taken every 100 s";
+    for (Frame& frame : log.frames) frame.time_s = 100.0 * frame.index;
+    EXPECT_NO_THROW(check_sequence(log)) << "scans that are taken every 100 s";
 }
 
 }  // namespace

@@ -23,14 +23,14 @@ using Place = std::tuple<int, int, int>;
 Place to_place(const glm::ivec3& place) { return {place.x, place.y, place.z}; }
 
 /// Counts the labels in each cell, except those in moving boxes.
-std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const LidarSequence& log,
+std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const Log& log,
                                                                const std::vector<int>& positions) {
     std::map<Place, std::array<int, kSurfaceClasses>> counts;
     for (const int position : positions) {
-        const LidarFrame& frame = log.frames[std::size_t(position)];
+        const Frame& frame = log.frames[std::size_t(position)];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (frame.scan.range_m[ray] == 0.0f) continue;
-            const WorldReturn hit = compute_world_return(log, frame, ray);
+            const WorldReturn hit = locate_return(log, frame, ray);
             if (is_in_moving_box(log.boxes, hit.point_m, hit.time_s, kMoverMargin_m)) continue;
             ++counts[to_place(glm::ivec3(glm::floor(10.0 * hit.point_m)))]
                     [std::size_t(frame.scan.classes[ray])];
@@ -39,14 +39,12 @@ std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const LidarSequen
     return counts;
 }
 
-SurfaceClassMap map_of(const LidarSequence& log, const std::vector<BoxTrack>& boxes,
-                       const std::vector<int>& frames) {
-    return compute_map_of_surface_classes(log, log.world_from_vehicle, boxes, frames);
+SurfaceClassMap map_of(const Log& log, const std::vector<BoxTrack>& boxes, const std::vector<int>& frames) {
+    return map_classes(log, log.world_from_vehicle, boxes, frames);
 }
 
 TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
-    const LidarSequence log =
-        make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
+    const Log log = make_street_log({.n_frames = 8, .rows = 16, .columns = 256, .people = true});
     const std::vector<int> positions = {0, 1, 3, 4};
     auto counts = count_labels(log, positions);
     const SurfaceClassMap map = map_of(log, log.boxes, positions);
@@ -66,7 +64,7 @@ TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
 
 /// Training refines the boxes of a log. Only the refined boxes must count.
 TEST(ClassMap, IgnoresReturnsInTheBoxesThatAreGiven) {
-    LidarSequence log = make_synthetic_street({.n_frames = 4, .rows = 16, .columns = 256, .people = true});
+    Log log = make_street_log({.n_frames = 4, .rows = 16, .columns = 256, .people = true});
     const std::vector<BoxTrack> boxes = log.boxes;
     const SurfaceClassMap expected = map_of(log, boxes, {0, 1, 2, 3});
     for (BoxTrack& box : log.boxes)
@@ -76,7 +74,7 @@ TEST(ClassMap, IgnoresReturnsInTheBoxesThatAreGiven) {
 }
 
 TEST(ClassMap, IgnoresScansWithoutLabels) {
-    LidarSequence log = make_synthetic_street({.n_frames = 2, .rows = 8, .columns = 64});
+    Log log = make_street_log({.n_frames = 2, .rows = 8, .columns = 64});
     const std::size_t n_first = map_of(log, log.boxes, {0}).size();
     log.frames[1].scan.classes.clear();
     EXPECT_EQ(map_of(log, log.boxes, {0, 1}).size(), n_first);
@@ -86,21 +84,19 @@ TEST(ClassMap, IgnoresScansWithoutLabels) {
 
 TEST(ClassMap, KeepsItsOwnCellsIfAnotherMapIsAdded) {
     SurfaceClassMap map = {{{-1, 2, 3}, SurfaceClass::road}};
-    add_missing_cells_of_class_map(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
+    merge_class_map(map, {{{-1, 2, 3}, SurfaceClass::pole}, {{1, 2, 3}, SurfaceClass::sign}});
     EXPECT_EQ(map, (SurfaceClassMap{{{-1, 2, 3}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::sign}}));
 }
 
 TEST(ClassFinder, FindsTheNearestCell) {
     Random random(3);
     const auto random_vector = [&](double reach) {
-        return glm::dvec3(random.sample_uniform_number(-reach, reach),
-                          random.sample_uniform_number(-reach, reach),
-                          random.sample_uniform_number(-reach, reach));
+        return glm::dvec3(random.sample_uniform(-reach, reach), random.sample_uniform(-reach, reach),
+                          random.sample_uniform(-reach, reach));
     };
     SurfaceClassMap map;
     for (int i = 0; i < 300; ++i)
-        map.push_back(
-            {glm::ivec3(random_vector(60.0)), SurfaceClass(random.sample_uniform_number() * 15.99)});
+        map.push_back({glm::ivec3(random_vector(60.0)), SurfaceClass(random.sample_uniform() * 15.99)});
     const SurfaceClassLookup finder(map);
     std::size_t n_far = 0;
     for (int i = 0; i < 2000; ++i) {
@@ -117,24 +113,24 @@ TEST(ClassFinder, FindsTheNearestCell) {
             expected = SurfaceClass::unknown;
             ++n_far;
         }
-        ASSERT_EQ(finder.find_class_of_nearest_cell(point), expected) << i;
+        ASSERT_EQ(finder.find_class(point), expected) << i;
     }
     EXPECT_GT(n_far, 50u);
-    EXPECT_EQ(finder.find_class_of_nearest_cell(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
+    EXPECT_EQ(finder.find_class(glm::dvec3(0.0, std::nan(""), 0.0)), SurfaceClass::unknown);
 }
 
 TEST(DatasetClasses, AreRelidarsClasses) {
     using enum SurfaceClass;
-    EXPECT_EQ(convert_semantic_kitti_label(0), unknown);
-    EXPECT_EQ(convert_semantic_kitti_label(48), sidewalk);
-    EXPECT_EQ(convert_semantic_kitti_label(252), vehicle);
-    EXPECT_EQ(convert_nuscenes_class("vehicle.ego"), unknown);
-    EXPECT_EQ(convert_nuscenes_class("vehicle.bus.rigid"), vehicle);
-    EXPECT_EQ(convert_nuscenes_class("flat.other"), other_ground);
-    EXPECT_EQ(convert_nuscenes_class("static_object.bicycle_rack"), object);
-    EXPECT_EQ(convert_nuscenes_class("noise"), unknown);
-    EXPECT_EQ(convert_waymo_class(17), sidewalk);
-    EXPECT_EQ(convert_waymo_class(23), unknown);
+    EXPECT_EQ(from_semantic_kitti(0), unknown);
+    EXPECT_EQ(from_semantic_kitti(48), sidewalk);
+    EXPECT_EQ(from_semantic_kitti(252), vehicle);
+    EXPECT_EQ(from_nuscenes("vehicle.ego"), unknown);
+    EXPECT_EQ(from_nuscenes("vehicle.bus.rigid"), vehicle);
+    EXPECT_EQ(from_nuscenes("flat.other"), other_ground);
+    EXPECT_EQ(from_nuscenes("static_object.bicycle_rack"), object);
+    EXPECT_EQ(from_nuscenes("noise"), unknown);
+    EXPECT_EQ(from_waymo(17), sidewalk);
+    EXPECT_EQ(from_waymo(23), unknown);
 }
 
 }  // namespace

@@ -40,8 +40,8 @@ double measure_length_within(const Segment& segment, const Cell& cell) {
 std::vector<Segment> make_random_segments(int count, std::uint64_t seed) {
     Random random(seed);
     const auto draw_point = [&] {
-        return glm::dvec3(random.sample_uniform_number(-12.0, 12.0),
-                          random.sample_uniform_number(-12.0, 12.0), random.sample_uniform_number(-9.0, 9.0));
+        return glm::dvec3(random.sample_uniform(-12.0, 12.0), random.sample_uniform(-12.0, 12.0),
+                          random.sample_uniform(-9.0, 9.0));
     };
     std::vector<Segment> segments;
     for (int i = 0; i < count; ++i) {
@@ -56,25 +56,24 @@ TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
     ObservedVoxelSet coverage;
     std::set<Cell> crossed;
     for (const Segment& segment : segments) {
-        coverage.add_voxels_on_line_segment(segment.from_m, segment.to_m);
+        coverage.add_segment(segment.from_m, segment.to_m);
         for (int x = -13; x < 13; ++x)
             for (int y = -13; y < 13; ++y)
                 for (int z = -10; z < 10; ++z)
                     if (measure_length_within(segment, {x, y, z}) > 0.0) crossed.insert({x, y, z});
     }
     std::size_t n_cells = 0;
-    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_voxel_blocks())
+    for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_blocks())
         for (const std::uint16_t word : block.cells) n_cells += std::size_t(__builtin_popcount(word));
     EXPECT_EQ(n_cells, crossed.size());
     for (const Segment& segment : segments)
-        EXPECT_NEAR(coverage.compute_observed_fraction_of_segment(segment.from_m, segment.to_m), 1.0, 1e-12);
+        EXPECT_NEAR(coverage.observed_fraction(segment.from_m, segment.to_m), 1.0, 1e-12);
     int n_partly = 0;
     for (const Segment& segment : make_random_segments(60, 2)) {
         double within_m = 0.0;
         for (const Cell& cell : crossed) within_m += measure_length_within(segment, cell);
         const double expected = within_m / glm::distance(segment.from_m, segment.to_m);
-        EXPECT_NEAR(coverage.compute_observed_fraction_of_segment(segment.from_m, segment.to_m), expected,
-                    1e-9);
+        EXPECT_NEAR(coverage.observed_fraction(segment.from_m, segment.to_m), expected, 1e-9);
         n_partly += expected > 0.01 && expected < 0.99;
     }
     EXPECT_GT(n_partly, 50);
@@ -82,26 +81,26 @@ TEST(Coverage, SharesAreThoseOfCellsThatWereCrossed) {
 
 TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
     ObservedVoxelSet coverage;
-    coverage.add_voxels_on_line_segment({0.5, 0.5, 0.5}, {4.5, 0.5, 0.5});
-    EXPECT_DOUBLE_EQ(coverage.compute_observed_fraction_of_segment({0.5, 0.2, 0.5}, {4.9, 0.2, 0.5}), 1.0);
-    EXPECT_DOUBLE_EQ(coverage.compute_observed_fraction_of_segment({2.5, 0.5, 0.5}, {2.5, 0.5, 4.5}), 0.125);
-    EXPECT_EQ(coverage.compute_observed_fraction_of_segment({2.5, 0.5, 0.5}, {2.5, 0.5, 0.5}), 0.0);
+    coverage.add_segment({0.5, 0.5, 0.5}, {4.5, 0.5, 0.5});
+    EXPECT_DOUBLE_EQ(coverage.observed_fraction({0.5, 0.2, 0.5}, {4.9, 0.2, 0.5}), 1.0);
+    EXPECT_DOUBLE_EQ(coverage.observed_fraction({2.5, 0.5, 0.5}, {2.5, 0.5, 4.5}), 0.125);
+    EXPECT_EQ(coverage.observed_fraction({2.5, 0.5, 0.5}, {2.5, 0.5, 0.5}), 0.0);
     const double nan = std::numeric_limits<double>::quiet_NaN();
-    coverage.add_voxels_on_line_segment({nan, 0.0, 0.0}, {1.0, 0.0, 0.0});
-    coverage.add_voxels_on_line_segment({0.0, 0.0, 0.0}, {1e300, 0.0, 0.0});
-    EXPECT_EQ(coverage.list_voxel_blocks().size(), 1u);
-    EXPECT_EQ(coverage.compute_observed_fraction_of_segment({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
+    coverage.add_segment({nan, 0.0, 0.0}, {1.0, 0.0, 0.0});
+    coverage.add_segment({0.0, 0.0, 0.0}, {1e300, 0.0, 0.0});
+    EXPECT_EQ(coverage.list_blocks().size(), 1u);
+    EXPECT_EQ(coverage.observed_fraction({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
 }
 
 /// Makes a LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees and 360
 /// columns.
-LidarSequence make_sweep(const std::array<float, 4>& range_m) {
-    LidarSequence sequence;
+Log make_sweep(const std::array<float, 4>& range_m) {
+    Log sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (const double degrees : {20.0, 0.0, -20.0, -40.0}) sensor.beams.push_back({degrees * kPi / 180.0});
     sensor.columns = 360;
     sequence.world_from_vehicle = {{0.0}, {Pose{{1, 0, 0, 0}, {0, 0, 2.0}}}};
-    LidarFrame frame;
+    Frame frame;
     frame.scan.rays = make_rays(sensor);
     for (const std::uint16_t channel : frame.scan.rays.channel)
         frame.scan.range_m.push_back(range_m[channel]);
@@ -112,8 +111,8 @@ LidarSequence make_sweep(const std::array<float, 4>& range_m) {
 }
 
 ObservedVoxelSet observe(const std::array<float, 4>& range_m) {
-    const LidarSequence sequence = make_sweep(range_m);
-    return compute_observed_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
+    const Log sequence = make_sweep(range_m);
+    return observe_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
 }
 
 /// Returns the share of a segment ahead of the sensor, at an elevation, that the scans
@@ -122,8 +121,7 @@ double seen(const ObservedVoxelSet& coverage, double elevation_deg, double from_
     const double e = elevation_deg * kPi / 180.0;
     const glm::dvec3 sensor(0.0, 0.0, 2.0),
         direction(std::cos(e) * std::cos(0.01), std::cos(e) * std::sin(0.01), std::sin(e));
-    return coverage.compute_observed_fraction_of_segment(sensor + from_m * direction,
-                                                         sensor + to_m * direction);
+    return coverage.observed_fraction(sensor + from_m * direction, sensor + to_m * direction);
 }
 
 TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {

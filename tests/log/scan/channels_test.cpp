@@ -20,7 +20,7 @@ using testing::ElementsAre;
 
 std::string refusal(const std::string& names) {
     try {
-        parse_channel_names(names);
+        parse_channels(names);
     } catch (const UsageError& error) {
         return error.what();
     }
@@ -28,11 +28,11 @@ std::string refusal(const std::string& names) {
 }
 
 TEST(ChannelList, IsAskedForByNames) {
-    const std::vector<ChannelInfo> channel_infos = parse_channel_names("seen, normal,seen");
+    const std::vector<ChannelInfo> channel_infos = parse_channels("seen, normal,seen");
     ASSERT_EQ(channel_infos.size(), 2u) << "each once";
     EXPECT_EQ(channel_infos[0].name, "seen");
     EXPECT_EQ(channel_infos[1].name, "normal");
-    EXPECT_TRUE(parse_channel_names("").empty());
+    EXPECT_TRUE(parse_channels("").empty());
     EXPECT_THAT(refusal("normal,sean"), Names("\"sean\" ... seen ... normal, "));
 }
 
@@ -43,14 +43,14 @@ TEST(ChannelList, NumbersAndRowsAgree) {
         {{.name = "share"}, std::vector<float>{0.5f, 0.25f}}};
     std::vector<std::string> names;
     std::vector<bool> integers;
-    for (const auto& [name, is_integer] : list_channel_columns(channels, ".")) {
+    for (const auto& [name, is_integer] : list_columns(channels, ".")) {
         names.push_back(name);
         integers.push_back(is_integer);
     }
     EXPECT_THAT(names, ElementsAre("way.x", "way.y", "way.z", "label", "share"));
     EXPECT_THAT(integers, ElementsAre(false, false, false, true, false));
     std::string bytes;
-    append_channel_values(bytes, channels, 1);
+    append_values(bytes, channels, 1);
     ASSERT_EQ(bytes.size(), 20u);
     float z, share;
     std::int32_t label;
@@ -64,7 +64,7 @@ TEST(ChannelList, NumbersAndRowsAgree) {
 
 TEST(ChannelList, WhatACallerAddsIsChecked) {
     const auto check = [](const std::string& name, std::size_t count) {
-        require_valid_channel_names_and_sizes(
+        check_channels(
             {{{.name = "mine"}, std::vector<float>(3)}, {{.name = name}, std::vector<std::int32_t>(count)}},
             3, "a scan");
     };
@@ -82,9 +82,8 @@ std::string row_of(const ChannelInfo& channel) {
 
 TEST(ChannelList, IsWhatTheGuideSays) {
     const std::string guide = read_file(std::filesystem::path(RELIDAR_SOURCE_DIR) / "docs" / "guide.md");
-    for (const ChannelInfo& channel : list_channels_written_to_files())
-        EXPECT_THAT(guide, Names(row_of(channel)));
-    for (const ChannelInfo& channel : get_optional_channels()) EXPECT_THAT(guide, Names(row_of(channel)));
+    for (const ChannelInfo& channel : file_channels()) EXPECT_THAT(guide, Names(row_of(channel)));
+    for (const ChannelInfo& channel : optional_channels()) EXPECT_THAT(guide, Names(row_of(channel)));
 }
 
 }  // namespace

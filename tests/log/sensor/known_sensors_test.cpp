@@ -25,7 +25,7 @@ SpinningSensor spinning(const std::string& name) {
 }
 
 TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
-    for (const std::string& name : list_sensor_names()) {
+    for (const std::string& name : list_sensors()) {
         const SensorModel model = find_sensor(name);
         EXPECT_EQ(model.name, name);
         EXPECT_FALSE(model.about.empty()) << name << " does not say where its figures are from";
@@ -37,7 +37,7 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
             EXPECT_LT(sensor->beams[b].elevation_rad, sensor->beams[b - 1].elevation_rad) << name << " " << b;
     }
     EXPECT_NEAR(spinning("VLP-16").beams[15].elevation_rad, -15 * kPi / 180, 1e-12);
-    EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(make_kitti360_grid()).direction);
+    EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
 }
 
 /// Manual 63-9243 adds a vertical offset to the height of each laser. All lasers
@@ -49,7 +49,7 @@ TEST(KnownSensors, Vlp16HasTheVerticalOffsetsOfItsManual) {
     ASSERT_EQ(beams.size(), offsets_mm.size());
     for (std::size_t b = 0; b < beams.size(); ++b)
         for (const double azimuth_rad : {0.0, 1.0, 4.0}) {
-            const BeamRay ray = compute_beam_ray(beams[b], azimuth_rad);
+            const BeamRay ray = aim_beam(beams[b], azimuth_rad);
             // The firing time turns a beam by up to 2 mrad, which moves its origin.
             EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.0, 0.0, 1e-3 * offsets_mm[b])), 0.0, 1e-5);
             const double lens_m = 0.0419 / std::cos(beams[b].elevation_rad);
@@ -59,9 +59,9 @@ TEST(KnownSensors, Vlp16HasTheVerticalOffsetsOfItsManual) {
 
 /// Sensors of a log have the maximum range of their product.
 TEST(KnownSensors, SpecifiedRangesAreThoseOfTheProduct) {
-    EXPECT_EQ(find_specified_max_range_m("HDL-64E fitted to KITTI odometry 04"), 120.0);
-    EXPECT_EQ(find_specified_max_range_m("VLP-16"), 100.0);
-    EXPECT_FALSE(find_specified_max_range_m("/lidar_top"));
+    EXPECT_EQ(nominal_max_range_m("HDL-64E fitted to KITTI odometry 04"), 120.0);
+    EXPECT_EQ(nominal_max_range_m("VLP-16"), 100.0);
+    EXPECT_FALSE(nominal_max_range_m("/lidar_top"));
 }
 
 /// Compares field of view and resolution of the sensor with its data sheet.

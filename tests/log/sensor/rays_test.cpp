@@ -61,7 +61,7 @@ TEST(Rays, IncidenceEndsWithTheWindow) {
     for (const glm::vec3& direction : rays.direction) range_m.push_back(5.0f / direction.x);
     const RangeImageRays image{rays.rows, rays.columns, rays.origin, rays.direction, range_m, false};
     for (std::size_t c = 0; c < 91; ++c)
-        EXPECT_NEAR(compute_incidence_cosine(image, 91 + c),
+        EXPECT_NEAR(incidence_cosine(image, 91 + c),
                     c < 4 || c > 86 ? -1.0 : double(rays.direction[91 + c].x), 1e-5)
             << c;
 }
@@ -70,7 +70,7 @@ TEST(Rays, OusterOriginsLieAlongTheHeadNotTheBeam) {
     // At theta = 0 the origin is (n, 0, 0), and the direction is at the azimuth offset
     // (Ouster's xyz formula with r = n).
     const BeamRay ray =
-        compute_beam_ray({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
+        aim_beam({.elevation_rad = 0.2, .azimuth_offset_rad = 0.05, .origin_offset_m = 0.015}, 0.0);
     EXPECT_NEAR(glm::length(ray.origin_m - glm::dvec3(0.015, 0, 0)), 0.0, 1e-12);
     EXPECT_NEAR(std::atan2(ray.direction.y, ray.direction.x), 0.05, 1e-12);
 }
@@ -79,7 +79,7 @@ TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
     const double el = -0.2, up = 0.12;
     for (const double head : {0.0, 1.0, -2.5}) {
         const BeamRay ray =
-            compute_beam_ray({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
+            aim_beam({.elevation_rad = el, .azimuth_offset_rad = 0.1, .origin_up_m = up}, head);
         const double t = -(ray.origin_m.x * ray.direction.x + ray.origin_m.y * ray.direction.y) /
                          std::pow(std::cos(el), 2);
         const glm::dvec3 p = ray.origin_m + t * ray.direction;
@@ -88,7 +88,7 @@ TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
         EXPECT_NEAR(glm::dot(ray.origin_m, ray.direction), 0.0, 1e-12);
         EXPECT_NEAR(glm::length(ray.origin_m), up, 1e-12);
     }
-    const BeamRay left = compute_beam_ray({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
+    const BeamRay left = aim_beam({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
     EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam points along +y, so its left is -x
 }
 

@@ -50,29 +50,29 @@ std::uint64_t measure_anonymous_bytes() {
 TEST(ScanMemory, IsUnlimitedUntilItIsLimited) {
     run_in_child_process([] {
         const ScanArray<float> array(1 << 20, 1.0f);
-        EXPECT_EQ(get_scan_memory_use().in_memory, 4u << 20);
-        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
+        EXPECT_EQ(scan_memory_use().in_memory, 4u << 20);
+        EXPECT_EQ(scan_memory_use().in_file, 0u);
     });
 }
 
 TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
     run_in_child_process([] {
-        store_scans_above_limit_in_file(0, fs::temp_directory_path());
+        limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
-        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
-        divide_scan_memory_among_processes(10'000'000);  // each may use some kilobytes
-        store_scans_above_limit_in_file(0, fs::temp_directory_path());
+        EXPECT_EQ(scan_memory_use().in_file, 0u);
+        share_scan_memory(10'000'000);  // each may use some kilobytes
+        limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
-        EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20);
-        store_scans_above_limit_in_file(8 << 20, fs::temp_directory_path());
+        EXPECT_EQ(scan_memory_use().in_file, 1u << 20);
+        limit_scan_memory(8 << 20, fs::temp_directory_path());
         const ScanArray<float> array_within_limit(1 << 18, 1.0f);
-        EXPECT_EQ(get_scan_memory_use().in_file, 1u << 20) << "what a setting gives is each process's own";
+        EXPECT_EQ(scan_memory_use().in_file, 1u << 20) << "what a setting gives is each process's own";
     });
 }
 
 TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
     run_in_child_process([] {
-        store_scans_above_limit_in_file(3 << 20, fs::temp_directory_path());
+        limit_scan_memory(3 << 20, fs::temp_directory_path());
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
         std::vector<std::uint32_t> first;
@@ -97,19 +97,19 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
             for (std::size_t i = 0; i < arrays[k].size(); ++i) ASSERT_EQ(arrays[k][i], first[k] + i);
             bytes += arrays[k].size() * sizeof(std::uint32_t);
         }
-        const ScanMemoryUse use = get_scan_memory_use();
+        const ScanMemoryUse use = scan_memory_use();
         EXPECT_LE(use.in_memory, 3u << 20);
         EXPECT_GT(use.in_file, bytes / 2);
         EXPECT_LT(use.in_memory + use.in_file, bytes + arrays.size() * 65536);
         arrays.clear();
-        EXPECT_EQ(get_scan_memory_use().in_memory, 0u);
-        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
+        EXPECT_EQ(scan_memory_use().in_memory, 0u);
+        EXPECT_EQ(scan_memory_use().in_file, 0u);
     });
 }
 
 TEST(ScanMemory, ServesSeveralThreads) {
     run_in_child_process([] {
-        store_scans_above_limit_in_file(1 << 20, fs::temp_directory_path());
+        limit_scan_memory(1 << 20, fs::temp_directory_path());
         std::vector<std::thread> threads;
         for (std::uint32_t t = 0; t < 4; ++t)
             threads.emplace_back([t] {
@@ -120,7 +120,7 @@ TEST(ScanMemory, ServesSeveralThreads) {
                 }
             });
         for (std::thread& thread : threads) thread.join();
-        EXPECT_EQ(get_scan_memory_use().in_file, 0u);
+        EXPECT_EQ(scan_memory_use().in_file, 0u);
     });
 }
 
@@ -131,13 +131,13 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
     GTEST_SKIP() << "AddressSanitizer keeps freed memory, so the used memory is not comparable";
 #endif
     run_in_child_process([] {
-        const SyntheticOptions street{.n_frames = 40, .rows = 32, .columns = 512};
-        const LidarSequence log_in_memory = make_synthetic_street(street);  // 29 MB
-        const std::uint64_t of_scans = get_scan_memory_use().in_memory, before = measure_anonymous_bytes();
+        const StreetOptions street{.n_frames = 40, .rows = 32, .columns = 512};
+        const Log log_in_memory = make_street_log(street);  // 29 MB
+        const std::uint64_t of_scans = scan_memory_use().in_memory, before = measure_anonymous_bytes();
         EXPECT_GT(of_scans, 20u << 20);
-        store_scans_above_limit_in_file(1 << 20, fs::temp_directory_path());
-        const LidarSequence log = make_synthetic_street(street);
-        EXPECT_GT(get_scan_memory_use().in_file, of_scans * 9 / 10);
+        limit_scan_memory(1 << 20, fs::temp_directory_path());
+        const Log log = make_street_log(street);
+        EXPECT_GT(scan_memory_use().in_file, of_scans * 9 / 10);
         EXPECT_LT(measure_anonymous_bytes(), before + of_scans / 2);
         for (std::size_t k = 0; k < log.frames.size(); ++k) {
             const Scan &a = log_in_memory.frames[k].scan, &b = log.frames[k].scan;
@@ -151,7 +151,7 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
 
 TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
     run_in_child_process([] {
-        store_scans_above_limit_in_file(1, "/proc/nowhere");
+        limit_scan_memory(1, "/proc/nowhere");
         EXPECT_THAT(error_message<DataError>([] { ScanArray<float>(1 << 20); }),
                     test::Names("into memory ... in the folder '/proc/nowhere': No such file"));
     });
@@ -159,13 +159,13 @@ TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
         const rlimit small{8 << 20, 8 << 20};
         ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &small), 0);
         std::signal(SIGXFSZ, SIG_IGN);
-        store_scans_above_limit_in_file(1, fs::temp_directory_path());
+        limit_scan_memory(1, fs::temp_directory_path());
         std::vector<ScanArray<float>> arrays;
         arrays.emplace_back(1 << 20, 1.0f);
         EXPECT_THAT(error_message<DataError>([&] { arrays.emplace_back(3 << 20, 2.0f); }),
                     test::Names("File too large"));
         EXPECT_EQ(arrays.size(), 1u);
-        EXPECT_EQ(get_scan_memory_use().in_file, 4u << 20)
+        EXPECT_EQ(scan_memory_use().in_file, 4u << 20)
             << "what was there stays, what did not fit takes nothing";
         EXPECT_EQ(arrays[0].back(), 1.0f);
     });

@@ -91,9 +91,9 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
         ASSERT_EQ(rays.ray_divergence_rad.size(), 3u) << file;
         for (std::size_t i = 0; i < 3; ++i) {
             EXPECT_FLOAT_EQ(rays.ray_divergence_rad[i], divergence[i]) << file << " " << i;
-            EXPECT_EQ(rays.get_beam_divergence_rad(i), double(rays.ray_divergence_rad[i]));
+            EXPECT_EQ(rays.divergence_of_rad(i), double(rays.ray_divergence_rad[i]));
         }
-        EXPECT_FLOAT_EQ(float(rays.find_max_divergence_rad()), 2e-3f);
+        EXPECT_FLOAT_EQ(float(rays.max_divergence_rad()), 2e-3f);
     }
     const RayTable alike = make_rays(find_sensor(npz("alike.npz", same)));
     EXPECT_TRUE(alike.ray_divergence_rad.empty()) << "one number where all have the same";
@@ -147,7 +147,7 @@ TEST(SensorFiles, OustersMetadataMakesOustersPoints) {
         for (int beam = 0; beam < 3; ++beam)
             for (const int m : {0, 1, 100, 511}) {
                 const double head = spinning.first_azimuth_rad - 2.0 * kPi * m / 512.0;
-                const BeamRay ray = compute_beam_ray(spinning.beams[std::size_t(beam)], head);
+                const BeamRay ray = aim_beam(spinning.beams[std::size_t(beam)], head);
                 const glm::dvec3 expected =
                     compute_ouster_point(30.0, offset_m, altitude[beam], azimuth[beam], m, 512);
                 EXPECT_LT(glm::length(ray.origin_m + (30.0 - offset_m) * ray.direction - expected), 1e-9)
@@ -213,7 +213,7 @@ TEST(SensorFiles, WrongFilesAreNamed) {
                    R"({"beam_altitude_angles": [1], "beam_azimuth_angles": [1], "lidar_mode": "fast"})",
                    "lidar_mode is \"fast\"");
     expect_message("i.json", R"({"directions": [[1,0,0]], "time": [1e300]})", "entry 0 of time ... 1e+300");
-    write_npz(path_of("a.npz"), {make_single_text_array("name", "x")});
+    write_npz(path_of("a.npz"), {single_text("name", "x")});
     EXPECT_THAT(message(path_of("a.npz")), Names("array \"directions\" ... missing"));
 }
 
@@ -269,7 +269,7 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
 
 /// The JSON object of a sensor must define the same rays in a file, in a rig and as text.
 TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
-    RayTable cones = make_rays(*find_built_in_sensor("rosette"), 0.37);
+    RayTable cones = make_rays(*find_built_in("rosette"), 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
     std::vector<SensorModel> sensors{
         {"cones", "", {0.5, 90.0}, cones},
@@ -296,7 +296,7 @@ TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
                         a.divergence_rad == b.divergence_rad && a.ray_divergence_rad == b.ray_divergence_rad)
                 << sensor.name;
             EXPECT_EQ(format_sensor_json(read), text);
-            EXPECT_EQ(summarise_scan_pattern(read.pattern).n_rays, b.size());
+            EXPECT_EQ(summarise_pattern(read.pattern).n_rays, b.size());
         }
     }
     expect_message("p.json", R"({"spinning": {"columns": 90}})", "beams");

@@ -44,7 +44,7 @@ glm::vec3 rotate_vector(const glm::vec3& vector, double angle) {
 int get_firing(const SpinningSensor& sensor, std::size_t ray) {
     const int column = int(ray) % kColumns;
     const Beam& beam = sensor.beams[ray / kColumns];
-    return (column + compute_beam_azimuth_offset_columns(beam, kColumns) + kColumns) % kColumns;
+    return (column + offset_columns(beam, kColumns) + kColumns) % kColumns;
 }
 
 /// Makes a sweep with uneven rotation. Each ray has an error of up to 0.02 mrad, and only
@@ -65,7 +65,7 @@ Scan make_uneven_scan(double share, unsigned seed) {
 }
 
 std::vector<float> shift_of(const Scan& scan) {
-    return measure_azimuth_shifts_rad(scan, sensor(), make_rays(sensor()));
+    return measure_shifts_rad(scan, sensor(), make_rays(sensor()));
 }
 
 /// Returns the largest angle between corresponding rays of two tables.
@@ -83,17 +83,14 @@ TEST(AzimuthShift, IsFoundAndPutBackOn) {
         const std::vector<float> shift_rad = shift_of(scan);
         ASSERT_EQ(shift_rad.size(), std::size_t(kColumns));
         EXPECT_GT(compute_worst_angle(nominal, scan.rays), 5e-3);
-        EXPECT_LT(
-            compute_worst_angle(rotate_firings_by_azimuth_shifts(nominal, sensor(), shift_rad), scan.rays),
-            5e-5)
+        EXPECT_LT(compute_worst_angle(rotate_firings(nominal, sensor(), shift_rad), scan.rays), 5e-5)
             << "each ray's own 0.02 mrad, twice";
     }
 }
 
 TEST(AzimuthShift, TurnsOriginsAlong) {
     const RayTable nominal = make_rays(sensor());
-    const RayTable uneven =
-        rotate_firings_by_azimuth_shifts(nominal, sensor(), std::vector<float>(kColumns, 0.01f));
+    const RayTable uneven = rotate_firings(nominal, sensor(), std::vector<float>(kColumns, 0.01f));
     for (std::size_t i = 0; i < nominal.size(); ++i) {
         ASSERT_LT(glm::length(uneven.origin[i] - rotate_vector(nominal.origin[i], 0.01)), 1e-8f);
         ASSERT_LT(glm::length(uneven.direction[i] - rotate_vector(nominal.direction[i], 0.01)), 1e-6f);
@@ -140,8 +137,7 @@ TEST(AzimuthShift, IsNotThereWhereNothingSaysIt) {
     even.rays = nominal;
     EXPECT_TRUE(shift_of(even).empty()) << "where it nominally is";
     EXPECT_TRUE(shift_of(make_uneven_scan(0.0, 1)).empty()) << "no returns";
-    EXPECT_TRUE(measure_azimuth_shifts_rad(make_uneven_scan(1.0, 1), sensor(), {}).empty())
-        << "no nominal rays";
+    EXPECT_TRUE(measure_shifts_rad(make_uneven_scan(1.0, 1), sensor(), {}).empty()) << "no nominal rays";
     Scan other = make_uneven_scan(1.0, 1);
     other.rays.rows = 8;
     other.rays.columns = 2 * kColumns;
@@ -151,7 +147,7 @@ TEST(AzimuthShift, IsNotThereWhereNothingSaysIt) {
         apart.rays.direction[i] =
             rotate_vector(apart.rays.direction[i], double(i / kColumns % 5) * 0.4 * kColumn_rad);
     EXPECT_TRUE(shift_of(apart).empty()) << "beams that do not turn together";
-    EXPECT_EQ(compute_worst_angle(rotate_firings_by_azimuth_shifts(nominal, sensor(), {}), nominal), 0.0);
+    EXPECT_EQ(compute_worst_angle(rotate_firings(nominal, sensor(), {}), nominal), 0.0);
 }
 
 }  // namespace

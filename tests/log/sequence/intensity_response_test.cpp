@@ -5,8 +5,8 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/read/dataset.hpp>
 
 namespace relidar {
 namespace {
@@ -21,14 +21,14 @@ double compute_brightness(const glm::dvec3& point) {
 
 /// Makes a log of a sensor with n beams 2 m above a plane. The sensor looks down while it
 /// drives forward, so that every beam measures the same tiles.
-LidarSequence drive(const std::vector<Beam>& beams, double noise_size) {
-    LidarSequence sequence;
+Log drive(const std::vector<Beam>& beams, double noise_size) {
+    Log sequence;
     sequence.lidars[0].sensor.beams = beams;
     sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
     for (int f = 0; f < 12; ++f) {
-        LidarFrame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
+        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
         Pose pose;
         pose.translation = {0.37 * f, 0.0, 2.0};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -68,8 +68,8 @@ std::vector<Beam> make_unequal_beams() {
 
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = make_unequal_beams();
-    LidarSequence sequence = drive(truth, 0.01);
-    const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, kAll);
+    Log sequence = drive(truth, 0.01);
+    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, kAll);
     ASSERT_GT(calibration.returns, 2000u);
     EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
     // The data do not determine a common scale and offset of all beams.
@@ -96,8 +96,8 @@ TEST(IntensityResponse, ComesBackFromSharedPlaces) {
 TEST(IntensityResponse, EqualLasersStayEqual) {
     std::vector<Beam> beams = make_unequal_beams();
     for (Beam& beam : beams) beam.intensity_gain = 1.0, beam.intensity_offset = 0.0;
-    LidarSequence sequence = drive(beams, 0.02);
-    fit_and_set_intensity_calibration(sequence, kAll);
+    Log sequence = drive(beams, 0.02);
+    calibrate_intensity(sequence, kAll);
     for (const Beam& beam : sequence.lidars[0].sensor.beams)
         for (const double surface : {0.3, 0.6})
             EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
@@ -105,22 +105,21 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
 
 /// Returns a street whose intensities are reflectance * (0.3 + 0.7 cos) * (1 - range /
 /// 160 m), with equal beams (src/read/datasets/street/synthetic.cpp).
-LidarSequence street() {
-    return make_synthetic_street({.n_frames = 40});  // 32 m: near and far views of the same surfaces
+Log street() {
+    return make_street_log({.n_frames = 40});  // 32 m: near and far views of the same surfaces
 }
 
 void expect_the_streets_fall(const IntensityResponse& calibration, double tolerance) {
     const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
     for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0})
-        EXPECT_NEAR(calibration.compute_intensity_factor_at_range(range_m) / exact(range_m), 1.0, tolerance)
-            << range_m;
+        EXPECT_NEAR(calibration.range_factor(range_m) / exact(range_m), 1.0, tolerance) << range_m;
     EXPECT_NEAR(calibration.incidence, 0.7, 0.05);
 }
 
 TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
-    LidarSequence sequence = street();
+    Log sequence = street();
     const IntensityCalibrationResult calibration =
-        fit_and_set_intensity_calibration(sequence, split_frames_into_train_and_test(sequence, 0).train);
+        calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(calibration.shared);
     EXPECT_FALSE(calibration.beams);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
@@ -128,18 +127,18 @@ TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
 }
 
 TEST(IntensityResponse, FallAndLasersAreToldApart) {
-    LidarSequence sequence = street();
+    Log sequence = street();
     std::vector<double> gains;
     double mean = 0.0;
     for (std::size_t b = 0; b < sequence.lidars[0].sensor.beams.size(); ++b) {
         gains.push_back(1.0 + 0.25 * noise(b + 5));
         mean += gains.back() / double(sequence.lidars[0].sensor.beams.size());
     }
-    for (LidarFrame& frame : sequence.frames)
+    for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
     const IntensityCalibrationResult calibration =
-        fit_and_set_intensity_calibration(sequence, split_frames_into_train_and_test(sequence, 0).train);
+        calibrate_intensity(sequence, split_frames(sequence, 0).train);
     EXPECT_TRUE(calibration.shared && calibration.beams);
     // A beam sees the ground at a single range.
     expect_the_streets_fall(sequence.intensity_response, 0.06);
@@ -152,11 +151,11 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
-    LidarSequence original = drive(make_unequal_beams(), 0.01), changed = original;
+    Log original = drive(make_unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
-    fit_and_set_intensity_calibration(original, without);
-    fit_and_set_intensity_calibration(changed, without);
+    calibrate_intensity(original, without);
+    calibrate_intensity(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
         const Beam &first = original.lidars[0].sensor.beams[b], &second = changed.lidars[0].sensor.beams[b];
         EXPECT_EQ(first.intensity_gain, second.intensity_gain);
@@ -165,25 +164,25 @@ TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
 }
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
-    LidarSequence sequence = drive(make_unequal_beams(), 0.0);
-    const IntensityCalibrationResult calibration = fit_and_set_intensity_calibration(sequence, {});
+    Log sequence = drive(make_unequal_beams(), 0.0);
+    const IntensityCalibrationResult calibration = calibrate_intensity(sequence, {});
     EXPECT_EQ(calibration.returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
 
 TEST(IntensityResponse, SurfaceIntensityUndoesTheResponse) {
-    LidarSequence sequence = drive(make_unequal_beams(), 0.0);
-    const LidarFrame& frame = sequence.frames[3];
+    Log sequence = drive(make_unequal_beams(), 0.0);
+    const Frame& frame = sequence.frames[3];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 7) {
-        const WorldReturn w = compute_world_return(sequence, frame, i);
-        EXPECT_NEAR(w.intensity, compute_surface_return(sequence, frame, i).intensity, 0.0);
+        const WorldReturn w = locate_return(sequence, frame, i);
+        EXPECT_NEAR(w.intensity, surface_return(sequence, frame, i).intensity, 0.0);
         const Beam& beam = sequence.lidars[0].sensor.beams[frame.scan.rays.channel[i]];
         EXPECT_NEAR(beam.intensity_gain * double(w.intensity) + beam.intensity_offset,
                     double(frame.scan.intensity[i]), 1e-6);
     }
-    const float original_intensity = compute_surface_return(sequence, frame, 3).intensity;
+    const float original_intensity = surface_return(sequence, frame, 3).intensity;
     sequence.intensity_response = {{0.0, 100.0}, {0.5, 0.5}, 0.0};
-    EXPECT_NEAR(compute_surface_return(sequence, frame, 3).intensity, 2.0f * original_intensity, 1e-6f)
+    EXPECT_NEAR(surface_return(sequence, frame, 3).intensity, 2.0f * original_intensity, 1e-6f)
         << "what falls to half was twice as bright";
 }
 

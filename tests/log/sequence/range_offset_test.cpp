@@ -30,15 +30,15 @@ double cast(const glm::dvec3& o, const glm::dvec3& direction) {
 
 /// Makes a drive along the street. The ranges of each beam have an offset and 5 mm of
 /// deterministic noise.
-LidarSequence drive(bool held_out_is_garbage = false) {
-    LidarSequence sequence;
+Log drive(bool held_out_is_garbage = false) {
+    Log sequence;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         sequence.lidars[0].sensor.beams.push_back({.elevation_rad = -0.03 - 0.04 * double(b)});
     sequence.lidars[0].sensor.columns = 1440;
     sequence.rolling_shutter = false;
     std::uint64_t k = 0;
     for (int f = 0; f < 10; ++f) {
-        LidarFrame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
+        Frame frame{f, 0.1 * f, {make_rays(sequence.lidars[0].sensor), {}, {}}};
         Pose pose;
         pose.translation = {0.83 * f, 0.1 * f, 2.0};
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -59,8 +59,8 @@ LidarSequence drive(bool held_out_is_garbage = false) {
 const std::vector<int> kTrain{0, 1, 2, 3, 4, 6, 7, 8, 9};
 
 TEST(RangeOffset, ComesBackFromSharedPlanes) {
-    LidarSequence sequence = drive();
-    const RangeCalibrationResult calibration = fit_and_set_range_offset_of_beams(sequence, kTrain);
+    Log sequence = drive();
+    const RangeCalibrationResult calibration = calibrate_ranges(sequence, kTrain);
     ASSERT_GT(calibration.returns, 20000u);
     EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
     double mean = 0.0;
@@ -73,41 +73,41 @@ TEST(RangeOffset, ComesBackFromSharedPlanes) {
 }
 
 TEST(RangeOffset, HeldOutFramesAreNotLookedAt) {
-    LidarSequence clean = drive(), garbage = drive(true);
-    fit_and_set_range_offset_of_beams(clean, kTrain);
-    fit_and_set_range_offset_of_beams(garbage, kTrain);
+    Log clean = drive(), garbage = drive(true);
+    calibrate_ranges(clean, kTrain);
+    calibrate_ranges(garbage, kTrain);
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         EXPECT_EQ(clean.lidars[0].sensor.beams[b].range_offset_m,
                   garbage.lidars[0].sensor.beams[b].range_offset_m);
 }
 
 TEST(RangeOffset, ReturnsComeFromWhereTheSurfaceIs) {
-    LidarSequence sequence = drive();
+    Log sequence = drive();
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         sequence.lidars[0].sensor.beams[b].range_offset_m = kOffsets_m[b];
-    const LidarFrame& frame = sequence.frames[2];
+    const Frame& frame = sequence.frames[2];
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 13) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
         const WorldRay ray =
             make_world_ray(sequence.world_from_vehicle, frame.time_s, frame.scan.rays, i, false);
-        EXPECT_NEAR(glm::distance(compute_world_return(sequence, frame, i).point_m, ray.origin_m),
+        EXPECT_NEAR(glm::distance(locate_return(sequence, frame, i).point_m, ray.origin_m),
                     cast(ray.origin_m, ray.direction), 0.006);
     }
 }
 
 TEST(RangeOffset, EqualLasersHaveNone) {
-    LidarSequence sequence = drive();
-    for (LidarFrame& frame : sequence.frames)
+    Log sequence = drive();
+    for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
                 frame.scan.range_m[i] -= float(kOffsets_m[frame.scan.rays.channel[i]]);
-    EXPECT_GT(fit_and_set_range_offset_of_beams(sequence, kTrain).returns, 20000u);
+    EXPECT_GT(calibrate_ranges(sequence, kTrain).returns, 20000u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 
 TEST(RangeOffset, NothingToCompareLeavesTheSensorAlone) {
-    LidarSequence sequence = drive();
-    EXPECT_EQ(fit_and_set_range_offset_of_beams(sequence, {}).returns, 0u);
+    Log sequence = drive();
+    EXPECT_EQ(calibrate_ranges(sequence, {}).returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.range_offset_m, 0.0);
 }
 

@@ -20,14 +20,14 @@ Pose make_turned_pose(double yaw, const glm::dvec3& t) {
     return {glm::angleAxis(yaw, glm::dvec3(0, 0, 1)), t};
 }
 
-double get_yaw(const Pose& pose) {
+double yaw_of(const Pose& pose) {
     const glm::dvec3 x = pose.rotation * glm::dvec3(1, 0, 0);
     return std::atan2(x.y, x.x);
 }
 
 /// Returns a log of two frames with a sweep of 0.1 s.
-LidarSequence make_log_from(double first_s) {
-    LidarSequence log;
+Log make_log_from(double first_s) {
+    Log log;
     log.lidars[0].sensor.period_s = 0.1;
     for (const int i : {0, 1}) log.frames.push_back({.index = i, .time_s = first_s + 0.1 * i, .scan = {}});
     return log;
@@ -35,72 +35,70 @@ LidarSequence make_log_from(double first_s) {
 
 TEST(LogTime, TheShiftIsTheDateOrTheFewestWholeSeconds) {
     constexpr std::int64_t kSecond_ns = 1'000'000'000;
-    const auto shift = [](double first_s) { return compute_time_shift_ns(make_log_from(first_s)); };
+    const auto shift = [](double first_s) { return time_shift_of(make_log_from(first_s)); };
     EXPECT_EQ(shift(10.3), 0) << "no stamp is negative";
     EXPECT_EQ(shift(0.0), kSecond_ns);
     EXPECT_EQ(shift(-1000.0), 1001 * kSecond_ns);
     EXPECT_EQ(shift(1.7e9), 0) << "the times of the log are dates";
-    EXPECT_EQ(compute_time_shift_ns(make_log_from(10.0), -2.5), 3 * kSecond_ns) << "scans before the log";
-    EXPECT_EQ(format_time_shift_note(make_log_from(10.0), 0), "");
-    EXPECT_THAT(format_time_shift_note(make_log_from(-1000.0), shift(-1000.0)), test::Names("1001 s later"));
+    EXPECT_EQ(time_shift_of(make_log_from(10.0), -2.5), 3 * kSecond_ns) << "scans before the log";
+    EXPECT_EQ(time_shift_note(make_log_from(10.0), 0), "");
+    EXPECT_THAT(time_shift_note(make_log_from(-1000.0), shift(-1000.0)), test::Names("1001 s later"));
     const std::int64_t start_ns = 1317042145594360375;
-    LidarSequence dated = make_log_from(-5.0);
+    Log dated = make_log_from(-5.0);
     set_log_start(dated, start_ns, "on a clock");
     EXPECT_EQ(dated.conventions, " Time 0 s is 1317042145.594360375 s on a clock.");
-    EXPECT_EQ(compute_time_shift_ns(dated), start_ns) << "a log with a date keeps it";
-    EXPECT_EQ(format_time_shift_note(dated, start_ns), "");
-    LidarSequence booted = make_log_from(0.0);
+    EXPECT_EQ(time_shift_of(dated), start_ns) << "a log with a date keeps it";
+    EXPECT_EQ(time_shift_note(dated, start_ns), "");
+    Log booted = make_log_from(0.0);
     booted.start_unix_ns = 40'000'000;
-    EXPECT_EQ(compute_time_shift_ns(booted), 40'000'000 + kSecond_ns) << "a clock that starts at 0";
+    EXPECT_EQ(time_shift_of(booted), 40'000'000 + kSecond_ns) << "a clock that starts at 0";
 }
 
 TEST(PoseTrack, InterpolatesAndContinuesAtTheEnds) {
     const PoseTrack track{{0.0, 1.0, 3.0},
                           {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.2, {1, 0, 0}),
                            make_turned_pose(0.2, {1, 4, 0})}};
-    EXPECT_NEAR(track.interpolate_pose(0.5).translation.x, 0.5, 1e-12);
-    EXPECT_NEAR(get_yaw(track.interpolate_pose(0.5)), 0.1, 1e-9);
-    EXPECT_NEAR(track.interpolate_pose(2.0).translation.y, 2.0, 1e-12);
-    EXPECT_NEAR(track.interpolate_pose(-0.5).translation.x, -0.5, 1e-12);
-    EXPECT_NEAR(get_yaw(track.interpolate_pose(-0.5)), -0.1, 1e-9);
-    EXPECT_NEAR(track.interpolate_pose(3.5).translation.y, 5.0, 1e-12);
-    EXPECT_THROW(PoseTrack{}.interpolate_pose(0.0), DataError);
+    EXPECT_NEAR(track.pose_at(0.5).translation.x, 0.5, 1e-12);
+    EXPECT_NEAR(yaw_of(track.pose_at(0.5)), 0.1, 1e-9);
+    EXPECT_NEAR(track.pose_at(2.0).translation.y, 2.0, 1e-12);
+    EXPECT_NEAR(track.pose_at(-0.5).translation.x, -0.5, 1e-12);
+    EXPECT_NEAR(yaw_of(track.pose_at(-0.5)), -0.1, 1e-9);
+    EXPECT_NEAR(track.pose_at(3.5).translation.y, 5.0, 1e-12);
+    EXPECT_THROW(PoseTrack{}.pose_at(0.0), DataError);
     const PoseTrack one{{2.0}, {make_turned_pose(0.3, {1, 2, 3})}};
-    EXPECT_NEAR(one.interpolate_pose(7.0).translation.z, 3.0, 1e-12);
+    EXPECT_NEAR(one.pose_at(7.0).translation.z, 3.0, 1e-12);
 }
 
 TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
     const PoseTrack track{{0.0, 1.0, 1.5, 3.0},
                           {make_turned_pose(0.0, {0, 0, 0}), make_turned_pose(0.8, {1, 0, 0}),
                            make_turned_pose(0.8, {2, 0, 1}), make_turned_pose(-0.4, {1, 4, 0})}};
-    const PoseTrack fine = subdivide_turning_segments(track);
+    const PoseTrack fine = subdivide_turns(track);
     const Pose mounted = make_turned_pose(0.3, {2, 1, 0.5});
-    const PoseTrack coarse_ride = compute_mounted_track(track, mounted),
-                    ride = compute_mounted_track(fine, mounted);
+    const PoseTrack coarse_ride = mount_track(track, mounted), ride = mount_track(fine, mounted);
     double largest_m = 0.0, coarse_m = 0.0;
     for (double t = 0.0; t <= 3.0; t += 0.01) {
-        EXPECT_LT(glm::distance(fine.interpolate_pose(t).translation, track.interpolate_pose(t).translation),
-                  1e-12)
+        EXPECT_LT(glm::distance(fine.pose_at(t).translation, track.pose_at(t).translation), 1e-12)
             << "the same path at " << t;
-        EXPECT_NEAR(get_yaw(fine.interpolate_pose(t)), get_yaw(track.interpolate_pose(t)), 1e-9);
-        const glm::dvec3 truth = (track.interpolate_pose(t) * mounted).translation;
-        largest_m = std::max(largest_m, glm::distance(ride.interpolate_pose(t).translation, truth));
-        coarse_m = std::max(coarse_m, glm::distance(coarse_ride.interpolate_pose(t).translation, truth));
+        EXPECT_NEAR(yaw_of(fine.pose_at(t)), yaw_of(track.pose_at(t)), 1e-9);
+        const glm::dvec3 truth = (track.pose_at(t) * mounted).translation;
+        largest_m = std::max(largest_m, glm::distance(ride.pose_at(t).translation, truth));
+        coarse_m = std::max(coarse_m, glm::distance(coarse_ride.pose_at(t).translation, truth));
     }
     EXPECT_LT(largest_m, 1e-5);
     EXPECT_GT(coarse_m, 0.1) << "along chords";
     EXPECT_EQ(fine.time_s.size(), fine.pose.size());
-    EXPECT_TRUE(subdivide_turning_segments({}).pose.empty());
+    EXPECT_TRUE(subdivide_turns({}).pose.empty());
     const PoseTrack straight{{0.0, 1.0},
                              {make_turned_pose(0.2, {0, 0, 0}), make_turned_pose(0.2, {9, 0, 0})}};
-    EXPECT_EQ(subdivide_turning_segments(straight).pose.size(), 2u) << "straight on needs none";
+    EXPECT_EQ(subdivide_turns(straight).pose.size(), 2u) << "straight on needs none";
 }
 
 TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
     const auto make_turned_pose = [](double angle, const glm::dvec3& t) {
         return Pose{glm::angleAxis(angle, glm::normalize(glm::dvec3(1, 2, 3))), t};
     };
-    LidarSequence log;
+    Log log;
     log.world_from_vehicle = {{0.0, 1.0},
                               {make_turned_pose(0.1, {0, 0, 0}), make_turned_pose(0.3, {8, 1, 0})}};
     log.boxes.push_back(
@@ -108,15 +106,15 @@ TEST(SensorPoses, BoxesStayWhereTheSensorSawThem) {
          "Car",
          {4, 2, 1.5},
          {{0.25, 1.0}, {make_turned_pose(0.7, {10, 3, 0}), make_turned_pose(0.9, {15, 3, 1})}}});
-    const LidarSequence before = log;
+    const Log before = log;
     const PoseTrack track{{0.0, 1.0},
                           {make_turned_pose(0.2, {0.3, -0.2, 0.1}), make_turned_pose(0.25, {8.1, 1.4, 0.2})}};
-    set_vehicle_poses(log, track);
+    set_trajectory(log, track);
     EXPECT_EQ(log.world_from_vehicle.pose[1].translation, track.pose[1].translation);
     for (std::size_t k = 0; k < 2; ++k) {
-        const auto in_vehicle = [&](const LidarSequence& sequence) {
+        const auto in_vehicle = [&](const Log& sequence) {
             const PoseTrack& box = sequence.boxes[0].world_from_box;
-            return inverse(sequence.world_from_vehicle.interpolate_pose(box.time_s[k])) * box.pose[k];
+            return inverse(sequence.world_from_vehicle.pose_at(box.time_s[k])) * box.pose[k];
         };
         const Pose first = in_vehicle(before), second = in_vehicle(log);
         EXPECT_LT(glm::distance(first.translation, second.translation), 1e-12);
@@ -187,7 +185,7 @@ TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
         for (int i = 0; i <= 10 * (n - 1); ++i) {
             for (BoxTrack* box : {&parked, &driving}) {
                 box->world_from_box.time_s.push_back(0.05 * i);
-                box->world_from_box.pose.push_back(keyframes.interpolate_pose(0.05 * i));
+                box->world_from_box.pose.push_back(keyframes.pose_at(0.05 * i));
             }
             driving.world_from_box.pose.back().translation.x += 2.0 * 0.05 * i;
         }
@@ -228,7 +226,7 @@ RayTable make_turning_rays(const SpinningSensor& sensor, double from_rad, double
 }
 
 TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
-    LidarSequence sequence;
+    Log sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     for (const bool clockwise : {true, false}) {
         sensor.clockwise = clockwise;
@@ -238,8 +236,8 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const auto start = find_sweep_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
                 for (std::size_t i = 1; i < 500; i += 7) {
-                    const double facing_s = compute_time_when_lidar_faces_point_s(
-                        sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
+                    const double facing_s =
+                        facing_time_s(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
                     ASSERT_NEAR(facing_s, 100.0 + double(rays.time_offset_s[i]), 1e-6)
                         << from_rad << " " << from_s << " " << i;
                 }
@@ -257,7 +255,7 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
                                   .top_rad = 0.1,
                                   .bottom_rad = 0.0,
                                   .period_s = 0.08};
-    LidarSequence sequence;
+    Log sequence;
     sequence.lidars[0].sensor.period_s = 0.0;
     sequence.lidars[0].pattern = window;
     // The time of the frame is in the middle of the scan, at its start, or after its end.
@@ -267,20 +265,18 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
         const auto start = find_sweep_start(rays, sequence.lidars[0]);
         EXPECT_EQ(start.has_value(), later_s != 0.0f);
         for (std::size_t i = 0; i < rays.size(); ++i)
-            ASSERT_NEAR(compute_time_when_lidar_faces_point_s(sequence, 5.0 * glm::dvec3(rays.direction[i]),
-                                                              {7.0, 0, start}),
+            ASSERT_NEAR(facing_time_s(sequence, 5.0 * glm::dvec3(rays.direction[i]), {7.0, 0, start}),
                         7.0 + double(rays.time_offset_s[i]), 1.1e-3)
                 << "half a column: " << later_s << " " << i;
     }
-    EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
+    EXPECT_EQ(make_lidar_rays(sequence.lidars[0], 3.0).direction, make_rays(window).direction);
     const RosetteSensor rosette{
         .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
     sequence.lidars[0].pattern = rosette;
-    EXPECT_EQ(compute_time_when_lidar_faces_point_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(compute_time_when_lidar_faces_point_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}),
-              7.05)
+    EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
+    EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
         << "half of 0.1 s after its beginning";
-    EXPECT_EQ(make_nominal_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
+    EXPECT_EQ(make_lidar_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
 
 TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
@@ -295,43 +291,41 @@ TEST(SweepStart, TheUsualOneIsNoneAndNothingIsMadeUp) {
 }
 
 TEST(Split, EveryTenthOfFiftyButTheFirst) {
-    LidarSequence sequence;
+    Log sequence;
     for (int i = 0; i < 50; ++i) sequence.frames.emplace_back().index = i;
-    const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10);
+    const Split split = split_frames(sequence, 10);
     EXPECT_EQ(split.test, (std::vector<int>{10, 20, 30, 40}));
     EXPECT_EQ(split.train.size(), 46u);
-    EXPECT_EQ(split_frames_into_train_and_test(sequence, 0).train.size(), 50u);
-    EXPECT_THROW(split_frames_into_train_and_test(sequence, 1), UsageError);
+    EXPECT_EQ(split_frames(sequence, 0).train.size(), 50u);
+    EXPECT_THROW(split_frames(sequence, 1), UsageError);
 }
 
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
-    LidarSequence sequence;
+    Log sequence;
     for (int i = 2351; i <= 2400; ++i)
         // a frame without a pose shifts no index
         if (i != 2355) sequence.frames.emplace_back().index = i;
     sequence.test_frames = {2360, 2370, 2380, 2390};
-    const auto indices = [&](const TrainTestSplit& split) {
+    const auto indices = [&](const Split& split) {
         std::vector<int> all;
         for (const int position : split.test) all.push_back(sequence.frames[std::size_t(position)].index);
         return all;
     };
-    EXPECT_EQ(indices(split_frames_into_train_and_test(sequence, 10)), sequence.test_frames);
-    EXPECT_EQ(indices(split_frames_into_train_and_test(sequence, 10, "2353,2400")),
-              (std::vector<int>{2353, 2400}))
+    EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
+    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400}))
         << "named ones go first";
-    EXPECT_TRUE(split_frames_into_train_and_test(sequence, 0).test.empty());
-    EXPECT_EQ(split_frames_into_train_and_test(sequence, 25).test.size(), 1u)
-        << "another number is another split";
+    EXPECT_TRUE(split_frames(sequence, 0).test.empty());
+    EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
 }
 
 /// Makes a log with the frames 100, 103, 106 ... of two LiDARs. The second LiDAR has no
 /// sweep 106.
-LidarSequence make_sweeps_of_three() {
-    LidarSequence sequence;
+Log make_sweeps_of_three() {
+    Log sequence;
     for (int i = 0; i < 8; ++i) {
         for (int lidar = 0; lidar < 2; ++lidar) {
             if (i == 2 && lidar == 1) continue;
-            LidarFrame& frame = sequence.frames.emplace_back();
+            Frame& frame = sequence.frames.emplace_back();
             frame.index = 100 + 3 * i;
             frame.lidar = lidar;
         }
@@ -340,9 +334,9 @@ LidarSequence make_sweeps_of_three() {
 }
 
 TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
-    const LidarSequence sequence = make_sweeps_of_three();
+    const Log sequence = make_sweeps_of_three();
     const auto held_out = [&](const std::string& list) {
-        const TrainTestSplit split = split_frames_into_train_and_test(sequence, 10, list);
+        const Split split = split_frames(sequence, 10, list);
         std::vector<int> all = split.train;
         all.insert(all.end(), split.test.begin(), split.test.end());
         std::sort(all.begin(), all.end());
@@ -355,19 +349,18 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
     EXPECT_EQ(held_out("121, 103"), (std::vector<int>{2, 3, 13, 14})) << "in any order";
     EXPECT_EQ(held_out("106"), std::vector<int>{4});
     EXPECT_EQ(held_out(""), std::vector<int>{}) << "fewer than ten sweeps";
-    EXPECT_EQ(split_frames_into_train_and_test(sequence, 1, "109").test, (std::vector<int>{5, 6}));
+    EXPECT_EQ(split_frames(sequence, 1, "109").test, (std::vector<int>{5, 6}));
 
-    LidarSequence ten;
+    Log ten;
     for (int i = 0; i < 50; ++i) ten.frames.emplace_back().index = i;
-    EXPECT_EQ(split_frames_into_train_and_test(ten, 0, "13,26,40:45").test,
-              (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
+    EXPECT_EQ(split_frames(ten, 0, "13,26,40:45").test, (std::vector<int>{13, 26, 40, 41, 42, 43, 44}));
 }
 
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
-    const LidarSequence sequence = make_sweeps_of_three();
+    const Log sequence = make_sweeps_of_three();
     const auto refused = [&](const std::string& list, const std::string& why) {
         try {
-            split_frames_into_train_and_test(sequence, 10, list);
+            split_frames(sequence, 10, list);
             ADD_FAILURE() << list << ": accepted";
         } catch (const UsageError& error) {
             EXPECT_THAT(error.what(), test::Names("dataset.test_frames ... " + why)) << list;
@@ -391,13 +384,13 @@ TEST(BoxTrack, KnowsWhatOfItWasLabelled) {
         car.world_from_box.time_s.push_back(0.1 * i);
         car.world_from_box.pose.push_back({{}, {double(i), 0.0, 0.0}});
     }
-    EXPECT_EQ(car.copy_track_of_labelled_poses().world_from_box.time_s, car.world_from_box.time_s);
+    EXPECT_EQ(car.labelled_part().world_from_box.time_s, car.world_from_box.time_s);
     car.n_before = 2;
     car.n_after = 1;
-    const PoseTrack labelled = car.copy_track_of_labelled_poses().world_from_box;
+    const PoseTrack labelled = car.labelled_part().world_from_box;
     EXPECT_EQ(labelled.time_s, (std::vector<double>{0.1 * 2, 0.1 * 3, 0.1 * 4}));
     EXPECT_EQ(labelled.pose.front().translation.x, 2.0);
-    EXPECT_EQ(car.copy_track_of_labelled_poses().n_before + car.copy_track_of_labelled_poses().n_after, 0u);
+    EXPECT_EQ(car.labelled_part().n_before + car.labelled_part().n_after, 0u);
 }
 
 }  // namespace

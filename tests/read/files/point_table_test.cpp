@@ -40,8 +40,7 @@ PointTable make_two_points(std::int64_t first_time, std::int64_t second_time) {
     }
     const std::vector<PointField> fields = {{"x", 'F', 4},    {"y", 'F', 4},   {"z", 'F', 4},
                                             {"ring", 'U', 2}, {"red", 'U', 1}, {"timestamp", 'I', 8}};
-    return make_table_of_binary_points(make_shared_bytes(std::move(bytes)), fields, 2,
-                                       PointMemoryLayout::by_point, "test");
+    return table_of_records(share_bytes(std::move(bytes)), fields, 2, PointMemoryLayout::by_point, "test");
 }
 
 TEST(PointTable, KeepsTheTypeOfTheFile) {
@@ -50,12 +49,12 @@ TEST(PointTable, KeepsTheTypeOfTheFile) {
     const PointTable table = make_two_points(kFirst, kSecond);
     const PointFieldView* time = table.find_field(PointAttribute::time);
     ASSERT_NE(time, nullptr);
-    time->call_with_value_reader([&](const auto& time_at) {
+    time->with_reader([&](const auto& time_at) {
         EXPECT_TRUE((std::is_same_v<decltype(time_at(0)), std::int64_t>));
         EXPECT_EQ(std::int64_t(time_at(0)), kFirst);
         EXPECT_EQ(std::int64_t(time_at(1)), kSecond);
     });
-    table.find_field(PointAttribute::ring)->call_with_value_reader([](const auto& ring_at) {
+    table.find_field(PointAttribute::ring)->with_reader([](const auto& ring_at) {
         EXPECT_TRUE((std::is_same_v<decltype(ring_at(0)), std::uint16_t>));
         EXPECT_EQ(int(ring_at(1)), 300);
     });
@@ -69,7 +68,7 @@ TEST(PointTable, CopiesOutliveTheirTable) {
         copy = table;
     }
     EXPECT_EQ((*copy.find_field(PointAttribute::x))[1], -2.25);
-    copy.remove_fields_with_attribute(PointAttribute::time);
+    copy.remove_fields(PointAttribute::time);
     EXPECT_EQ(copy.find_field(PointAttribute::time), nullptr);
 }
 
@@ -86,8 +85,8 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinite = std::numeric_limits<float>::infinity();
 
 /// Returns a table with the fields x, y and z, and further fields with a value per point.
-PointTable make_point_table(const std::vector<glm::vec3>& points,
-                            const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
+PointTable to_point_table(const std::vector<glm::vec3>& points,
+                          const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
     PointTable table(points.size());
     for (int axis = 0; axis < 3; ++axis) {
         std::vector<float> values;
@@ -125,8 +124,7 @@ TEST(DroppedRays, HaveManySpellings) {
         points.push_back(p);
         points.push_back(real);
     }
-    const LidarPoints returns =
-        convert_table_to_points(make_point_table(points, {}), PointFileUnits{}, 0.0, "test");
+    const LidarPoints returns = convert_table(to_point_table(points, {}), PointFileUnits{}, 0.0, "test");
     ASSERT_EQ(returns.size(), dropped.size());
     for (const glm::vec3& p : returns.position_m) EXPECT_EQ(p, real);
 }
@@ -134,8 +132,7 @@ TEST(DroppedRays, HaveManySpellings) {
 TEST(DroppedRays, HaveRangeZeroInARangeField) {
     const std::vector<glm::vec3> points = make_measured_points(4);
     const auto n_returns = [&](const std::vector<float>& range) {
-        return convert_table_to_points(make_point_table(points, {{"range", range}}), PointFileUnits{}, 0.0,
-                                       "test")
+        return convert_table(to_point_table(points, {{"range", range}}), PointFileUnits{}, 0.0, "test")
             .size();
     };
     for (const float unit : {1.0f, 1000.0f}) {  // metres, millimetres
@@ -149,29 +146,28 @@ TEST(DroppedRays, HaveRangeZeroInARangeField) {
 
 TEST(DroppedRays, HaveAPositionThatIsRepeated) {
     std::vector<glm::vec3> points = make_measured_points(2000);
-    EXPECT_EQ(interpret_point_fields({make_point_table(points, {})}).no_return, std::nullopt);
+    EXPECT_EQ(interpret_fields({to_point_table(points, {})}).no_return, std::nullopt);
     // Mounting position of a LiDAR. Rays without a return are stored as points at the
     // sensor. The driver has transformed these points to the mounting position.
     const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
     for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
     PointFileUnits units;
-    units.no_return = interpret_point_fields({make_point_table(points, {})}).no_return;
+    units.no_return = interpret_fields({to_point_table(points, {})}).no_return;
     EXPECT_EQ(units.no_return, mounting);
-    EXPECT_EQ(convert_table_to_points(make_point_table(points, {}), units, 0.0, "test").size(), 1900u);
+    EXPECT_EQ(convert_table(to_point_table(points, {}), units, 0.0, "test").size(), 1900u);
 }
 
 TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
     const auto n_returns = [](float marker_m) {
-        LidarSequence sequence;
+        Log sequence;
         add_frame(sequence, 0, 0.0, Pose{});
         Scan& scan = sequence.frames[0].scan;
-        scan = make_scan_with_one_ray_per_point(
-            LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
+        scan = scan_of_points(LidarPoints{make_measured_points(2000), std::vector<float>(2000, 0.5f)});
         for (std::size_t i = 0; i < 2000; ++i) {
             scan.rays.channel[i] = std::uint16_t(i % 16);
             if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
         }
-        remove_returns_that_mark_dropped_rays(sequence);
+        remove_drop_markers(sequence);
         return scan.count_returns();
     };
     EXPECT_EQ(n_returns(100.0f), 1800u);
@@ -182,13 +178,13 @@ TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
 TEST(PointTable, FindsFieldsByTheirMeaning) {
     for (const char* name : {"intensity", "Intensity", "INTENSITY", "scalar_intensity", "scalar_Intensity",
                              "i", "intensities", "reflectance", "remission", "signal", "amplitude"})
-        EXPECT_EQ(find_attribute_of_field_name(name), PointAttribute::intensity) << name;
+        EXPECT_EQ(find_attribute(name), PointAttribute::intensity) << name;
     for (const char* name : {"x", "X", "scalar_x", "point_x", "pos_X", "position.x", "//X"})
-        EXPECT_EQ(find_attribute_of_field_name(name), PointAttribute::x) << name;
+        EXPECT_EQ(find_attribute(name), PointAttribute::x) << name;
     for (const char* name : {"nx", "normal_x", "velocity_x", "vx", "x_origin", "rgb", "ambient", "in", ""})
-        EXPECT_EQ(find_attribute_of_field_name(name), std::nullopt) << name;
+        EXPECT_EQ(find_attribute(name), std::nullopt) << name;
     const std::vector<glm::vec3> points = make_measured_points(3);
-    const PointTable table = make_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
+    const PointTable table = to_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
     EXPECT_EQ((*table.find_field(PointAttribute::x))[1], double(points[1].x))
         << "the exact name is used first";
 }
@@ -197,20 +193,20 @@ TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
     const std::vector<glm::vec3> points = make_measured_points(3);
     const std::vector<float> zero(3, 0.0f), bright = {12.0f, 187.0f, 3.0f};
     const PointFieldSemantics meaning =
-        interpret_point_fields({make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}})});
+        interpret_fields({to_point_table(points, {{"intensity", zero}, {"reflectivity", bright}})});
     EXPECT_EQ(meaning.intensity_field, "reflectivity");
     EXPECT_EQ(meaning.scale.max, 255.0);
     PointFileUnits units;
     units.intensity_field = meaning.intensity_field;
     units.intensity_max = meaning.scale.max;
-    const PointTable table = make_point_table(points, {{"intensity", zero}, {"reflectivity", bright}});
-    EXPECT_FLOAT_EQ(convert_table_to_points(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
-    EXPECT_EQ(interpret_point_fields({make_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
-    EXPECT_TRUE(interpret_point_fields({make_point_table(points, {{"intensity", bright}})}).notes.empty());
+    const PointTable table = to_point_table(points, {{"intensity", zero}, {"reflectivity", bright}});
+    EXPECT_FLOAT_EQ(convert_table(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
+    EXPECT_EQ(interpret_fields({to_point_table(points, {{"intensity", zero}})}).notes.size(), 1u);
+    EXPECT_TRUE(interpret_fields({to_point_table(points, {{"intensity", bright}})}).notes.empty());
 }
 
 TEST(PointMeaning, FindsTheScaleOfIntensities) {
-    const auto scale = [](std::vector<double> values) { return estimate_intensity_scale(values); };
+    const auto scale = [](std::vector<double> values) { return estimate_scale(values); };
     EXPECT_EQ(scale({0.0, 0.2, 1.0}).max, 1.0);
     EXPECT_EQ(scale({0.0, 12.0, 187.0}).max, 255.0);
     EXPECT_TRUE(scale({0.0, 12.0, 187.0}).is_sure);
@@ -225,10 +221,10 @@ TEST(PointMeaning, FindsTheScaleOfIntensities) {
 class CountedScans : public ScanProvider {
 public:
     explicit CountedScans(std::size_t count) : n_reads(count) {}
-    std::string get_frame_name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
-    bool is_stored_as_points(std::size_t) const override { return true; }
-    Scan read_rays_of_frame(std::size_t) const override { return {}; }
-    LidarPoints read_points_of_frame(std::size_t frame) const override {
+    std::string frame_name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
+    bool stores_points(std::size_t) const override { return true; }
+    Scan read_rays(std::size_t) const override { return {}; }
+    LidarPoints read_points(std::size_t frame) const override {
         ++n_reads[frame];
         LidarPoints points;
         for (std::uint16_t beam = 0; beam < 8; ++beam)
@@ -246,7 +242,7 @@ public:
 
 TEST(ReadScans, ReadsEachScanOnce) {
     constexpr std::size_t kFrames = 9;  // more than are looked at to find the sensor
-    LidarSequence sequence;
+    Log sequence;
     for (std::size_t i = 0; i < kFrames; ++i) add_frame(sequence, int(i), 0.1 * double(i), Pose{});
     const CountedScans source(kFrames);
     read_scans(sequence, {.lidars = {{}}}, source, DatasetOptions{});
@@ -277,13 +273,13 @@ PointTable make_pairs(double share, double step_rad) {
 
 TEST(PointTable, FrequentAndRareSecondReturnsAreFound) {
     for (const double share : {0.1, 0.6, 0.95, 1.0}) {
-        EXPECT_TRUE(find_unnumbered_returns({make_pairs(share, 0.0)}).exist) << share;
-        EXPECT_TRUE(interpret_point_fields({make_pairs(0.0, 0.0), make_pairs(share, 0.0)}).returns.exist);
-        EXPECT_FALSE(find_unnumbered_returns({make_pairs(share, 0.0035)}).exist);  // two columns of one time
+        EXPECT_TRUE(find_unnumbered({make_pairs(share, 0.0)}).exist) << share;
+        EXPECT_TRUE(interpret_fields({make_pairs(0.0, 0.0), make_pairs(share, 0.0)}).returns.exist);
+        EXPECT_FALSE(find_unnumbered({make_pairs(share, 0.0035)}).exist);  // two columns of one time
     }
     const PointTable rare = make_pairs(0.01, 0.0);  // ten pairs: too few in one cloud
-    EXPECT_FALSE(find_unnumbered_returns({rare}).exist);
-    EXPECT_TRUE(find_unnumbered_returns({rare, make_pairs(0.0, 0.0), rare}).exist);
+    EXPECT_FALSE(find_unnumbered({rare}).exist);
+    EXPECT_TRUE(find_unnumbered({rare, make_pairs(0.0, 0.0), rare}).exist);
 }
 
 }  // namespace

@@ -15,7 +15,7 @@ void append(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
 }
 
-std::uint8_t get_byte(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
+std::uint8_t unpack_byte(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
 
 std::string make_pcd_header(std::size_t count, const char* data, std::size_t n_padding) {
     return fmt::format(
@@ -29,8 +29,8 @@ std::string write_pcd_text(const FilePoints& points, std::size_t n_padding) {
     std::string text = make_pcd_header(points.size(), "ascii", n_padding);
     for (const FilePoint& p : points)
         text += fmt::format("{} {} {} {}{} {} {}\n", p.point_m.x, p.point_m.y, p.point_m.z,
-                            std::string("7 7 7 7 ").substr(0, 2 * n_padding), get_byte(p.intensity), p.ring,
-                            p.time_s);
+                            std::string("7 7 7 7 ").substr(0, 2 * n_padding), unpack_byte(p.intensity),
+                            p.ring, p.time_s);
     return text;
 }
 
@@ -39,7 +39,7 @@ std::string write_pcd_binary(const FilePoints& points, std::size_t n_padding) {
     for (const FilePoint& p : points) {
         for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
         bytes += std::string(n_padding, '_');
-        append(bytes, get_byte(p.intensity));
+        append(bytes, unpack_byte(p.intensity));
         append(bytes, p.ring);
         append(bytes, p.time_s);
     }
@@ -51,7 +51,7 @@ std::string write_pcd_compressed(const FilePoints& points, std::size_t n_padding
     for (int axis = 0; axis < 3; ++axis)
         for (const FilePoint& p : points) append(fields, p.point_m[axis]);
     fields += std::string(n_padding * points.size(), '_');
-    for (const FilePoint& p : points) append(fields, get_byte(p.intensity));
+    for (const FilePoint& p : points) append(fields, unpack_byte(p.intensity));
     for (const FilePoint& p : points) append(fields, p.ring);
     for (const FilePoint& p : points) append(fields, p.time_s);
     const std::string packed = compress_lzf(fields);
@@ -184,7 +184,7 @@ std::string las(const FilePoints& points, double x_offset_m, int format) {
     for (const FilePoint& p : points) {
         const glm::dvec3 stored_m = glm::dvec3(p.point_m) - glm::dvec3(x_offset_m, 0.0, 0.0);
         for (int axis = 0; axis < 3; ++axis) append(bytes, std::int32_t(std::lround(1e5 * stored_m[axis])));
-        append(bytes, std::uint16_t(get_byte(p.intensity)));
+        append(bytes, std::uint16_t(unpack_byte(p.intensity)));
         append(bytes, std::uint32_t(9));  // return 1 of 1; class, angle and user data are 0
         append(bytes, std::uint16_t(0));
         append(bytes, p.time_s);

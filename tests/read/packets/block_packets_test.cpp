@@ -56,7 +56,7 @@ Recorded read_recorded(const std::string& name) {
 
 std::unique_ptr<packets::PacketDecoder> make_decoder(const std::string& packet, const std::string& product,
                                                      const DecoderCalibration& calibration = {}) {
-    const packets::LidarProduct* matching_product = packets::find_product_of_packet(packet, calibration);
+    const packets::LidarProduct* matching_product = packets::find_product(packet, calibration);
     EXPECT_TRUE(matching_product && matching_product->make && std::string(matching_product->name) == product)
         << (matching_product ? matching_product->name : "");
     return matching_product && matching_product->make
@@ -68,7 +68,7 @@ std::unique_ptr<packets::PacketDecoder> make_decoder(const std::string& packet, 
 /// lasers fire.
 std::vector<glm::dvec3> decode_points(const packets::PacketDecoder& decoder,
                                       const std::vector<std::string>& all_packets) {
-    const std::vector<Beam> beams = decoder.make_spinning_sensor_model(1800, kStill_hz).beams;
+    const std::vector<Beam> beams = decoder.make_sensor(1800, kStill_hz).beams;
     std::vector<glm::dvec3> points_m;
     for (const std::string& bytes : all_packets) {
         const packets::DecodedPacket packet = decoder.decode_packet(bytes);
@@ -78,8 +78,7 @@ std::vector<glm::dvec3> decode_points(const packets::PacketDecoder& decoder,
                     if (echo.range_m > 0.0f)
                         points_m.push_back(
                             double(echo.range_m) *
-                            compute_beam_ray(beams[ring], -packet.firings[f].azimuth_deg * kDegree)
-                                .direction);
+                            aim_beam(beams[ring], -packet.firings[f].azimuth_deg * kDegree).direction);
     }
     return points_m;
 }
@@ -125,7 +124,7 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
         const auto decoder = make_decoder(recorded.packets[0], test.product);
         ASSERT_TRUE(decoder);
         EXPECT_EQ(decoder->decode_packet(recorded.packets[0]).n_slots, test.n_slots);
-        EXPECT_EQ(decoder->get_laser_timing().offset_us.size(), std::size_t(test.n_rings));
+        EXPECT_EQ(decoder->timing().offset_us.size(), std::size_t(test.n_rings));
         EXPECT_EQ(recorded.points_m.size(), test.n_points);
         // nebula rotates the head for the last 32 lasers of a VLS-128, by up to 17/20 of
         // an azimuth step of 0.2 degrees
@@ -157,15 +156,14 @@ TEST(BlockPackets, TurnUntilTheLaserFires) {
         SCOPED_TRACE(std::string(time.product) + " " + std::to_string(time.elevation_deg));
         const auto decoder = make_decoder(read_recorded(time.file).packets.at(0), time.product);
         ASSERT_TRUE(decoder);
-        const auto still = decoder->make_spinning_sensor_model(1800, kStill_hz),
-                   turning = decoder->make_spinning_sensor_model(1800, 10.0);
+        const auto still = decoder->make_sensor(1800, kStill_hz), turning = decoder->make_sensor(1800, 10.0);
         std::optional<double> error_us;
         for (std::size_t ring = 0; ring < still.beams.size(); ++ring) {
             if (std::abs(still.beams[ring].elevation_rad / kDegree - time.elevation_deg) > 6e-4) continue;
             const double turned_deg =
                 (still.beams[ring].azimuth_offset_rad - turning.beams[ring].azimuth_offset_rad) / kDegree;
-            EXPECT_NEAR(turned_deg, 3600e-6 * decoder->get_laser_timing().offset_us[ring], 1e-9);
-            const double error = std::abs(decoder->get_laser_timing().offset_us[ring] - time.offset_us);
+            EXPECT_NEAR(turned_deg, 3600e-6 * decoder->timing().offset_us[ring], 1e-9);
+            const double error = std::abs(decoder->timing().offset_us[ring] - time.offset_us);
             error_us = std::min(error_us.value_or(error), error);
         }
         EXPECT_TRUE(error_us && *error_us < 1e-6);
@@ -179,9 +177,8 @@ TEST(BlockPackets, UseTheAnglesOfTheirFile) {
     others.lasers.resize(32);
     const auto decoder = make_decoder(recorded.packets[0], "XT16", {{others, angles}});
     ASSERT_TRUE(decoder);
-    EXPECT_NE(decoder->describe_lidar_product().find("unit.csv"), std::string::npos)
-        << decoder->describe_lidar_product();
-    const std::vector<Beam> beams = decoder->make_spinning_sensor_model(2000, kStill_hz).beams;
+    EXPECT_NE(decoder->describe_product().find("unit.csv"), std::string::npos) << decoder->describe_product();
+    const std::vector<Beam> beams = decoder->make_sensor(2000, kStill_hz).beams;
     for (int laser = 0; laser < 16; ++laser) {
         EXPECT_NEAR(beams[std::size_t(laser)].elevation_rad / kDegree, 10.0 - laser, 1e-9);
         EXPECT_NEAR(beams[std::size_t(laser)].azimuth_offset_rad / kDegree, -0.25 * laser, 1e-9);
@@ -190,22 +187,21 @@ TEST(BlockPackets, UseTheAnglesOfTheirFile) {
     // does not fit.
     const auto unsure = make_decoder(recorded.packets[0], "XT16", {{angles, angles}});
     ASSERT_TRUE(unsure);
-    EXPECT_THAT(unsure->describe_lidar_product(), test::Names("sheet"));
+    EXPECT_THAT(unsure->describe_product(), test::Names("sheet"));
     others.is_named = true;
     const DecoderCalibration named{{others}};
     EXPECT_THROW(make_decoder(recorded.packets[0], "XT16", named), DataError);
 }
 
 TEST(BlockPackets, AngleFilesHaveEachLaser) {
-    const AngleCorrection angles = packets::parse_angle_correction(
-        "eeff,1,1\nLaser id,Elevation,Azimuth\n1,2,0.5\n2,-1.5,-3\n", "a.csv");
+    const AngleCorrection angles =
+        packets::parse_angles("eeff,1,1\nLaser id,Elevation,Azimuth\n1,2,0.5\n2,-1.5,-3\n", "a.csv");
     ASSERT_EQ(angles.lasers.size(), 2u);
     EXPECT_EQ(angles.lasers[1].elevation_deg, -1.5);
     EXPECT_EQ(angles.lasers[1].azimuth_deg, -3.0);
     for (const char* lines : {"1,2,0\n3,1,0\n", "1,95,0\n", "1,2,north\n"})
-        EXPECT_THROW(
-            packets::parse_angle_correction("Channel,Elevation,Azimuth\n" + std::string(lines), "a.csv"),
-            DataError);
+        EXPECT_THROW(packets::parse_angles("Channel,Elevation,Azimuth\n" + std::string(lines), "a.csv"),
+                     DataError);
 }
 
 TEST(BlockPackets, AngleFilesNextToABag) {
@@ -218,23 +214,23 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     write("drive/metadata.yaml", "");
     write("poses.csv", "time,x,y\n1,2,3\n");
     write("damaged.csv", "Laser id,Elevation,Azimuth\n1,2,north\n");
-    const auto damaged = packets::find_angle_corrections({recording});
+    const auto damaged = packets::find_angle_files({recording});
     ASSERT_EQ(damaged.size(), 1u) << "poses.csv has no angles";
     EXPECT_TRUE(damaged[0].lasers.empty());
     EXPECT_NE(damaged[0].problem.find("damaged.csv: found the line '1,2,north'"), std::string::npos);
     write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
-    const auto any = packets::find_angle_corrections({recording});
+    const auto any = packets::find_angle_files({recording});
     ASSERT_EQ(any.size(), 2u);
     EXPECT_EQ(any[0].where, "PandarXT.csv");
     EXPECT_EQ(any[0].problem, "");
     EXPECT_FALSE(any[0].is_named);
     write("drive.csv", "Laser id,Elevation,Azimuth\n1,3,0\n");
-    const auto named = packets::find_angle_corrections({recording});
+    const auto named = packets::find_angle_files({recording});
     ASSERT_EQ(named.size(), 1u);
     EXPECT_TRUE(named[0].is_named);
     EXPECT_EQ(named[0].lasers.size(), 1u);
     write("drive.csv", "Laser id,Elevation,Azimuth\n2,3,0\n");
-    EXPECT_THROW(packets::find_angle_corrections({recording}), DataError);
+    EXPECT_THROW(packets::find_angle_files({recording}), DataError);
 }
 
 /// Returns a packet of an OT128 with a return per laser, written byte by byte from the
@@ -278,9 +274,9 @@ TEST(BlockPackets, Ot128) {
     std::size_t n_returns = 0;
     for (std::size_t ring = 0; ring < 128; ++ring) n_returns += packet.echoes[ring][0].range_m > 0.0f;
     EXPECT_EQ(n_returns, 124u);
-    EXPECT_NEAR(all->get_laser_timing().offset_us[0], 49.758 - 2.378, 1e-9);
+    EXPECT_NEAR(all->timing().offset_us[0], 49.758 - 2.378, 1e-9);
     // 29 lasers do not fire in state 0, and 31 different lasers do not fire in state 1
-    EXPECT_EQ(states->get_laser_timing().offset_us.size(), 256u - 29u - 31u);
+    EXPECT_EQ(states->timing().offset_us.size(), 256u - 29u - 31u);
     const packets::DecodedPacket half = states->decode_packet(fine);
     EXPECT_EQ(half.firings[0].part, 0);
     EXPECT_EQ(half.firings[1].part, 1);
@@ -349,9 +345,9 @@ TEST(BlockPackets, RsLidar16) {
     EXPECT_NEAR(packet.firings[23].azimuth_deg, 94.6, 1e-9);
     EXPECT_NEAR(packet.firings[23].after_us, 23 * 55.5, 1e-9);
     // ring 0 is laser 9 at +15 degrees, ring 15 is laser 1 at -15 degrees
-    const std::vector<Beam> beams = decoder->make_spinning_sensor_model(1800, kStill_hz).beams;
+    const std::vector<Beam> beams = decoder->make_sensor(1800, kStill_hz).beams;
     EXPECT_NEAR(beams[0].elevation_rad / kDegree, 15.0, 1e-9);
-    EXPECT_NEAR(decoder->get_laser_timing().offset_us[0], 8 * 2.8, 1e-9);
+    EXPECT_NEAR(decoder->timing().offset_us[0], 8 * 2.8, 1e-9);
     EXPECT_NEAR(packet.echoes[0][0].range_m, 0.005 * (0x300 + 8), 1e-6);
     EXPECT_NEAR(packet.echoes[16 + 15][0].range_m, 0.005 * (0x300 + 16), 1e-6);
     EXPECT_NEAR(packet.echoes[15][0].intensity, 0.2, 1e-6);
@@ -375,7 +371,7 @@ TEST(BlockPackets, RsLidar16WithTwoReturns) {
     const auto have_two = [](const std::vector<std::string>& all) {
         std::vector<packets::ReceivedPacket> views;
         for (const std::string& bytes : all) views.push_back({0, bytes});
-        return packets::has_two_returns_per_firing(views);
+        return packets::is_dual_rs16(views);
     };
     // A packet has 12 blocks. They contain 24 firings of 55.5 us each, or 12 firings with
     // two returns each.
@@ -411,10 +407,10 @@ TEST(BlockPackets, OtherRoboSenseSensorsAreRefusedByName) {
         {solid, "RS-LiDAR-M1"},
     };
     for (const auto& [bytes, name] : cases) {
-        const packets::LidarProduct* product = packets::find_product_of_packet(bytes, {});
+        const packets::LidarProduct* product = packets::find_product(bytes, {});
         ASSERT_TRUE(product) << name;
         EXPECT_FALSE(product->make) << name;
-        const std::string text = packets::format_unsupported_packet_error(product, bytes);
+        const std::string text = packets::unsupported_text(product, bytes);
         EXPECT_NE(text.find("packets of a " + name), std::string::npos) << text;
         EXPECT_THAT(text, test::Names("55 AA"));
         EXPECT_NE(text.find("RS-LiDAR-16"), std::string::npos) << text;

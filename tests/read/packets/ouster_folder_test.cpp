@@ -14,8 +14,8 @@
 
 #include <relidar/base/files.hpp>
 
-#include "read/packets/ouster_packets.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/packets/ouster_packets.hpp"
 
 namespace relidar {
 namespace {
@@ -68,7 +68,7 @@ Found compare(const OusterImages& scans, std::size_t f, const Scan& actual_scan,
               std::size_t first) {
     Found counts;
     for (std::size_t row = 0; row < scans.rows; ++row) {
-        const int shift = compute_beam_azimuth_offset_columns(sensor.beams[row], sensor.columns);
+        const int shift = offset_columns(sensor.beams[row], sensor.columns);
         for (std::size_t column = 0; column < scans.columns; ++column) {
             const std::uint32_t mm = scans.range_mm[scans.at(f, row, column)];
             if (mm == 0) continue;
@@ -81,8 +81,7 @@ Found compare(const OusterImages& scans, std::size_t f, const Scan& actual_scan,
                 row * scans.columns +
                 (firing + scans.columns - std::size_t(shift + sensor.columns)) % scans.columns;
             const double off_m =
-                glm::distance(glm::dvec3(actual_scan.compute_return_point_in_sensor_frame(at)),
-                              scans.compute_point(row, column, mm));
+                glm::distance(glm::dvec3(actual_scan.return_point(at)), scans.compute_point(row, column, mm));
             counts.right +=
                 actual_scan.rays.channel[at] == row &&
                 std::abs(double(actual_scan.range_m[at]) - (range_m - 1e-3 * scans.n_mm)) < 1e-3 &&
@@ -99,7 +98,7 @@ TEST(OusterFolder, EveryReturnFindsItsBeamAndColumn) {
         const OusterImages& scans = *images;
         DatasetOptions options;
         options.max_range_m = 400.0;
-        const LidarSequence log = load_sequence(write_folder(scans, name, true).string(), options);
+        const Log log = load_sequence(write_folder(scans, name, true).string(), options);
         ASSERT_EQ(log.frames.size(), scans.frames);
         for (std::size_t f = 0; f < scans.frames; ++f) {
             std::size_t right = 0, all = 0;
@@ -122,7 +121,7 @@ TEST(OusterFolder, BeamsAreFoundInThePoints) {
     const OusterImages& scans = *images;
     DatasetOptions options;
     options.max_range_m = 400.0;
-    const LidarSequence log = load_sequence(write_folder(scans, "found", false).string(), options);
+    const Log log = load_sequence(write_folder(scans, "found", false).string(), options);
     const SpinningSensor& sensor = log.lidars[0].sensor;
     EXPECT_EQ(sensor.columns, int(scans.columns));
     ASSERT_EQ(sensor.beams.size(), scans.rows);

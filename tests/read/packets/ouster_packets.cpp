@@ -28,22 +28,22 @@ void add_pixel(std::string& bytes, const OusterImages& images, std::size_t index
     else words = {mm / 8 | 0x8000u | bright << 16 | 0x77000000u};
     if (images.is_dual() && images.is_low_rate())
         words.push_back(second_mm / 8 | second_bright << 16 | (images.range_2_mm.empty() ? 0u : 0x55000000u));
-    for (const std::uint32_t word : words) append_binary_value(bytes, word);
+    for (const std::uint32_t word : words) append_raw(bytes, word);
 }
 
 std::string make_column_bytes(const OusterImages& images, std::size_t frame, std::size_t column) {
     std::string bytes;
     const bool is_valid = (images.is_valid.empty() || images.is_valid[frame * images.columns + column]) &&
                           images.is_in_window(column);
-    append_binary_value(bytes, images.time_ns[frame * images.columns + column]);
-    append_binary_value(bytes, std::uint16_t(column));
+    append_raw(bytes, images.time_ns[frame * images.columns + column]);
+    append_raw(bytes, std::uint16_t(column));
     if (images.profile == kLegacy) {
-        append_binary_value(bytes, std::uint16_t(frame));
-        append_binary_value(bytes, std::uint32_t(column * 90112 / images.columns));
-    } else append_binary_value(bytes, std::uint16_t(is_valid ? 0x0101 : 0x0100));
+        append_raw(bytes, std::uint16_t(frame));
+        append_raw(bytes, std::uint32_t(column * 90112 / images.columns));
+    } else append_raw(bytes, std::uint16_t(is_valid ? 0x0101 : 0x0100));
     for (std::size_t row = 0; row < images.rows; ++row)
         add_pixel(bytes, images, images.at(frame, row, column));
-    if (images.profile == kLegacy) append_binary_value(bytes, std::uint32_t(is_valid ? 0xFFFFFFFF : 0));
+    if (images.profile == kLegacy) append_raw(bytes, std::uint32_t(is_valid ? 0xFFFFFFFF : 0));
     return bytes;
 }
 
@@ -77,13 +77,13 @@ std::optional<OusterImages> load_real_images(const std::string& name, const std:
     images.frames = array("range_mm").shape[0];
     images.rows = array("range_mm").shape[1];
     images.columns = array("range_mm").shape[2];
-    images.altitude_deg = array("alt").convert_to_doubles();
-    images.azimuth_deg = array("az").convert_to_doubles();
-    images.n_mm = array("n_mm").convert_to_doubles()[0];
-    for (const double mm : array("range_mm").convert_to_doubles())  // low rate: 15 bits in units of 8 mm
+    images.altitude_deg = array("alt").to_doubles();
+    images.azimuth_deg = array("az").to_doubles();
+    images.n_mm = array("n_mm").to_doubles()[0];
+    for (const double mm : array("range_mm").to_doubles())  // low rate: 15 bits in units of 8 mm
         images.range_mm.push_back(images.is_low_rate() && mm > 262136.0 ? 0 : std::uint32_t(mm));
-    for (const double v : array("refl").convert_to_doubles()) images.reflectivity.push_back(std::uint32_t(v));
-    for (const double ns : array("ts").convert_to_doubles()) images.time_ns.push_back(std::uint64_t(ns));
+    for (const double v : array("refl").to_doubles()) images.reflectivity.push_back(std::uint32_t(v));
+    for (const double ns : array("ts").to_doubles()) images.time_ns.push_back(std::uint64_t(ns));
     if (images.is_dual()) add_second_returns(images);
     return images;
 }
@@ -98,8 +98,8 @@ std::vector<OusterPacket> make_packets(const OusterImages& images) {
             if (images.profile != kLegacy) {
                 // a FUSA header starts with the type in a single byte, followed by the
                 // number of the last reboot
-                append_binary_value(bytes, std::uint16_t(images.profile == kFusa ? 0xBC01 : 1));
-                append_binary_value(bytes, std::uint16_t(frame));
+                append_raw(bytes, std::uint16_t(images.profile == kFusa ? 0xBC01 : 1));
+                append_raw(bytes, std::uint16_t(frame));
                 bytes.append(28, '\x21');
             }
             for (std::size_t column = begin; column < end; ++column) {
@@ -143,15 +143,15 @@ std::vector<Datagram> receive(const std::vector<OusterPacket>& packets, int port
 
 void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& datagrams) {
     std::string bytes;
-    append_binary_value(bytes, std::uint32_t(0xA1B23C4D));
-    append_binary_value(bytes, std::uint32_t(0x00040002));
-    for (const std::uint32_t word : {0u, 0u, 262144u, 1u}) append_binary_value(bytes, word);
+    append_raw(bytes, std::uint32_t(0xA1B23C4D));
+    append_raw(bytes, std::uint32_t(0x00040002));
+    for (const std::uint32_t word : {0u, 0u, 262144u, 1u}) append_raw(bytes, word);
     for (const Datagram& datagram : datagrams) {
         const std::size_t udp = 8 + datagram.bytes.size(), frame = 14 + 20 + udp;
-        append_binary_value(bytes, std::uint32_t(datagram.stamp_ns / 1000000000));
-        append_binary_value(bytes, std::uint32_t(datagram.stamp_ns % 1000000000));
-        append_binary_value(bytes, std::uint32_t(frame));
-        append_binary_value(bytes, std::uint32_t(frame));
+        append_raw(bytes, std::uint32_t(datagram.stamp_ns / 1000000000));
+        append_raw(bytes, std::uint32_t(datagram.stamp_ns % 1000000000));
+        append_raw(bytes, std::uint32_t(frame));
+        append_raw(bytes, std::uint32_t(frame));
         bytes.append(12, '\0').append("\x08\x00", 2);
         bytes.append("\x45\x00", 2)
             .append(read_big_endian(std::uint16_t(20 + udp)))

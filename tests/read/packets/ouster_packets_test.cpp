@@ -77,13 +77,13 @@ std::string make_points(const OusterImages& images, std::size_t frame) {
     std::string head = fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 7), }}", n);
     head.append(63 - (10 + head.size()) % 64, ' ').append("\n");
     std::string bytes("\x93NUMPY\1\0", 8);
-    append_binary_value(bytes, std::uint16_t(head.size()));
+    append_raw(bytes, std::uint16_t(head.size()));
     bytes += head;
-    for (const double v : values) append_binary_value(bytes, v);
+    for (const double v : values) append_raw(bytes, v);
     return bytes;
 }
 
-LidarSequence read_folder(const OusterImages& images, const RangeLimits& limits) {
+Log read_folder(const OusterImages& images, const RangeLimits& limits) {
     const fs::path folder = make_fresh_folder("folder");
     std::string beams, frames, poses;
     std::vector<std::size_t> order(images.rows);
@@ -130,7 +130,7 @@ fs::path write_capture(const OusterImages& images) {
 
 /// Log from load_sequence(), or its error message.
 struct Loaded {
-    LidarSequence log;
+    Log log;
     std::string error;
 
     explicit Loaded(const fs::path& file, DatasetOptions options = {}) {
@@ -205,10 +205,10 @@ void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSe
     EXPECT_EQ(n_wrong, 0u) << "of " << cells.size();
 }
 
-void expect_same_log(const OusterImages& images, const LidarSequence& log) {
+void expect_same_log(const OusterImages& images, const Log& log) {
     SCOPED_TRACE(images.product + " " + images.profile);
     const SpinningSensor& sensor = log.lidars[0].sensor;
-    const LidarSequence folder = read_folder(images, sensor.range_limits());
+    const Log folder = read_folder(images, sensor.range_limits());
     ASSERT_EQ(log.frames.size(), images.frames);
     EXPECT_EQ(sensor.columns, int(images.columns));
     ASSERT_EQ(sensor.beams.size(), images.rows);
@@ -267,7 +267,7 @@ TEST_F(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
 struct Columns {
     std::vector<std::size_t> rays, returns;
 
-    Columns(const LidarSequence& log, std::size_t frame)
+    Columns(const Log& log, std::size_t frame)
         : rays(std::size_t(log.lidars[0].sensor.columns)), returns(rays.size()) {
         const Scan& scan = log.frames[frame].scan;
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray) {

@@ -14,9 +14,9 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/read/packets.hpp>
-#include <relidar/log/sensor_pattern.hpp>
 
 #include "read/packets/decoder.hpp"
 
@@ -29,13 +29,13 @@ constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000;
 SpinningSensor make_sensor_named(const std::string& name, int columns = 0) {
     // A VLS-128 fires every 55.3 us, not every 53.3 us as its manual states.
     if (name == "VLS-128") columns = 1808;
-    return std::get<SpinningSensor>(find_built_in_sensor(name, columns)->pattern);
+    return std::get<SpinningSensor>(find_built_in(name, columns)->pattern);
 }
 
 /// Returns the time from the start of a firing to each laser, highest laser first.
 std::vector<double> find_laser_times_us(const std::string& product) {
     if (product.starts_with("OS")) return std::vector<double>(128, 0.0);
-    return packets::make_block_packet_decoder(product.c_str(), {})->get_laser_timing().offset_us;
+    return packets::make_block_decoder(product.c_str(), {})->timing().offset_us;
 }
 
 /// Returns the range that ray `index` measures. The range is a multiple of 8 mm. Every
@@ -67,9 +67,8 @@ std::vector<SensorPacket> make_packets_of(const SpinningSensor& sensor, const Pa
     std::vector<SensorPacket> packets;
     const Scan scan = make_known_scan(sensor, has_second_returns);
     for (int k = 0; k < n_scans; ++k)
-        std::ranges::copy(encoder.encode_scan_as_packets(scan, 1.0 + sensor.period_s * k),
-                          std::back_inserter(packets));
-    std::ranges::copy(encoder.flush_remaining_packets(), std::back_inserter(packets));
+        std::ranges::copy(encoder.add_scan(scan, 1.0 + sensor.period_s * k), std::back_inserter(packets));
+    std::ranges::copy(encoder.flush(), std::back_inserter(packets));
     return packets;
 }
 
@@ -256,8 +255,7 @@ struct WrittenProduct {
 };
 
 /// Writes two turns of a scan as a capture, and reads the capture as a log.
-LidarSequence write_and_load_log(const SpinningSensor& sensor, const PacketOptions& options,
-                                 const Scan& scan) {
+Log write_and_load_log(const SpinningSensor& sensor, const PacketOptions& options, const Scan& scan) {
     const std::filesystem::path folder =
         std::filesystem::path(::testing::TempDir()) / "relidar_sensor_packets";
     std::filesystem::create_directories(folder);
@@ -265,12 +263,11 @@ LidarSequence write_and_load_log(const SpinningSensor& sensor, const PacketOptio
     for (const char* ending : {".csv", ".json"})
         std::filesystem::remove(std::filesystem::path(file).replace_extension(ending));
     PacketEncoder encoder(sensor, options);
-    PcapWriter capture(file, encoder.get_udp_port());
-    for (int k = 0; k < 2; ++k)
-        capture.write_packets(encoder.encode_scan_as_packets(scan, 1.0 + sensor.period_s * k));
-    capture.write_packets(encoder.flush_remaining_packets());
+    PcapWriter capture(file, encoder.udp_port());
+    for (int k = 0; k < 2; ++k) capture.write_packets(encoder.add_scan(scan, 1.0 + sensor.period_s * k));
+    capture.write_packets(encoder.flush());
     capture.close_file();
-    const PacketCalibrationFile calibration = encoder.get_packet_calibration();
+    const PacketCalibrationFile calibration = encoder.calibration_file();
     if (!calibration.ending.empty())
         std::ofstream(std::filesystem::path(file).replace_extension(calibration.ending)) << calibration.text;
     DatasetOptions reading;
@@ -285,7 +282,7 @@ void expect_same_returns(const WrittenProduct& product) {
     const SpinningSensor sensor = make_sensor_named(name);
     const PacketOptions options{.start_ns = kStart_ns, .returns = returns, .ouster_profile = profile};
     const Scan scan = make_known_scan(sensor, returns == 2);
-    const LidarSequence log = write_and_load_log(sensor, options, scan);
+    const Log log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
     const double start_s = 1e-9 * double(log.start_unix_ns - kStart_ns);
     const std::vector<double> laser_times_us = find_laser_times_us(name);
@@ -302,7 +299,7 @@ void expect_same_returns(const WrittenProduct& product) {
                 written[key(scan.rays.channel[i],
                             1.0 + sensor.period_s * k + double(scan.rays.time_offset_s[i]))] = i;
     std::set<std::pair<std::size_t, long>> matched_keys;
-    for (const LidarFrame& frame : log.frames) {
+    for (const Frame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const std::size_t ring = frame.scan.rays.channel[i];
@@ -361,7 +358,7 @@ void expect_rays_of_lasers(const AlternatingProduct& product) {
     const SpinningSensor sensor = make_sensor_named(product.sensor, product.columns);
     const PacketOptions options{.start_ns = kStart_ns, .returns = product.returns};
     const Scan scan = make_known_scan(sensor, product.returns == 2);
-    const LidarSequence log = write_and_load_log(sensor, options, scan);
+    const Log log = write_and_load_log(sensor, options, scan);
     ASSERT_EQ(log.frames.size(), 2u);
     const SpinningSensor& decoded = log.lidars.front().sensor;
     const double step_s = sensor.period_s / sensor.columns;
@@ -373,7 +370,7 @@ void expect_rays_of_lasers(const AlternatingProduct& product) {
     std::map<std::size_t, std::set<long>> parities;  // [laser] firings, modulo 2
     const double start_s = 1e-9 * double(log.start_unix_ns - kStart_ns);
     std::size_t n_matched_returns = 0;
-    for (const LidarFrame& frame : log.frames) {
+    for (const Frame& frame : log.frames) {
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const double elevation_rad = decoded.beams[frame.scan.rays.channel[i]].elevation_rad;
@@ -433,10 +430,10 @@ TEST(Packets, OfOtherSensorsAreRefused) {
     sensor = make_sensor_named("VLP-16");
     PacketEncoder encoder(sensor, {});
     Scan scan = make_known_scan(sensor);
-    encoder.encode_scan_as_packets(scan, 0.0);
-    EXPECT_THROW(encoder.encode_scan_as_packets(scan, 0.05), UsageError) << "scans that overlap";
+    encoder.add_scan(scan, 0.0);
+    EXPECT_THROW(encoder.add_scan(scan, 0.05), UsageError) << "scans that overlap";
     std::ranges::fill(scan.rays.time_offset_s, 0.0f);
-    EXPECT_THROW(encoder.encode_scan_as_packets(scan, 1.0), UsageError) << "no firing times";
+    EXPECT_THROW(encoder.add_scan(scan, 1.0), UsageError) << "no firing times";
 }
 
 /// If the time between frames is longer than a turn of the sensor, the packets must still
@@ -445,8 +442,8 @@ TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
     const SpinningSensor sensor = make_sensor_named("HDL-32E");
     PacketEncoder encoder(sensor, {.start_ns = kStart_ns});
     const Scan scan = make_known_scan(sensor);
-    std::vector<SensorPacket> packets = encoder.encode_scan_as_packets(scan, 1.0);
-    std::ranges::copy(encoder.encode_scan_as_packets(scan, 1.1035), std::back_inserter(packets));
+    std::vector<SensorPacket> packets = encoder.add_scan(scan, 1.0);
+    std::ranges::copy(encoder.add_scan(scan, 1.1035), std::back_inserter(packets));
     for (std::size_t p = 1; p < packets.size(); ++p) {
         EXPECT_NEAR(1e-3 * double(packets[p].time_ns - packets[p - 1].time_ns), 12 * 46.08, 24.0) << p;
         const double before = 0.01 * number_at<std::uint16_t>(packets[p - 1].bytes, 2),

@@ -17,10 +17,10 @@
 #include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 
-#include "read/files/point_writers.hpp"
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
+#include "read/files/point_writers.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -39,9 +39,9 @@ DatasetOptions make_skipping_options(const std::string& part = {}) {
 /// Truncates a file to half its size.
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
 
-std::vector<int> numbers(const LidarSequence& sequence) {
+std::vector<int> numbers(const Log& sequence) {
     std::vector<int> numbers;
-    for (const LidarFrame& frame : sequence.frames) numbers.push_back(frame.index);
+    for (const Frame& frame : sequence.frames) numbers.push_back(frame.index);
     numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
     return numbers;
 }
@@ -50,8 +50,7 @@ std::vector<int> numbers(const LidarSequence& sequence) {
 /// scans with a note.
 /// @param part part of a dataset with several parts
 /// @return log without the scan
-LidarSequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
-                              const std::string& part = {}) {
+Log expect_left_out(const fs::path& log, const fs::path& scan, int number, const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
     DatasetOptions strict = make_skipping_options(part);
     strict.skip_broken = false;
@@ -59,21 +58,21 @@ LidarSequence expect_left_out(const fs::path& log, const fs::path& scan, int num
     EXPECT_EQ(std::erase(expected, number), 1u);
     cut(scan);
     EXPECT_THROW(load_sequence(log.string(), strict), DataError);
-    LidarSequence left = load_sequence(log.string(), make_skipping_options(part));
+    Log left = load_sequence(log.string(), make_skipping_options(part));
     EXPECT_EQ(numbers(left), expected);
     const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return test::find_missing_part(note, "skipped ... " + scan.filename().string()).empty();
     });
     EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
-    for (const LidarFrame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
+    for (const Frame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
     return left;
 }
 
 TEST(BrokenScans, OfKittiAreAsMissingOnes) {
     const test::KittiDrive drive("broken_scans");
-    const LidarSequence left = expect_left_out(drive.folder, drive.scan(1), 1);
+    const Log left = expect_left_out(drive.folder, drive.scan(1), 1);
     fs::remove(drive.scan(1));
-    const LidarSequence missing = load_sequence(drive.folder.string(), {});
+    const Log missing = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(left.frames.size(), missing.frames.size());
     EXPECT_EQ(left.world_from_vehicle.time_s, missing.world_from_vehicle.time_s);
     for (std::size_t i = 0; i < left.frames.size(); ++i) {
@@ -83,7 +82,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
                                  missing.world_from_vehicle.pose[i].translation - missing.world_offset_m;
         EXPECT_LT(glm::length(apart), 1e-9) << i;
     }
-    EXPECT_NO_THROW(require_valid_sequence(left));
+    EXPECT_NO_THROW(check_sequence(left));
 }
 
 /// Reads a drive and returns the error message, or "" if reading succeeds.
@@ -102,7 +101,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const std::size_t n = original.size() / 16;
     const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
     const auto expect_left = [&](const std::string& reason) {
-        const LidarSequence left = load_sequence(drive.folder.string(), {});
+        const Log left = load_sequence(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
         EXPECT_THAT(left.notes, testing::Contains(Names("skipped ... 0000000001.bin ... " + reason)));
     };
@@ -146,7 +145,7 @@ void set_intensities(const test::KittiDrive& drive, float intensity) {
 TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     const test::KittiDrive drive("intensities");
     set_intensities(drive, 51.0f);
-    const LidarSequence log = load_sequence(drive.folder.string(), {});
+    const Log log = load_sequence(drive.folder.string(), {});
     const Scan& scan = log.frames[0].scan;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
         if (scan.range_m[i] > 0.0f) {

@@ -39,10 +39,10 @@ LidarPoints make_points_on(const SpinningSensor& sensor, std::uint64_t seed) {
     const RayTable rays = make_rays(sensor);
     LidarPoints points;
     for (std::size_t i = 0; i < rays.size(); ++i) {
-        if (random.sample_uniform_number() < 0.2) continue;
-        points.position_m.push_back(
-            rays.origin[i] +
-            float(random.sample_uniform_number(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) * rays.direction[i]);
+        if (random.sample_uniform() < 0.2) continue;
+        points.position_m.push_back(rays.origin[i] +
+                                    float(random.sample_uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
+                                        rays.direction[i]);
         points.intensity.push_back(0.5f);
         points.ring.push_back(std::uint16_t(sensor.beams.size() - 1 - rays.channel[i]));
         points.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -65,9 +65,8 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     Random random(3);
     LidarPoints points;
     for (int i = 0; i < 20000; ++i)
-        points.position_m.emplace_back(random.sample_uniform_number(5.0, 50.0),
-                                       random.sample_uniform_number(-10.0, 10.0),
-                                       random.sample_uniform_number(-3.0, 3.0));
+        points.position_m.emplace_back(random.sample_uniform(5.0, 50.0), random.sample_uniform(-10.0, 10.0),
+                                       random.sample_uniform(-3.0, 3.0));
     EXPECT_TRUE(estimate_beams({points}).empty());
     EXPECT_TRUE(estimate_beams({}).empty());
     SpinningSensor wide = make_true_sensor();
@@ -80,7 +79,7 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
 // Beams with few returns must be kept. In a scan from TIER IV's nebula, the lowest four
 // beams of a QT128 with returns have 1 to 4 points.
 TEST(FindBeams, KeepsBeamsWithFewReturns) {
-    SpinningSensor truth = std::get<SpinningSensor>(find_built_in_sensor("QT128", 900, 10.0)->pattern);
+    SpinningSensor truth = std::get<SpinningSensor>(find_built_in("QT128", 900, 10.0)->pattern);
     for (Beam& beam : truth.beams) beam = {.elevation_rad = beam.elevation_rad};
     const RayTable rays = make_rays(truth);
     Random random(11);
@@ -93,7 +92,7 @@ TEST(FindBeams, KeepsBeamsWithFewReturns) {
     LidarPoints points;
     for (std::size_t i = 0; i < rays.size(); ++i)
         if (const int n = n_left[rays.channel[i]]--; n > 0)
-            points.position_m.push_back(float(n < 5 ? 19.0 : random.sample_uniform_number(2.0, 20.0)) *
+            points.position_m.push_back(float(n < 5 ? 19.0 : random.sample_uniform(2.0, 20.0)) *
                                         rays.direction[i]);
     expect_beams(estimate_beams({points}), truth.beams, 1e-5);
     for (const double elevation_deg : {-53.1, -54.2, 53.0, 0.31, 7.7}) {  // stray points between the beams
@@ -113,16 +112,16 @@ TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     LidarPoints points = make_points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
-    assign_points_to_rings(points, s.beams);
+    assign_rings(points, s.beams);
     EXPECT_EQ(points.ring, truth);
-    EXPECT_THROW(assign_points_to_rings(points, {}), UsageError);
+    EXPECT_THROW(assign_rings(points, {}), UsageError);
 }
 
 TEST(FitSensor, BeamsColumnsAndTurning) {
     for (const bool clockwise : {true, false}) {
         const SpinningSensor truth = make_true_sensor(clockwise);
         const FittedSensor fit =
-            estimate_spinning_sensor({make_points_on(truth, 5), make_points_on(truth, 6)}, 0.1);
+            fit_spinning_sensor({make_points_on(truth, 5), make_points_on(truth, 6)}, 0.1);
         expect_beams(fit.sensor.beams, truth.beams, 1e-5);
         EXPECT_EQ(fit.sensor.columns, kColumns);
         EXPECT_EQ(fit.sensor.clockwise, clockwise);
@@ -140,7 +139,7 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
 TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
     LidarPoints points = make_points_on(make_true_sensor(false), 5);
     points.time_offset_s.clear();
-    const FittedSensor fit = estimate_spinning_sensor({points}, 0.1);
+    const FittedSensor fit = fit_spinning_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.period_s, 0.1);
     EXPECT_TRUE(fit.sensor.clockwise);
 }
@@ -148,7 +147,7 @@ TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
 TEST(FitSensor, KeepsRingsWithoutPointsOut) {
     LidarPoints points = make_points_on(make_true_sensor(), 5);
     for (std::uint16_t& ring : points.ring) ring = std::uint16_t(ring + (ring >= 10));
-    const FittedSensor fit = estimate_spinning_sensor({points}, 0.1);
+    const FittedSensor fit = fit_spinning_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.beams.size(), std::size_t(kBeams));
     EXPECT_EQ(fit.beam_of_ring[10], kNoBeam);
     EXPECT_EQ(fit.beam_of_ring[11], kBeams - 1 - 10);
@@ -157,15 +156,15 @@ TEST(FitSensor, KeepsRingsWithoutPointsOut) {
 TEST(FitSensor, WhatItCannotFit) {
     LidarPoints points = make_points_on(make_true_sensor(), 5);
     points.ring.clear();
-    EXPECT_THROW(estimate_spinning_sensor({points}, 0.1), UsageError);
-    EXPECT_THROW(estimate_spinning_sensor({}, 0.1), UsageError);
+    EXPECT_THROW(fit_spinning_sensor({points}, 0.1), UsageError);
+    EXPECT_THROW(fit_spinning_sensor({}, 0.1), UsageError);
     const LidarPoints one{.position_m = {{5.0f, 0.0f, 0.0f}},
                           .intensity = {0.5f},
                           .ring = {0},
                           .time_offset_s = {},
                           .return_number = {},
                           .firing = {}};
-    EXPECT_THROW(estimate_spinning_sensor({one}, 0.1), DataError);
+    EXPECT_THROW(fit_spinning_sensor({one}, 0.1), DataError);
 }
 
 }  // namespace

@@ -20,13 +20,13 @@ constexpr std::size_t kPoints = 1000, kClouds = 6;
 /// Returns clouds whose times are value(t, k) for the times t of a sweep and the cloud k.
 template <class Number>
 std::vector<read::PointTable> make_clouds(read::ScalarType type,
-                                            const std::function<double(double, double)>& value) {
+                                          const std::function<double(double, double)>& value) {
     std::vector<read::PointTable> clouds;
     for (std::size_t k = 0; k < kClouds; ++k) {
         std::vector<Number> times;
         for (std::size_t i = 0; i < kPoints; ++i) times.push_back(Number(value(1e-4 * double(i), double(k))));
         clouds.emplace_back(kPoints).add_value_field("t", type, std::move(times), "test");
-        read::unwrap_point_times(clouds.back(), false);
+        read::unwrap_times(clouds.back(), false);
     }
     return clouds;
 }
@@ -41,7 +41,7 @@ const auto make_f8 = [](const auto& value) { return make_clouds<double>(read::Sc
 read::PointCloudUnits estimate_units(const std::vector<read::PointTable>& clouds) {
     std::vector<double> stamps_s;
     for (std::size_t k = 0; k < clouds.size(); ++k) stamps_s.push_back(kStamp_s + 0.1 * double(k));
-    return read::estimate_time_and_intensity_units(clouds, stamps_s, 0.1);
+    return read::estimate_cloud_units(clouds, stamps_s, 0.1);
 }
 
 /// Expects that the times of all clouds continue without a jump for 0.1 s.
@@ -78,7 +78,7 @@ TEST(PointTimes, LateOffsetsAreNoOverflow) {
         std::vector<double> times;
         for (std::size_t i = 0; i < kPoints; ++i) times.push_back(1e-4 * double(i) + (i < 900 ? 0.0 : late));
         cloud.add_value_field("t", read::ScalarType::f8, times, "test");
-        read::unwrap_point_times(cloud, true);
+        read::unwrap_times(cloud, true);
         for (std::size_t i = 0; i < kPoints; ++i)
             EXPECT_EQ((*cloud.find_field(read::PointAttribute::time))[i], times[i]);
     }
@@ -90,7 +90,7 @@ TEST(PointTimes, NegativeOffsetsWithoutASignAreRestored) {
             make_u4([&](double t_s, double) { return 1e9 * (t_s + first_s); });
         EXPECT_EQ(estimate_units(clouds).zero, read::PointTimeReference::stamp);
         for (read::PointTable& cloud : clouds) {
-            read::restore_negative_offsets(cloud);
+            read::restore_signs(cloud);
             EXPECT_NEAR((*cloud.find_field(read::PointAttribute::time))[0], 1e9 * first_s, 1.0);
         }
         expect_sweeps(clouds, 1e-9);
@@ -105,20 +105,20 @@ TEST(PointTimes, SomeWrongTimesDoNotChangeTheUnit) {
     LidarPoints points;
     points.time_offset_s = {0.0f, 0.05f, 4.288f, 0.1f, NAN, -3.0f, 0.02f};
     points.position_m.resize(7);
-    EXPECT_EQ(read::remove_points_of_wrong_time(points, 0.15), 3u);
+    EXPECT_EQ(read::remove_mistimed(points, 0.15), 3u);
     EXPECT_EQ(points.time_offset_s, (std::vector<float>{0.0f, 0.05f, 0.1f, 0.02f}));
     EXPECT_EQ(points.size(), 4u);
     // The whole scan is 3 s late, unlike most other scans.
     std::vector<LidarPoints> scans(5, points);
     for (float& t_s : scans[1].time_offset_s) t_s += 3.0f;
-    const std::optional<double> middle_s = read::find_middle_time_s(scans, 0.15);
+    const std::optional<double> middle_s = read::middle_time_s(scans, 0.15);
     ASSERT_TRUE(middle_s);
     EXPECT_LE(*middle_s, 0.1);
-    EXPECT_EQ(read::remove_points_of_wrong_time(scans[1], 0.15, middle_s), 4u);
-    EXPECT_EQ(read::remove_points_of_wrong_time(scans[0], 0.15, middle_s), 0u);
+    EXPECT_EQ(read::remove_mistimed(scans[1], 0.15, middle_s), 4u);
+    EXPECT_EQ(read::remove_mistimed(scans[0], 0.15, middle_s), 0u);
     for (float& t_s : scans[2].time_offset_s) t_s -= 1.0f;
     for (float& t_s : scans[3].time_offset_s) t_s += 1.0f;
-    EXPECT_FALSE(read::find_middle_time_s(scans, 0.15));  // only two of five agree
+    EXPECT_FALSE(read::middle_time_s(scans, 0.15));  // only two of five agree
 }
 
 TEST(PointTimes, OfAClockThatStartsNearZeroAreNoOffsets) {

@@ -44,10 +44,10 @@ struct Truth {
         scan.intensity.assign(scan.rays.size(), 0.0f);
         if (second) scan.second_returns.assign(1, {to_vector(scan.range_m), to_vector(scan.intensity)});
         for (std::size_t i = 0; i < scan.rays.size(); ++i) {
-            if (random.sample_uniform_number() < 0.2) continue;
-            scan.range_m[i] = float(random.sample_uniform_number(2.0, 60.0));
-            scan.intensity[i] = float(random.sample_uniform_number());
-            if (second && random.sample_uniform_number() < 0.1) {
+            if (random.sample_uniform() < 0.2) continue;
+            scan.range_m[i] = float(random.sample_uniform(2.0, 60.0));
+            scan.intensity[i] = float(random.sample_uniform());
+            if (second && random.sample_uniform() < 0.1) {
                 scan.second_returns[0].range_m[i] = scan.range_m[i] + 3.0f;
                 scan.second_returns[0].intensity[i] = 0.25f;
             }
@@ -55,7 +55,7 @@ struct Truth {
         std::vector<std::size_t> order(scan.rays.size());
         std::iota(order.begin(), order.end(), std::size_t(0));
         for (std::size_t i = order.size(); i-- > 1;)
-            std::swap(order[i], order[std::size_t(random.sample_random_uint64() % (i + 1))]);
+            std::swap(order[i], order[std::size_t(random.next_uint64() % (i + 1))]);
         for (const std::size_t i : order) {
             if (scan.range_m[i] == 0.0f) continue;
             add(i, scan.range_m[i], scan.intensity[i], 1);
@@ -90,8 +90,7 @@ void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
 }
 
 Scan assign(const LidarPoints& points, const SpinningSensor& sensor) {
-    return assign_points_to_rays_of_spinning_scan(points, sensor,
-                                                  fit_equal_azimuth_steps_to_points(points, sensor));
+    return spinning_scan(points, sensor, fit_even_sweep(points, sensor));
 }
 
 TEST(SpinningScan, PointsFindTheirRaysAndTheRestIsDropped) {
@@ -115,7 +114,7 @@ TEST(SpinningScan, KeepsSecondReturns) {
         EXPECT_EQ(actual.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
     }
     Scan cut = actual;
-    remove_returns_outside_limits(cut, {0.0, 30.0});
+    limit_ranges(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
         EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||
                     (cut.second_returns[0].range_m[i] <= 30.0f && cut.range_m[i] > 0.0f));
@@ -124,7 +123,7 @@ TEST(SpinningScan, KeepsSecondReturns) {
 TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     const SpinningSensor s = sensor();
     LidarPoints points;
-    const BeamRay ray = compute_beam_ray(s.beams[0], 0.0);
+    const BeamRay ray = aim_beam(s.beams[0], 0.0);
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0}) {
         points.position_m.emplace_back(ray.origin_m + range * ray.direction);
         points.intensity.push_back(2.0f);
@@ -146,9 +145,8 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     one.beams = {{.elevation_rad = 0.0}};
     one.columns = 3;
     const EncoderTickGrid lattice{360, 0.0};
-    const SweepFirings sweep{lattice,
-                             {lattice.find_nearest_encoder_tick(3.0), lattice.find_nearest_encoder_tick(3.0),
-                              lattice.find_nearest_encoder_tick(1.0)}};
+    const SweepFirings sweep{
+        lattice, {lattice.nearest_tick(3.0), lattice.nearest_tick(3.0), lattice.nearest_tick(1.0)}};
     const auto point = [](double azimuth, float range_m) {
         return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0);
     };
@@ -158,13 +156,13 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
                              {0.05f, 0.0f, 0.1f},
                              {},
                              {2, 1, 0}};
-    const Scan scan = assign_points_to_rays_of_spinning_scan(points, one, sweep);
+    const Scan scan = spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i)
         EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
     LidarPoints beyond = points;
     beyond.firing[0] = 3;
-    EXPECT_THROW(assign_points_to_rays_of_spinning_scan(beyond, one, sweep), UsageError);
+    EXPECT_THROW(spinning_scan(beyond, one, sweep), UsageError);
 }
 
 TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
@@ -173,7 +171,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
     points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
     points.return_number = {1, 2, 1, 1, 1};
-    const Scan scan = make_scan_with_one_ray_per_point(points);
+    const Scan scan = scan_of_points(points);
     EXPECT_EQ(scan.rays.rows, 1);
     EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
     EXPECT_EQ(scan.range_m, (ScanArray<float>{5, 2, 1}));
@@ -185,7 +183,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
 
 std::string error_of(const LidarPoints& points) {
     try {
-        assign_points_to_rays_of_spinning_scan(points, sensor(), {{360, 0.0}, {0}});
+        spinning_scan(points, sensor(), {{360, 0.0}, {0}});
     } catch (const UsageError& error) {
         return error.what();
     }
@@ -215,24 +213,22 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
     LidarPoints points;
     std::vector<glm::vec3> measured;
     for (int i = 0; i < 200; ++i) {
-        const double offset_s = random.sample_uniform_number(-0.05, 0.05);
-        measured.emplace_back(random.sample_uniform_number(-30.0, 30.0),
-                              random.sample_uniform_number(-30.0, 30.0),
-                              random.sample_uniform_number(-2.0, 3.0));
+        const double offset_s = random.sample_uniform(-0.05, 0.05);
+        measured.emplace_back(random.sample_uniform(-30.0, 30.0), random.sample_uniform(-30.0, 30.0),
+                              random.sample_uniform(-2.0, 3.0));
         points.time_offset_s.push_back(float(offset_s));
-        const glm::dmat4 compensate =
-            glm::inverse(to_matrix(track.interpolate_pose(0.4))) *
-            to_matrix(track.interpolate_pose(0.4 + double(points.time_offset_s.back())));
+        const glm::dmat4 compensate = glm::inverse(to_matrix(track.pose_at(0.4))) *
+                                      to_matrix(track.pose_at(0.4 + double(points.time_offset_s.back())));
         points.position_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
     }
     EXPECT_GT(glm::distance(points.position_m[0], measured[0]), 0.01f);
-    undo_motion_compensation(points, track, 0.4);
+    undo_deskew(points, track, 0.4);
     for (std::size_t i = 0; i < measured.size(); ++i)
         EXPECT_LT(glm::distance(points.position_m[i], measured[i]), 2e-5f);
 }
 
 TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
-    LidarSequence log;
+    Log log;
     for (int i = 0; i < 3; ++i) add_frame(log, i, 0.1 * i, {{1, 0, 0, 0}, {1000.0 + i, 5.0, 0.0}});
     log.boxes = build_tracks({{"b", "Car", {4, 2, 1.5}, 0.0, {{1, 0, 0, 0}, {1010, 5, 0}}},
                               {"a", "Van", {5, 2, 2}, 0.0, {}},
@@ -243,7 +239,7 @@ TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
     add_frame(log, 2, 0.2, {{1, 0, 0, 0}, {77.0, 0.0, 0.0}}, 1);
     EXPECT_EQ(log.frames.size(), 4u);
     EXPECT_EQ(log.world_from_vehicle.pose.size(), 3u) << "the pose of that time is known";
-    move_world_origin_of_log(log);
+    centre_log(log);
     EXPECT_EQ(log.world_offset_m, glm::dvec3(1001, 5, 0));
     EXPECT_EQ(log.world_from_vehicle.pose[2].translation, glm::dvec3(1, 0, 0));
     EXPECT_EQ(log.boxes[0].world_from_box.pose[1].translation, glm::dvec3(10, 0, 0));

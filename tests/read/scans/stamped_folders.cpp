@@ -73,13 +73,12 @@ void StampedDrive::cast() {
                 StampedRay ray;
                 ray.time_s = s * step_s + kRevolution_s * (double(c) / columns - 0.5);
                 const glm::dvec3 d =
-                    compute_beam_ray(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
+                    aim_beam(beams[b], first_azimuth_rad - 2.0 * kPi * c / columns).direction;
                 const Pose fired = compute_lidar_pose_at(ray.time_s);
                 ray.origin_m = fired.translation;
                 ray.point_m = world_m + intersect_yard(ray.origin_m - world_m, fired.rotation * d);
                 ray.local_m = glm::vec3(glm::distance(ray.origin_m, ray.point_m) * d);
-                ray.returned =
-                    hash_integer_pair(std::uint64_t(c) * beams.size() + b, std::uint64_t(s)) % 8 != 0;
+                ray.returned = hash_pair(std::uint64_t(c) * beams.size() + b, std::uint64_t(s)) % 8 != 0;
                 scan.push_back(ray);
             }
     }
@@ -96,7 +95,7 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
     drive.start_m = {-3.0, -4.0, 0.9};
     drive.world_m = {312.5, -204.25, 12.0};
     drive.vehicle_from_lidar.rotation = make_rotation(-42.6 * kDegree, 0.0, 0.0);
-    drive.beams = std::get<SpinningSensor>(find_built_in_sensor("VLS-128")->pattern).beams;
+    drive.beams = std::get<SpinningSensor>(find_built_in("VLS-128")->pattern).beams;
     drive.columns = columns;
     drive.n_scans = kScans;
     drive.first_azimuth_rad = 0.0;
@@ -164,7 +163,7 @@ OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns)
     drive.start_m = {-12.0, -6.0, 1.45};
     // x axis to the left, y axis backward
     drive.vehicle_from_lidar.rotation = make_rotation(kPi / 2.0, 0.0, 0.0);
-    drive.beams = std::get<SpinningSensor>(find_built_in_sensor("Pandar40P")->pattern).beams;
+    drive.beams = std::get<SpinningSensor>(find_built_in("Pandar40P")->pattern).beams;
     drive.columns = columns;
     drive.n_scans = kScans;
     drive.step_s = 0.5;

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include <relidar/base/math.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor.hpp>
+#include <relidar/read/dataset.hpp>
 #include "support/logs.hpp"
 
 namespace relidar::test {

@@ -14,22 +14,22 @@
 namespace relidar {
 namespace {
 
-SyntheticOptions options() {
+StreetOptions options() {
     return {.n_frames = 12, .rows = 24, .columns = 512, .range_noise_m = 0.0, .moving_cars = false};
 }
 
 TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
-    const LidarSequence street = test::make_two_lidar_street(options());
+    const Log street = test::make_two_lidar_street(options());
     const Lidar& rear = street.lidars[1];
-    const LidarFrame& frame = street.frames[7];
+    const Frame& frame = street.frames[7];
     ASSERT_EQ(frame.lidar, 1);
     for (std::size_t i = 0; i < frame.scan.range_m.size(); i += 31) {
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
         const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-        const glm::dvec4 p = to_matrix(street.world_from_vehicle.interpolate_pose(t_s)) *
+        const glm::dvec4 p = to_matrix(street.world_from_vehicle.pose_at(t_s)) *
                              to_matrix(rear.vehicle_from_sensor) *
-                             glm::dvec4(glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(i)), 1.0);
-        EXPECT_LT(glm::distance(compute_world_return(street, frame, i).point_m, glm::dvec3(p)),
+                             glm::dvec4(glm::dvec3(frame.scan.return_point(i)), 1.0);
+        EXPECT_LT(glm::distance(locate_return(street, frame, i).point_m, glm::dvec3(p)),
                   // tolerance: between poses, the LiDAR moves on an arc, but its
                   // interpolated position moves on the chord
                   1e-3);
@@ -38,12 +38,12 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
 
 /// Returns the mean difference between the road heights of both LiDARs, over the cells of
 /// half a metre in which both have returns.
-double measure_height_difference_m(const LidarSequence& street) {
+double measure_height_difference_m(const Log& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
-    for (const LidarFrame& frame : street.frames)
+    for (const Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f) || frame.scan.range_m[i] > 25.0f) continue;
-            const glm::dvec3 p = compute_world_return(street, frame, i).point_m;
+            const glm::dvec3 p = locate_return(street, frame, i).point_m;
             // The road is at height 0 of the street.
             if (std::abs(p.z + street.world_offset_m.z) > 0.5) continue;
             const std::tuple cell(int(std::floor(2.0 * p.x)), int(std::floor(2.0 * p.y)));
@@ -61,33 +61,32 @@ double measure_height_difference_m(const LidarSequence& street) {
 }
 
 TEST(TwoLidars, BothSeeTheSameRoad) {
-    LidarSequence street = test::make_two_lidar_street(options());
+    Log street = test::make_two_lidar_street(options());
     EXPECT_LT(measure_height_difference_m(street), 0.02) << "pavements are 0.1 m higher";
     street.lidars[1].vehicle_from_sensor.translation.z += 0.15;
     EXPECT_GT(measure_height_difference_m(street), 0.1) << "a wrong mounting shows";
 }
 
 TEST(TwoLidars, ATurnIsHeldOutAsAWhole) {
-    const LidarSequence street = test::make_two_lidar_street(options());
-    const TrainTestSplit split = split_frames_into_train_and_test(street, 10);
+    const Log street = test::make_two_lidar_street(options());
+    const Split split = split_frames(street, 10);
     EXPECT_EQ(split.test, (std::vector<int>{20, 21}));
     EXPECT_EQ(split.train.size(), 22u);
-    EXPECT_GT(predict_scan_from_neighbours(street, 21, split.train, BoxPointMotion::stay).count_returns(),
-              1000u);
+    EXPECT_GT(predict_scan(street, 21, split.train, BoxPointMotion::stay).count_returns(), 1000u);
 }
 
 TEST(TwoLidars, LasersAreCountedThrough) {
-    LidarSequence street = test::make_two_lidar_street(options());
-    EXPECT_EQ(street.count_beams_of_all_lidars(), 36u);
-    EXPECT_EQ(street.find_global_beam_number(0, 23), 23);
-    EXPECT_EQ(street.find_global_beam_number(1, 0), 24);
-    EXPECT_FALSE(street.find_global_beam_number(1, 12).has_value());
-    for (LidarFrame& frame : street.frames)
+    Log street = test::make_two_lidar_street(options());
+    EXPECT_EQ(street.count_beams(), 36u);
+    EXPECT_EQ(street.find_global_beam(0, 23), 23);
+    EXPECT_EQ(street.find_global_beam(1, 0), 24);
+    EXPECT_FALSE(street.find_global_beam(1, 12).has_value());
+    for (Frame& frame : street.frames)
         for (float& range : frame.scan.range_m)
             if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all beams of the second LiDAR
     std::vector<int> all;
     for (int i = 0; i < int(street.frames.size()); ++i) all.push_back(i);
-    ASSERT_TRUE(fit_and_set_range_offset_of_beams(street, all).adopted);
+    ASSERT_TRUE(calibrate_ranges(street, all).adopted);
     double mean[2] = {0.0, 0.0};
     for (int l = 0; l < 2; ++l)
         for (std::size_t b = 4; b < 12; ++b)

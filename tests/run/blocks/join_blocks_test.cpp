@@ -36,29 +36,27 @@ protected:
              "Car",
              {4, 2, 2},
              {{0.0, 7.9}, {Pose{{1, 0, 0, 0}, {30, 5, 0}}, Pose{{1, 0, 0, 0}, {260, 5, 0}}}}});
-        run = {
-            folder / "run", make_preset_config("quick"), log, split_frames_into_train_and_test(log, 10), {}};
+        run = {folder / "run", make_preset("quick"), log, split_frames(log, 10), {}};
         run.config.refine.enabled = false;
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
-        full_scene = make_background_scene(test::make_walls_at(xs));
+        full_scene = wrap_background(test::make_walls_at(xs));
         // no surfels on the road
         for (std::size_t i = 1; i < full_scene.surfels.size(); i += 3) full_scene.surfels.mean[i].y = 14.0f;
-        blocks = plan_training_blocks(log, run.split, {200.0, 40.0});
+        blocks = plan_blocks(log, run.split, {200.0, 40.0});
         ASSERT_THAT(blocks, SizeIs(4));
         for (std::size_t k = 0; k < blocks.size(); ++k) save_block(k);
-        join_trained_blocks(run, blocks, folders);
+        join_blocks(run, blocks, folders);
         save_run(run);
     }
 
     /// Blocks 0 and 1 contain the car. In block 0, the car is near the sensor in more
     /// frames.
     void save_block(std::size_t index) {
-        const BlockTrainingLog part =
-            copy_frames_and_boxes_of_block(log, run.split, blocks[index], run.config);
+        const BlockTrainingLog part = cut_log(log, run.split, blocks[index], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(index)));
-        relidar::TrainedRun block{folders.back(), part.config, part.sequence, part.split, full_scene};
-        remove_surfels_of_other_blocks(block.scene, log, blocks, index);
+        relidar::Run block{folders.back(), part.config, part.sequence, part.split, full_scene};
+        keep_block_surfels(block.scene, log, blocks, index);
         block.scene.sensor_drop = {1, 2, {0.25f * float(index), 0.5f}};
         // poses as after refinement
         for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(index);
@@ -75,13 +73,13 @@ protected:
 
     RenderedScan rendered(const Scene& scene, const Config& config, int frame) {
         ScanRenderer renderer(device(), scene, config, log);
-        return renderer.render(make_sensor_from_config(config, log), log.frames[std::size_t(frame)].time_s);
+        return renderer.render(make_sensor(config, log), log.frames[std::size_t(frame)].time_s);
     }
 
     ScratchFolder scratch;
     const fs::path folder = scratch.path;
-    LidarSequence log;
-    relidar::TrainedRun run;
+    Log log;
+    relidar::Run run;
     Scene full_scene;
     std::vector<TrajectoryBlock> blocks;
     std::vector<fs::path> folders;
@@ -100,7 +98,7 @@ void expect_same(const RenderedScan& first, const RenderedScan& second, const st
 }
 
 TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
-    const relidar::TrainedRun read = load_run(run.folder);
+    const relidar::Run read = load_run(run.folder);
     EXPECT_THAT(read.scene.blocks, SizeIs(4));
     EXPECT_EQ(read.scene.models[0].count, 0u);
     EXPECT_EQ(count_surfels(read.scene), full_scene.surfels.size() + 3);
@@ -108,7 +106,7 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
     EXPECT_EQ(read.scene.instances[1].track, "car");
     EXPECT_EQ(read.scene.surfels.mean[read.scene.models[1].first].x, 0.0f) << "the car of block 0";
 
-    const Scene all = copy_scene_with_all_blocks_loaded(read.scene);
+    const Scene all = with_all_blocks(read.scene);
     EXPECT_TRUE(all.blocks.empty());
     const auto collect_surfel_positions = [](const Scene& scene) {
         std::multiset<std::tuple<float, float, float>> surfel_positions;
@@ -138,8 +136,8 @@ TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
 TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     Config config = run.config;
     config.render.memory_mib = 0;
-    const Scene one = copy_scene_with_all_blocks_loaded(run.scene);
-    const SimulatedSensor sensor = make_sensor_from_config(config, log);
+    const Scene one = with_all_blocks(run.scene);
+    const SimulatedSensor sensor = make_sensor(config, log);
     const std::uint64_t before = device().allocated_bytes();
     std::uint64_t most = 0;
     {
@@ -160,7 +158,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
 }
 
 TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {
-    relidar::TrainedRun read = load_run(run.folder);
+    relidar::Run read = load_run(run.folder);
     const RenderedScan before = rendered(read.scene, read.config, 22);
     read.folder = folder / "edited";
     save_run(read);
@@ -174,12 +172,11 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
                 Names("blocks/002/model.safetensors ... missing"));
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
-    EXPECT_THAT(
-        get_data_error_message([&] { copy_scene_with_all_blocks_loaded(load_run(run.folder).scene); }),
-        Names("blocks/002/model.safetensors: this file of a block"));
+    EXPECT_THAT(get_data_error_message([&] { with_all_blocks(load_run(run.folder).scene); }),
+                Names("blocks/002/model.safetensors: this file of a block"));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
-    save_scene_to_model_file(run.folder / kModelFile, scene);
+    save_model(run.folder / kModelFile, scene);
     EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }), Names("folder ... model"));
 }
 

@@ -17,14 +17,14 @@ using testing::Ge;
 using testing::Le;
 using testing::SizeIs;
 
-glm::dvec3 place(const LidarSequence& log, int position) {
+glm::dvec3 place(const Log& log, int position) {
     return log.world_from_vehicle.pose[std::size_t(position)].translation;
 }
 
 /// Each frame belongs to exactly one block, in order. A block is trained with exactly the
 /// frames that are at most `halo_m` away from it.
-void expect_valid(const LidarSequence& log, const TrainTestSplit& split,
-                  const std::vector<TrajectoryBlock>& blocks, double halo_m) {
+void expect_valid(const Log& log, const Split& split, const std::vector<TrajectoryBlock>& blocks,
+                  double halo_m) {
     std::vector<int> all_recorded_frames;
     for (const TrajectoryBlock& block : blocks) {
         ASSERT_FALSE(block.recorded_frames.empty());
@@ -51,9 +51,9 @@ void expect_valid(const LidarSequence& log, const TrainTestSplit& split,
 }
 
 TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
-    const LidarSequence log = log_along(201, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
-    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
-    const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {60.0, 25.0});
+    const Log log = log_along(201, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
+    const Split split = split_frames(log, 10);
+    const std::vector<TrajectoryBlock> blocks = plan_blocks(log, split, {60.0, 25.0});
     ASSERT_THAT(blocks, SizeIs(4));  // three blocks of 60 m would cover only 180 m
     for (const TrajectoryBlock& block : blocks) EXPECT_NEAR(block.end_m - block.begin_m, 50.0, 1e-9);
     std::vector<int> second(50);
@@ -65,11 +65,11 @@ TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
 
 TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
     // 150 m forward and 150 m back on the other lane
-    const LidarSequence log = log_along(301, [](int index) {
+    const Log log = log_along(301, [](int index) {
         return index <= 150 ? glm::dvec3(index, 0.0, 0.0) : glm::dvec3(300 - index, 3.0, 0.0);
     });
-    const TrainTestSplit split = split_frames_into_train_and_test(log, 0);
-    const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {50.0, 10.0});
+    const Split split = split_frames(log, 0);
+    const std::vector<TrajectoryBlock> blocks = plan_blocks(log, split, {50.0, 10.0});
     expect_valid(log, split, blocks, 10.0);
     EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1)
         << "the sweeps of the way back see it too";
@@ -77,52 +77,49 @@ TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
 }
 
 TEST(PlanBlocks, StandstillAndGapsAreNoTrouble) {
-    const LidarSequence standing = log_along(40, [](int) { return glm::dvec3(1.0, 2.0, 3.0); });
-    const std::vector<TrajectoryBlock> one =
-        plan_training_blocks(standing, split_frames_into_train_and_test(standing, 10), {60.0, 40.0});
+    const Log standing = log_along(40, [](int) { return glm::dvec3(1.0, 2.0, 3.0); });
+    const std::vector<TrajectoryBlock> one = plan_blocks(standing, split_frames(standing, 10), {60.0, 40.0});
     ASSERT_THAT(one, SizeIs(1));
     EXPECT_THAT(one[0].recorded_frames, SizeIs(40));
     // a tunnel of 300 m without a sweep
-    const LidarSequence gap =
+    const Log gap =
         log_along(40, [](int index) { return glm::dvec3(index < 20 ? index : index + 300, 0.0, 0.0); });
-    const std::vector<TrajectoryBlock> blocks =
-        plan_training_blocks(gap, split_frames_into_train_and_test(gap, 10), {60.0, 40.0});
+    const std::vector<TrajectoryBlock> blocks = plan_blocks(gap, split_frames(gap, 10), {60.0, 40.0});
     EXPECT_THAT(blocks, SizeIs(2)) << "a stretch without a sweep is no block";
-    expect_valid(gap, split_frames_into_train_and_test(gap, 10), blocks, 40.0);
+    expect_valid(gap, split_frames(gap, 10), blocks, 40.0);
 }
 
 TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
-    const LidarSequence log = log_along(6, [](int index) { return glm::dvec3(100.0 * index, 0.0, 0.0); });
-    TrainTestSplit split = split_frames_into_train_and_test(log, 0);
+    const Log log = log_along(6, [](int index) { return glm::dvec3(100.0 * index, 0.0, 0.0); });
+    Split split = split_frames(log, 0);
     split.train = {0, 1, 2, 4, 5};
     split.test = {3};
     EXPECT_THAT(get_data_error_message([&] {
-                    plan_training_blocks(log, split, {100.0, 40.0});
+                    plan_blocks(log, split, {100.0, 40.0});
                 }),
                 Names("40 m ... 300 to 400 ... training"));
 }
 
 TEST(BlockLog, MovesAsTheLogDoes) {
     // along a road and back after a long detour
-    const LidarSequence log = log_along(300, [](int index) {
+    const Log log = log_along(300, [](int index) {
         if (index < 100) return glm::dvec3(0.8 * index, 0.0, 0.0);
         return index < 200 ? glm::dvec3(80.0, 5.0 * (index - 100), 0.0)
                            : glm::dvec3(0.8 * (299 - index), 2.0, 0.0);
     });
-    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
-    const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {40.0, 15.0});
-    const BlockTrainingLog part =
-        copy_frames_and_boxes_of_block(log, split, blocks[0], make_preset_config("quick"));
+    const Split split = split_frames(log, 10);
+    const std::vector<TrajectoryBlock> blocks = plan_blocks(log, split, {40.0, 15.0});
+    const BlockTrainingLog part = cut_log(log, split, blocks[0], make_preset("quick"));
     EXPECT_EQ(part.config.blocks.length_m, 0.0);
     EXPECT_EQ(part.split.train.size(), blocks[0].train.size());
     for (std::size_t i = 0; i < part.split.train.size(); ++i)
         EXPECT_EQ(part.sequence.frames[std::size_t(part.split.train[i])].index,
                   log.frames[std::size_t(blocks[0].train[i])].index);
-    for (const LidarFrame& frame : part.sequence.frames)
+    for (const Frame& frame : part.sequence.frames)
         for (const double s : {-0.05, 0.0, 0.05}) {
             const double t = std::clamp(frame.time_s + s, 0.0, 29.9);
-            EXPECT_LT(glm::distance(part.sequence.world_from_vehicle.interpolate_pose(t).translation,
-                                    log.world_from_vehicle.interpolate_pose(t).translation),
+            EXPECT_LT(glm::distance(part.sequence.world_from_vehicle.pose_at(t).translation,
+                                    log.world_from_vehicle.pose_at(t).translation),
                       1e-9)
                 << "at " << t << " s of frame " << frame.index;
         }
@@ -133,7 +130,7 @@ TEST(BlockLog, MovesAsTheLogDoes) {
 }
 
 TEST(BlockLog, HasTheBoxesThatComeNear) {
-    LidarSequence log = log_along(400, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
+    Log log = log_along(400, [](int index) { return glm::dvec3(1.0 * index, 0.0, 0.0); });
     const auto box_at = [&](const char* id, double value, double from_s, double to_s) {
         log.boxes.push_back(
             {id,
@@ -144,12 +141,12 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
     box_at("near", 30.0, 2.0, 5.0);
     box_at("far", 350.0, 2.0, 5.0);     // visible while the sensor is at 20 to 50 m
     box_at("later", 30.0, 38.0, 39.0);  // visible after the sensor has passed
-    const TrainTestSplit split = split_frames_into_train_and_test(log, 10);
-    const std::vector<TrajectoryBlock> blocks = plan_training_blocks(log, split, {100.0, 40.0});
-    Config config = make_preset_config("quick");
+    const Split split = split_frames(log, 10);
+    const std::vector<TrajectoryBlock> blocks = plan_blocks(log, split, {100.0, 40.0});
+    Config config = make_preset("quick");
     config.init.actor_tracks = "far,near";
-    const BlockTrainingLog first = copy_frames_and_boxes_of_block(log, split, blocks[0], config),
-                           third = copy_frames_and_boxes_of_block(log, split, blocks[2], config);
+    const BlockTrainingLog first = cut_log(log, split, blocks[0], config),
+                           third = cut_log(log, split, blocks[2], config);
     ASSERT_THAT(first.sequence.boxes, SizeIs(1));
     EXPECT_EQ(first.sequence.boxes[0].id, "near");
     EXPECT_EQ(first.config.init.actor_tracks, "near");
@@ -160,13 +157,12 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
 }
 
 TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
-    const LidarSequence log =
+    const Log log =
         log_along(120, [](int index) { return glm::dvec3(2.0 * index, 10.0 * std::sin(0.05 * index), 0.0); });
-    const std::vector<TrajectoryBlock> blocks =
-        plan_training_blocks(log, split_frames_into_train_and_test(log, 10), {70.0, 40.0});
+    const std::vector<TrajectoryBlock> blocks = plan_blocks(log, split_frames(log, 10), {70.0, 40.0});
     std::vector<float> xs;
     for (float x = -60.0f; x < 300.0f; x += 1.7f) xs.push_back(x);
-    Scene all = make_background_scene(test::make_walls_at(xs));
+    Scene all = wrap_background(test::make_walls_at(xs));
     const Surfels actor = test::make_walls_at({1.0f, 2.0f});
     all.models.push_back({"actor", std::uint32_t(all.surfels.size()), std::uint32_t(actor.size())});
     all.instances.push_back({1, "actor"});
@@ -174,7 +170,7 @@ TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
     std::size_t n_remaining_surfels = 0;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         Scene scene = all;
-        remove_surfels_of_other_blocks(scene, log, blocks, k);
+        keep_block_surfels(scene, log, blocks, k);
         n_remaining_surfels += scene.models[0].count;
         for (std::uint32_t i = 0; i < scene.models[0].count; ++i) {
             std::size_t nearest = 0;

@@ -10,8 +10,8 @@
 namespace relidar::test {
 
 /// Frames at intervals of 0.1 s. In frame i the vehicle is at path(i).
-inline LidarSequence log_along(int count, const std::function<glm::dvec3(int)>& path) {
-    LidarSequence log;
+inline Log log_along(int count, const std::function<glm::dvec3(int)>& path) {
+    Log log;
     log.name = "way";
     for (int i = 0; i < count; ++i) {
         log.frames.push_back({100 + i, 0.1 * i, {}});

@@ -45,8 +45,7 @@ struct Loaded {
 };
 Loaded load(const fs::path& folder) {
     Loaded loaded;
-    loaded.checkpoint =
-        load_newest_checkpoint(folder, [&](const std::string& note) { loaded.notes.push_back(note); });
+    loaded.checkpoint = load_newest(folder, [&](const std::string& note) { loaded.notes.push_back(note); });
     return loaded;
 }
 
@@ -147,8 +146,7 @@ TEST_F(CheckpointFile, NumbersThatAreNotFiniteAreRefused) {
         Checkpoint checkpoint = example(400);
         CheckpointWriter write(checkpoint);
         write("moments", std::vector<float>{1.0f, 2.0f, bad});
-        const std::string before =
-            get_data_error_message([&] { require_finite_checkpoint_arrays(checkpoint); });
+        const std::string before = get_data_error_message([&] { check_finite_arrays(checkpoint); });
         EXPECT_THAT(before, test::Names("row 2 of array \"moments\"")) << before;
         write_checkpoint(folder / "a", checkpoint);
         EXPECT_THAT(get_data_error_message([&] { read_checkpoint(folder / "a"); }),

@@ -51,8 +51,7 @@ TEST(State, WhatDoesNotFitIsNamed) {
                 test::Names("array x ... f4 ... [2] ... f8 ... []"));
     EXPECT_THAT(get_data_error_message([&] { read("x", wrong_type); }),
                 test::Names("array x ... f4 ... [2] ... f8 ... [2]"));
-    EXPECT_THAT(get_data_error_message([&] { checkpoint.get_text("layout"); }),
-                test::Names("key \"layout\""));
+    EXPECT_THAT(get_data_error_message([&] { checkpoint.text("layout"); }), test::Names("key \"layout\""));
 }
 
 TEST_F(DeviceState, SurfelsAndArraysComeBack) {
@@ -67,24 +66,24 @@ TEST_F(DeviceState, SurfelsAndArraysComeBack) {
     CheckpointWriter write(checkpoint);
     write("parameters", arrays);
     write("statistics", statistics);
-    EXPECT_EQ(checkpoint.get_array("parameters/sh").shape, (std::vector<std::size_t>{n, 3, 16}));
+    EXPECT_EQ(checkpoint.array("parameters/sh").shape, (std::vector<std::size_t>{n, 3, 16}));
     const CheckpointReader read(checkpoint);
     read("parameters", back);
     read("statistics", statistics_back);
-    const Surfels b = back.download(), host = read.read_all_surfels("parameters");
+    const Surfels b = back.download(), host = read.read_surfels("parameters");
     for (const Surfels* s : {&b, &host}) test::expect_same_surfels(*s, surfels);
     EXPECT_EQ(statistics_back.download(), statistics.download());
     EXPECT_THAT(get_data_error_message([&] { read("parameters", smaller); }),
                 test::Names("array parameters/mean ... f4 ... [5, 3] ... f4 ... [4, 3]"));
     std::erase_if(checkpoint.arrays, [](const NamedArray& a) { return a.name == "parameters/rotation"; });
-    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
+    EXPECT_THAT(get_data_error_message([&] { read.read_surfels("parameters"); }),
                 test::Names("array \"parameters/rotation\""));
 }
 
 TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     constexpr std::uint32_t n = 5;
     Surfels gaussians = make_example_surfels(n);
-    convert_to_primitive(gaussians, PrimitiveType::gaussian, 0.3);
+    convert_surfels(gaussians, PrimitiveType::gaussian, 0.3);
     SurfelArrays arrays(device(), n, "state", PrimitiveType::gaussian),
         back(device(), n, "state read back", PrimitiveType::gaussian), of_surfels(device(), n, "surfels");
     arrays.upload(gaussians);
@@ -93,18 +92,18 @@ TEST_F(DeviceState, GaussiansComeBackAndNothingElseInTheirPlace) {
     const CheckpointReader read(checkpoint);
     read("parameters", back);
     EXPECT_EQ(back.download().log_scale_w, gaussians.log_scale_w);
-    EXPECT_EQ(read.read_all_surfels("parameters").log_scale_w, gaussians.log_scale_w);
+    EXPECT_EQ(read.read_surfels("parameters").log_scale_w, gaussians.log_scale_w);
     get_data_error_message([&] { read("parameters", of_surfels); });
-    EXPECT_EQ(checkpoint.get_text("parameters/primitive"), "gaussian");
+    EXPECT_EQ(checkpoint.text("parameters/primitive"), "gaussian");
     checkpoint.texts.clear();
-    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
+    EXPECT_THAT(get_data_error_message([&] { read.read_surfels("parameters"); }),
                 test::Names("\"parameters/primitive\""));
     checkpoint.arrays.pop_back();
     checkpoint.texts["parameters/primitive"] = "gaussian";
-    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
+    EXPECT_THAT(get_data_error_message([&] { read.read_surfels("parameters"); }),
                 test::Names("array \"parameters/log_scale_w\""));
     checkpoint.texts["parameters/primitive"] = "cube";
-    EXPECT_THAT(get_data_error_message([&] { read.read_all_surfels("parameters"); }),
+    EXPECT_THAT(get_data_error_message([&] { read.read_surfels("parameters"); }),
                 test::Names("found \"cube\""));
 }
 

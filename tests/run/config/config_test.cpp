@@ -27,7 +27,7 @@ std::string get_usage_error_message(const Call& call) {
 std::string set_error(const std::string& key, const std::string& value) {
     return get_usage_error_message([&] {
         Config config;
-        set_config_value(config, key, value);
+        set_value(config, key, value);
     });
 }
 
@@ -47,7 +47,7 @@ void expect_equal(const Config& first, const Config& second) {
 Config convert_through_toml(const Config& config, const std::filesystem::path& folder) {
     put(folder / "config.toml", to_toml(config));
     Config result;
-    apply_config_file(result, folder / "config.toml");
+    apply_file(result, folder / "config.toml");
     return result;
 }
 
@@ -60,7 +60,7 @@ bool change(Config& config, const std::string& key) {
           "none",       "removed",  "range",     "clamp", "a \"b\" \\c"}) {
         if (value == before) continue;
         try {
-            set_config_value(config, key, value);
+            set_value(config, key, value);
             return true;
         } catch (const UsageError&) {}
     }
@@ -69,7 +69,7 @@ bool change(Config& config, const std::string& key) {
 
 TEST_F(ConfigFile, PresetsRoundTrip) {
     for (const char* name : {"paper", "released", "default", "quick"}) {
-        const Config config = make_preset_config(name);
+        const Config config = make_preset(name);
         EXPECT_EQ(config.preset, name);
         EXPECT_TRUE(convert_through_toml(config, folder) == config)
             << name << ": constants come with the preset";
@@ -77,7 +77,7 @@ TEST_F(ConfigFile, PresetsRoundTrip) {
 }
 
 TEST_F(ConfigFile, EveryKeyRoundTrips) {
-    const Config defaults = make_preset_config("default");
+    const Config defaults = make_preset("default");
     Config all = defaults;
     for (const ConfigKey& entry : list_config_keys(defaults)) {
         if (entry.key == "preset") continue;
@@ -102,13 +102,13 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
 }
 
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
-    const std::string full_toml = to_toml(make_preset_config("quick"));
+    const std::string full_toml = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
         put(folder / "config.toml", text);
-        return get_data_error_message([&] { load_saved_config(folder / "config.toml"); });
+        return get_data_error_message([&] { load_settings(folder / "config.toml"); });
     };
     put(folder / "config.toml", full_toml);
-    expect_equal(load_saved_config(folder / "config.toml"), make_preset_config("quick"));
+    expect_equal(load_settings(folder / "config.toml"), make_preset("quick"));
     const std::string file = (folder / "config.toml").string() + ": ";
     EXPECT_THAT(
         error(full_toml + "[mars]\ncolour = \"red\"\n"),
@@ -131,23 +131,23 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
 
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
-        Config config = make_preset_config(name);
+        Config config = make_preset(name);
         config.loss.box = 0.25f;
         config.train.iterations = 17;
-        put(folder / "short.toml", to_toml_without_defaults(config));
+        put(folder / "short.toml", to_short_toml(config));
         Config read;
-        apply_config_file(read, folder / "short.toml");
+        apply_file(read, folder / "short.toml");
         expect_equal(read, config);
-        EXPECT_EQ(to_toml_without_defaults(config).find("keep_hits"), std::string::npos);
-        EXPECT_LT(to_toml_without_defaults(config).size(), to_toml(config).size() / 2 + 2000);
+        EXPECT_EQ(to_short_toml(config).find("keep_hits"), std::string::npos);
+        EXPECT_LT(to_short_toml(config).size(), to_toml(config).size() / 2 + 2000);
     }
 }
 
 TEST(Config, ChannelsAreAList) {
     Config config;
-    set_config_value(config, "render.channels", "normal, seen");
-    EXPECT_EQ(parse_channel_names(config.render.channels).size(), 2u);
-    set_config_value(config, "render.channels", "");
+    set_value(config, "render.channels", "normal, seen");
+    EXPECT_EQ(parse_channels(config.render.channels).size(), 2u);
+    set_value(config, "render.channels", "");
     EXPECT_THAT(set_error("render.channels", "normal,sean"), test::Names("found \"normal,sean\""));
 }
 
@@ -158,7 +158,7 @@ TEST(Config, KeysAreUniqueAndExplained) {
         EXPECT_GT(entry.help.size(), 10u) << entry.key;
         if (entry.key == "preset") continue;
         Config config;
-        EXPECT_NO_THROW(set_config_value(config, entry.key, entry.value))
+        EXPECT_NO_THROW(set_value(config, entry.key, entry.value))
             << entry.key << ": the default is not accepted";
     }
     EXPECT_GT(unique_keys.size(), 45u);
@@ -199,20 +199,20 @@ TEST(Config, BadValuesGetOneClearLine) {
 
 TEST(Config, FailedSetChangesNothing) {
     Config config;
-    EXPECT_THROW(set_config_value(config, "image.sh_degree", "9"), UsageError);
+    EXPECT_THROW(set_value(config, "image.sh_degree", "9"), UsageError);
     expect_equal(config, Config{});
 }
 
 TEST(Config, PresetReplacesEverything) {
     Config config;
-    set_config_value(config, "loss.depth", "5");
-    set_config_value(config, "preset", "paper");
-    expect_equal(config, make_preset_config("paper"));
-    EXPECT_THAT(get_usage_error_message([] { make_preset_config("papr"); }), test::Names("'paper'"));
+    set_value(config, "loss.depth", "5");
+    set_value(config, "preset", "paper");
+    expect_equal(config, make_preset("paper"));
+    EXPECT_THAT(get_usage_error_message([] { make_preset("papr"); }), test::Names("'paper'"));
 }
 
 TEST(Config, PaperIsThePaper) {
-    const Config c = make_preset_config("paper");
+    const Config c = make_preset("paper");
     EXPECT_EQ(c.train.iterations, 30000);
     EXPECT_EQ(c.train.rays_per_iteration, 0);
     EXPECT_EQ(c.train.sh_degree_interval, 1000);
@@ -232,22 +232,22 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
-    EXPECT_EQ(make_common_trace_options(c).chunk, 16);
+    EXPECT_EQ(common_options(c).chunk, 16);
     EXPECT_EQ(c.densify.strategy, DensifyStrategy::adaptive);
     EXPECT_EQ(c.densify.gradient_threshold, 2e-4);
     EXPECT_EQ(c.densify.clone_extent_share, 2e-4);
     EXPECT_EQ(c.densify.until, 15000);
-    EXPECT_EQ(make_preset_config("default").densify.strategy, DensifyStrategy::none);
+    EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
 }
 
 /// docs/method.md section 5
 TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
-    Config c = make_preset_config("released");
+    Config c = make_preset("released");
     EXPECT_EQ(c.loss.intensity_ssim, 0.15f);
     EXPECT_EQ(c.loss.chamfer, 0.0f);
     EXPECT_EQ(c.loss.box, 0.01f);
     EXPECT_EQ(c.train.rays_per_iteration, 0) << "structural similarity is of images";
-    const Config paper = make_preset_config("paper");
+    const Config paper = make_preset("paper");
     c.preset = paper.preset;
     c.loss.intensity_ssim = paper.loss.intensity_ssim;
     c.loss.chamfer = paper.loss.chamfer;
@@ -257,29 +257,29 @@ TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
 
 TEST(Config, EnumFieldsReachTheirStages) {
     Config config;
-    EXPECT_EQ(make_backward_options(config).reduction, GradientReduction::automatic);
-    set_config_value(config, "train.deterministic", "true");
-    EXPECT_EQ(make_backward_options(config).reduction, GradientReduction::gather);
-    set_config_value(config, "trace.chunk", "8");
-    EXPECT_EQ(make_common_trace_options(config).chunk, 8);
+    EXPECT_EQ(backward_options(config).reduction, GradientReduction::automatic);
+    set_value(config, "train.deterministic", "true");
+    EXPECT_EQ(backward_options(config).reduction, GradientReduction::gather);
+    set_value(config, "trace.chunk", "8");
+    EXPECT_EQ(common_options(config).chunk, 8);
 }
 
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
-    EXPECT_FALSE(make_training_trace_options(config).likelihood);
-    set_config_value(config, "loss.likelihood", "0.1");
+    EXPECT_FALSE(training_options(config).likelihood);
+    set_value(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
-    const TraceOptions likelihood = make_training_trace_options(config);
-    EXPECT_FALSE(likelihood.writes_normals_or_surface_ranges());
+    const TraceOptions likelihood = training_options(config);
+    EXPECT_FALSE(likelihood.writes_surfaces());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
-    EXPECT_TRUE(make_rendering_trace_options(config).normals);
-    set_config_value(config, "image.primitive", "gaussian");
-    EXPECT_FALSE(make_rendering_trace_options(config).writes_normals_or_surface_ranges());
-    set_config_value(config, "render.range", "mode");
-    set_config_value(config, "sensor.return_separation_m", "0.7");
-    EXPECT_EQ(make_rendering_trace_options(config).mode_gap_m, 0.7f);
-    EXPECT_FALSE(make_training_trace_options(config).mode_gap_m);
+    EXPECT_TRUE(rendering_options(config).normals);
+    set_value(config, "image.primitive", "gaussian");
+    EXPECT_FALSE(rendering_options(config).writes_surfaces());
+    set_value(config, "render.range", "mode");
+    set_value(config, "sensor.return_separation_m", "0.7");
+    EXPECT_EQ(rendering_options(config).mode_gap_m, 0.7f);
+    EXPECT_FALSE(training_options(config).mode_gap_m);
 }
 
 TEST_F(ConfigFile, BadFilesNameFileAndKey) {
@@ -287,7 +287,7 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
         put(folder / "c.toml", text);
         return get_usage_error_message([&] {
             Config config;
-            apply_config_file(config, folder / "c.toml");
+            apply_file(config, folder / "c.toml");
         });
     };
     const std::string file = (folder / "c.toml").string() + ": ";
@@ -307,34 +307,33 @@ TEST_F(ConfigFile, BadFilesNameFileAndKey) {
 TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     Config config;
     put(folder / "c.toml", "[loss]\ndepth = \n");
-    const std::string message = get_data_error_message([&] { apply_config_file(config, folder / "c.toml"); });
+    const std::string message = get_data_error_message([&] { apply_file(config, folder / "c.toml"); });
     EXPECT_THAT(message, test::Names("c.toml:2 ... TOML"));
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_THAT(get_data_error_message([&] { apply_config_file(config, folder / "c.toml"); }),
+    EXPECT_THAT(get_data_error_message([&] { apply_file(config, folder / "c.toml"); }),
                 test::Names("c.toml:1 ... key"));
-    EXPECT_THAT(get_data_error_message([&] { apply_config_file(config, folder / "missing.toml"); }),
+    EXPECT_THAT(get_data_error_message([&] { apply_file(config, folder / "missing.toml"); }),
                 test::Names("missing.toml: no such file"));
-    EXPECT_THAT(get_data_error_message([&] { apply_config_file(config, folder); }),
-                test::Names(folder.string()));
+    EXPECT_THAT(get_data_error_message([&] { apply_file(config, folder); }), test::Names(folder.string()));
 }
 
 TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     Config config;
     // without a preset, other settings stay unchanged
     put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
-    set_config_value(config, "train.seed", "42");
-    apply_config_file(config, folder / "c.toml");
+    set_value(config, "train.seed", "42");
+    apply_file(config, folder / "c.toml");
     EXPECT_EQ(config.train.iterations, 5);
     EXPECT_EQ(config.train.seed, 42u);
     put(folder / "c.toml", "preset = \"quick\"\n[train]\niterations = 6\n");
-    apply_config_file(config, folder / "c.toml");
-    Config expected = make_preset_config("quick");
+    apply_file(config, folder / "c.toml");
+    Config expected = make_preset("quick");
     expected.train.iterations = 6;
     expect_equal(config, expected);
     put(folder / "c.toml", "[train]\niterations = 7\nseed = -1\n");
-    EXPECT_THROW(apply_config_file(config, folder / "c.toml"), UsageError);
+    EXPECT_THROW(apply_file(config, folder / "c.toml"), UsageError);
     expect_equal(config, expected);
 }
 

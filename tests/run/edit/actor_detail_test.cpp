@@ -35,7 +35,7 @@ SceneWithLog make_passing_cube(std::uint32_t n_surfels) {
 }
 
 TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
-    const ActorModelResolution detail = compute_actor_model_resolution(make_passing_cube(500), "cube");
+    const ActorModelResolution detail = model_resolution(make_passing_cube(500), "cube");
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_NEAR(detail.time_s, 0.5, 1e-12);
     EXPECT_EQ(detail.surfels, 500u);
@@ -58,28 +58,25 @@ TEST(ActorDetail, OfGivenRaysThoseAreCountedWhoseLinesMeetTheBox) {
                                                                                         {10.0f, -3.0f, 0.0f}};
     const Pose box_from_sensor = inverse(Pose{make_rotation(0.5 * kPi, 0.0, 0.0), {10.0, 0.0, 0.0}});
     const ActorModelResolution detail =
-        compute_actor_model_resolution(origin, direction, box_from_sensor, {2.0, 2.0, 1.0}, 7);
+        model_resolution(origin, direction, box_from_sensor, {2.0, 2.0, 1.0}, 7);
     EXPECT_EQ(detail.rays, 3u) << "two ahead and one from the side; one passes by, one goes the other way";
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_EQ(detail.surfels, 7u);
-    EXPECT_EQ(compute_actor_model_resolution(origin, direction, {}, {30.0, 30.0, 30.0}, 7).rays, 5u)
-        << "from within";
+    EXPECT_EQ(model_resolution(origin, direction, {}, {30.0, 30.0, 30.0}, 7).rays, 5u) << "from within";
 }
 
 TEST(ActorDetail, IsSparseWhereFewSurfelsMeetManyRays) {
-    const std::size_t rays = compute_actor_model_resolution(make_passing_cube(1), "cube").rays;
-    EXPECT_TRUE(compute_actor_model_resolution(make_passing_cube(std::uint32_t(rays / 10)), "cube")
-                    .has_too_few_surfels());
-    EXPECT_FALSE(
-        compute_actor_model_resolution(make_passing_cube(std::uint32_t(rays)), "cube").has_too_few_surfels());
+    const std::size_t rays = model_resolution(make_passing_cube(1), "cube").rays;
+    EXPECT_TRUE(model_resolution(make_passing_cube(std::uint32_t(rays / 10)), "cube").is_too_coarse());
+    EXPECT_FALSE(model_resolution(make_passing_cube(std::uint32_t(rays)), "cube").is_too_coarse());
 }
 
 TEST(ActorDetail, OfOneThatIsNeverThereNothingIsClaimed) {
     SceneWithLog d = make_passing_cube(5);
     for (double& t : d.sequence.boxes[0].world_from_box.time_s) t += 100.0;
-    EXPECT_EQ(compute_actor_model_resolution(d, "cube").rays, 0u);
-    EXPECT_FALSE(compute_actor_model_resolution(d, "cube").has_too_few_surfels());
-    EXPECT_THROW(compute_actor_model_resolution(d, "van"), UsageError);
+    EXPECT_EQ(model_resolution(d, "cube").rays, 0u);
+    EXPECT_FALSE(model_resolution(d, "cube").is_too_coarse());
+    EXPECT_THROW(model_resolution(d, "van"), UsageError);
 }
 
 }  // namespace

@@ -17,7 +17,7 @@ class TrajectoryFile : public TemporaryFolder {
 protected:
     PoseTrack read(const std::string& text) {
         put(folder / "t.csv", text);
-        return read_trajectory_csv(folder / "t.csv");
+        return read_trajectory(folder / "t.csv");
     }
     std::string error(const std::string& text) {
         return get_data_error_message([&] { read(text); });
@@ -81,8 +81,8 @@ TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
              {455000.123 + i, 5428000.5 - i, 113.0}});
     }
-    write_trajectory_csv(folder / "t.csv", track);
-    const PoseTrack again = read_trajectory_csv(folder / "t.csv");
+    write_trajectory(folder / "t.csv", track);
+    const PoseTrack again = read_trajectory(folder / "t.csv");
     ASSERT_EQ(again.time_s, track.time_s);
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         EXPECT_EQ(again.pose[i].translation, track.pose[i].translation);
@@ -102,7 +102,7 @@ TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
                 test::Names("line 3: found 5 columns, expected 7"));
     EXPECT_THAT(error("0,1,2,3,0,4,5\n1,1,2,3,0,4\n"), test::Names("line 2: found 6 columns, expected 7"));
     EXPECT_THAT(error(""), test::Names("found 0 poses"));
-    EXPECT_THAT(get_data_error_message([&] { read_trajectory_csv(folder / "none.csv"); }),
+    EXPECT_THAT(get_data_error_message([&] { read_trajectory(folder / "none.csv"); }),
                 test::Names("none.csv"));
 }
 

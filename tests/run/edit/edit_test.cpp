@@ -90,13 +90,13 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const SceneWithLog before = example();
     const BoxTrack van = box(before, "van");
-    EXPECT_THAT(describe_frames_without_actor(van, delay_track(before, "van", 0.4).sequence),
+    EXPECT_THAT(describe_absence(van, delay_track(before, "van", 0.4).sequence),
                 test::Names("van ... missing ... 4 frames ... 0 and 3 ... 0.40 to 1.30 s"));
     const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
-    EXPECT_THAT(describe_frames_without_actor(van, replace_trajectory(before, "van", path).sequence),
+    EXPECT_THAT(describe_absence(van, replace_track(before, "van", path).sequence),
                 test::Names("van ... missing ... 6 frames ... 0 and 9 ... 0.20 to 0.50 s"));
-    EXPECT_EQ(describe_frames_without_actor(van, delay_track(before, "van", 0.02).sequence), "");
-    EXPECT_EQ(describe_frames_without_actor(van, move_track(before, "van", at(0, 1)).sequence), "");
+    EXPECT_EQ(describe_absence(van, delay_track(before, "van", 0.02).sequence), "");
+    EXPECT_EQ(describe_absence(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
 
 /// The log has observed only the left side of its car.
@@ -104,8 +104,7 @@ SceneWithLog make_example_seen_from_left() {
     SceneWithLog recorded = example();
     ObservedBoxSurface left_side({4.0, 2.0, 1.5});
     for (double x = -1.95; x < 2.0; x += 0.1)
-        for (double z = -0.7; z < 0.75; z += 0.1)
-            left_side.mark_patch_of_point_as_observed({x, 1.0, z}, {0.0, -1.0, 0.0});
+        for (double z = -0.7; z < 0.75; z += 0.1) left_side.mark_observed({x, 1.0, z}, {0.0, -1.0, 0.0});
     recorded.scene.models[2].surface = left_side;
     for (std::size_t k = 0; k < 4; ++k) recorded.scene.surfels.mean[5 + k] = {-1.5f + float(k), 1.0f, 0.2f};
     return recorded;
@@ -118,7 +117,7 @@ TEST(Edit, MovingThereAndBackIsTheIdentity) {
     for (const SceneWithLog& edited : {move_track(recorded, "car", {}),
                                        move_track(move_track(recorded, "car", there), "car", inverse(there)),
                                        delay_track(delay_track(recorded, "car", 0.1), "car", -0.1)}) {
-        const SceneWithLog same = complete_moved_actors(edited, boxes);
+        const SceneWithLog same = complete_actors(edited, boxes);
         EXPECT_EQ(same.scene.surfels.mean, recorded.scene.surfels.mean);
         for (std::size_t b = 0; b < boxes.size(); ++b) {
             EXPECT_EQ(same.sequence.boxes[b].world_from_box.time_s, boxes[b].world_from_box.time_s);
@@ -127,7 +126,7 @@ TEST(Edit, MovingThereAndBackIsTheIdentity) {
                             1e-30);
         }
     }
-    const SceneWithLog moved = complete_moved_actors(move_track(recorded, "car", at(0, 1e-3)), boxes);
+    const SceneWithLog moved = complete_actors(move_track(recorded, "car", at(0, 1e-3)), boxes);
     EXPECT_EQ(moved.scene.surfels.size(), recorded.scene.surfels.size() + 4);
 }
 
@@ -145,7 +144,7 @@ TEST(Edit, RefusesNumbersThatAreNotFinite) {
 TEST(Edit, CopyDoesNotChangeRecordedActor) {
     const SceneWithLog recorded = make_example_seen_from_left();
     const auto complete = [&](SceneWithLog edited) {
-        return complete_moved_actors(std::move(edited), recorded.sequence.boxes);
+        return complete_actors(std::move(edited), recorded.sequence.boxes);
     };
     const SceneWithLog once = complete(copy_track(recorded, "car", {at(1020, -60), 0.0})),
                        twice = complete(copy_track(once, "car", {at(1030, -60), 0.0})),
@@ -180,32 +179,32 @@ TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
 TEST(Edit, RetimedActorsDoTheSameLaterAndAreAbsentOutside) {
     const SceneWithLog before = example(), after = delay_track(example(), "van", 0.4);
     for (const double t : {0.45, 0.6, 0.93})
-        expect_near(box(after, "van").world_from_box.interpolate_pose(t),
-                    box(before, "van").world_from_box.interpolate_pose(t - 0.4));
-    EXPECT_FALSE(box(after, "van").is_observed_at_time(0.3));
-    EXPECT_TRUE(box(after, "van").is_observed_at_time(0.4));
-    EXPECT_TRUE(box(after, "van").is_observed_at_time(1.3));
-    EXPECT_FALSE(box(after, "van").is_observed_at_time(1.4));
+        expect_near(box(after, "van").world_from_box.pose_at(t),
+                    box(before, "van").world_from_box.pose_at(t - 0.4));
+    EXPECT_FALSE(box(after, "van").is_observed(0.3));
+    EXPECT_TRUE(box(after, "van").is_observed(0.4));
+    EXPECT_TRUE(box(after, "van").is_observed(1.3));
+    EXPECT_FALSE(box(after, "van").is_observed(1.4));
 }
 
 TEST(Edit, TrajectoriesAreInterpolatedAndEndWithTheirTimes) {
     PoseTrack track{{0.2, 0.7},
                     {{glm::dquat(1, 0, 0, 0), {1010, -50, 2}},
                      {glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {1020, -45, 2}}}};
-    const SceneWithLog d = replace_trajectory(example(), "car", track);
+    const SceneWithLog d = replace_track(example(), "car", track);
     const BoxTrack& car = box(d, "car");
-    expect_near(car.world_from_box.interpolate_pose(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
-    expect_near(car.world_from_box.interpolate_pose(0.3),
-                {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}}, 1e-9);
-    EXPECT_TRUE(car.is_observed_at_time(0.2) && car.is_observed_at_time(0.7));
-    EXPECT_FALSE(car.is_observed_at_time(0.1) || car.is_observed_at_time(0.8))
+    expect_near(car.world_from_box.pose_at(0.2), {glm::dquat(1, 0, 0, 0), {10, 0, 0}});
+    expect_near(car.world_from_box.pose_at(0.3), {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {12, 1, 0}},
+                1e-9);
+    EXPECT_TRUE(car.is_observed(0.2) && car.is_observed(0.7));
+    EXPECT_FALSE(car.is_observed(0.1) || car.is_observed(0.8))
         << "half a sweep beside the ends, no more, however sparse the entries";
     track.time_s[1] = 0.2;
-    EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);
+    EXPECT_THROW(replace_track(example(), "car", track), DataError);
     track.time_s[1] = std::nan("");
-    EXPECT_THROW(replace_trajectory(example(), "car", track), DataError);
-    EXPECT_THROW(replace_trajectory(example(), "car", {{0.0}, {Pose{}}}), DataError);
-    EXPECT_THROW(replace_trajectory(example(), "car", {{0.0, 1e9}, {Pose{}, Pose{}}}), DataError);
+    EXPECT_THROW(replace_track(example(), "car", track), DataError);
+    EXPECT_THROW(replace_track(example(), "car", {{0.0}, {Pose{}}}), DataError);
+    EXPECT_THROW(replace_track(example(), "car", {{0.0, 1e9}, {Pose{}, Pose{}}}), DataError);
 }
 
 TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
@@ -214,7 +213,7 @@ TEST(Edit, CopiesShareTheModelAndDriveStraightOn) {
     EXPECT_EQ(tracks(two), (std::vector<std::string>{"", "van", "car", "van-copy-1", "van-copy-2"}));
     EXPECT_EQ(two.scene.surfels.size(), 9u) << "a model is held once";
     EXPECT_EQ(two.scene.instances[3].model, two.scene.instances[1].model);
-    expect_near(box(one, "van-copy-1").world_from_box.interpolate_pose(0.5),
+    expect_near(box(one, "van-copy-1").world_from_box.pose_at(0.5),
                 {start.dataset_from_box.rotation, {4.0, 2.0 + 4.0, 1.0}}, 1e-9);
     EXPECT_EQ(box(one, "van-copy-1").category, "Van");
     const SceneWithLog left = remove_track(two, "van");
@@ -240,18 +239,18 @@ TEST(Edit, ModelsKeepTheirBox) {
     const SceneWithLog after_removal = remove_track(example(), "van"),
                        inserted = insert_track(remove_track(example(), "car"), example(), "car", {});
     for (const SceneWithLog* d : {&after_removal, &inserted}) {
-        const Scene unshared_scene = duplicate_shared_models(d->scene);
+        const Scene unshared_scene = unshare_models(d->scene);
         for (const Scene* scene : {&d->scene, &unshared_scene})
             EXPECT_EQ(scene->models[scene->instances.back().model].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f));
     }
     Scene twice = example().scene;
     twice.instances.push_back({2, "car-copy-1"});
-    EXPECT_EQ(duplicate_shared_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
+    EXPECT_EQ(unshare_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
         << "a model of its own for the second placement";
 }
 
 TEST(Edit, KeepsOneSide) {
-    const SceneWithLog street = remove_all_actors(example());
+    const SceneWithLog street = remove_actors(example());
     EXPECT_EQ(tracks(street), std::vector<std::string>{""});
     EXPECT_EQ(street.scene.surfels.size(), 3u);
     EXPECT_EQ(street.sequence.boxes.size(), 1u) << "boxes without a model are not edited";
@@ -271,7 +270,7 @@ TEST(Edit, UnknownTracksNameTheNearest) {
     EXPECT_THAT(message("walker"), test::Names("box ... background"));
     EXPECT_THAT(message("walker"), test::Names("init.actor_tracks = van,car,walker"));
     EXPECT_THAT(message(""), test::Names("track")) << "the background is no track";
-    EXPECT_THAT(error_message<UsageError>([] { remove_track(remove_all_actors(example()), "van"); }),
+    EXPECT_THAT(error_message<UsageError>([] { remove_track(remove_actors(example()), "van"); }),
                 test::Names("actors"));
     const std::string stranger =
         error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); });
@@ -286,18 +285,18 @@ using EditedRun = TemporaryFolder;
 
 TEST_F(EditedRun, IsSavedAndLoadedLikeAnyOther) {
     for (const SceneWithLog& d :
-         {copy_track(example(), "van", {}), remove_background(example()), remove_all_actors(example())}) {
-        relidar::TrainedRun run{folder / "run", make_preset_config("quick"), d.sequence, {{0}, {1}},
-                                d.scene,        {{"/a", "--copy"}}};
+         {copy_track(example(), "van", {}), remove_background(example()), remove_actors(example())}) {
+        relidar::Run run{folder / "run", make_preset("quick"), d.sequence, {{0}, {1}},
+                         d.scene,        {{"/a", "--copy"}}};
         for (glm::vec4& q : run.scene.surfels.rotation) q = {1, 0, 0, 0};
         run.sequence.lidars[0].sensor.beams = {{0.0}};
         run.sequence.lidars[0].sensor.columns = 4;
-        for (const LidarFrame& f : run.sequence.frames) {
+        for (const Frame& f : run.sequence.frames) {
             run.sequence.world_from_vehicle.time_s.push_back(f.time_s);
             run.sequence.world_from_vehicle.pose.push_back({});
         }
         save_run(run);
-        const relidar::TrainedRun read = load_run(run.folder);
+        const relidar::Run read = load_run(run.folder);
         EXPECT_EQ(tracks({read.scene, read.sequence}), tracks(d));
         EXPECT_EQ(read.scene.surfels.mean, d.scene.surfels.mean);
     }

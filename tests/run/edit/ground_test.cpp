@@ -63,8 +63,8 @@ SceneWithLog make_slope() {
 
 NewActorMotion place_on_ground(const SceneWithLog& driving, const GroundPlacement& place,
                                const std::string& track) {
-    return compute_motion_on_ground({driving.scene, driving.sequence}, place,
-                                    {driving.scene, driving.sequence}, track);
+    return stand_on_ground({driving.scene, driving.sequence}, place, {driving.scene, driving.sequence},
+                           track);
 }
 
 Pose placed(const SceneWithLog& driving, double x, double y, std::optional<double> yaw_rad = {}) {
@@ -107,10 +107,10 @@ TEST(Ground, PathFollowsAHill) {
     const NewActorMotion start = place_on_ground(d, placement, "van");
     ASSERT_EQ(start.dataset_path.pose.size(), 5u);
     const SceneWithLog edited = copy_track(d, "van", start);
-    const BoxTrack* copy = find_box_track_by_id(edited.sequence, "van-copy-1");
+    const BoxTrack* copy = find_box(edited.sequence, "van-copy-1");
     ASSERT_NE(copy, nullptr);
     for (int i = 0; i < 4; ++i) {
-        const Pose pose = copy->world_from_box.interpolate_pose(i);
+        const Pose pose = copy->world_from_box.pose_at(i);
         const double x = -16.0 + 10.0 * i, climb = 0.008 * x;
         EXPECT_NEAR(pose.translation.x, x, 1e-9);
         // A plane that is fitted to 4.5 m of a parabola is 0.7 cm above the middle of the
@@ -126,14 +126,14 @@ TEST(Ground, PathFollowsAHill) {
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
     const SceneWithLog d = make_slope();
     const SceneWithLog alone = remove_background(d);  // an asset does not contain any ground
-    EXPECT_NEAR(measure_ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
-    EXPECT_FALSE(measure_ground_clearance({alone.scene, alone.sequence}, "van"));
-    EXPECT_THROW(measure_ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
+    EXPECT_NEAR(ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
+    EXPECT_FALSE(ground_clearance({alone.scene, alone.sequence}, "van"));
+    EXPECT_THROW(ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
     for (const double clearance_m : {0.0, 0.5}) {
         GroundPlacement placement{{6.0 + kWorldOffset_m.x, 3.0 + kWorldOffset_m.y}, 0.0};
         placement.clearance_m = clearance_m;
         const NewActorMotion start =
-            compute_motion_on_ground({d.scene, d.sequence}, placement, {alone.scene, alone.sequence}, "van");
+            stand_on_ground({d.scene, d.sequence}, placement, {alone.scene, alone.sequence}, "van");
         const glm::dvec3 above = start.dataset_from_box.translation - kWorldOffset_m -
                                  glm::dvec3(6.0, 3.0, compute_slope_height(6.0, 3.0));
         EXPECT_NEAR(glm::dot(kSlopeNormal, above), 0.8 + clearance_m, 0.02);
@@ -186,7 +186,7 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
     const SceneWithLog full_slope = make_slope();
     const std::uint32_t n = full_slope.scene.models[0].count;
     const auto block_file = folder / "model.safetensors";
-    save_scene_to_model_file(block_file, make_background_scene(full_slope.scene.surfels.slice(0, n)));
+    save_model(block_file, wrap_background(full_slope.scene.surfels.slice(0, n)));
     SceneWithLog d = full_slope;
     d.scene.surfels = full_slope.scene.surfels.slice(n, 1);
     d.scene.models[0].count = 0;
@@ -228,17 +228,17 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
 }
 
 TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
-    SyntheticOptions street;
+    StreetOptions street;
     street.n_frames = 6;
     street.rows = 32;
     street.columns = 512;
     SceneWithLog d;
-    d.sequence = make_synthetic_street(street);
-    SceneInitialisationOptions options;
+    d.sequence = make_street_log(street);
+    InitOptions options;
     options.actor_min_points = 10;
     std::vector<int> all;
     for (int i = 0; i < 6; ++i) all.push_back(i);
-    d.scene = initialise_scene(d.sequence, all, options);
+    d.scene = init_scene(d.sequence, all, options);
     ASSERT_FALSE(d.sequence.boxes.empty());
     const BoxTrack& car = d.sequence.boxes.front();
     const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;

@@ -42,14 +42,14 @@ inline RayDropNetwork make_example_network() {
     return network;
 }
 
-inline TrainedRun make_example_run(const std::filesystem::path& folder) {
-    TrainedRun run;
+inline Run make_example_run(const std::filesystem::path& folder) {
+    Run run;
     run.folder = folder;
-    run.config = make_preset_config("quick");
+    run.config = make_preset("quick");
     // must not be 0, because loading replaces 0 by the limit of the log
     run.config.dataset.max_range_m = 80.0;
     run.config.dataset.path = "/data/log \"one\"";
-    LidarSequence& s = run.sequence;
+    Log& s = run.sequence;
     s.name = "example \xC3\xA9";
     s.source = "somewhere";
     s.conventions = "none";
@@ -79,7 +79,7 @@ inline TrainedRun make_example_run(const std::filesystem::path& folder) {
                        {{1.3e9, 1.3e9 + 0.1}, {make_example_pose(0.5), make_example_pose(0.6)}}});
     s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
     run.split = {{0, 1}, {2}};  // frame 3 is unused
-    run.scene = make_background_scene(make_example_surfels(5));
+    run.scene = wrap_background(make_example_surfels(5));
     run.edits = {{"/runs/first", "--move 7:0,3.5,0"}, {"/runs/second", "--remove 9"}};
     return run;
 }

@@ -19,15 +19,15 @@ protected:
     void SetUp() override {
         TemporaryFolder::SetUp();
         path = folder / "model.safetensors";
-        scene = make_background_scene(make_example_surfels(4));
+        scene = wrap_background(make_example_surfels(4));
         scene.models = {{"background", 0, 3}, {"track 7", 3, 1, {2.25f, 0.875f, 0.75f}}};
         scene.instances = {{0, ""}, {1, "7"}};
-        save_scene_to_model_file(path, scene);
-        save_scene_to_model_file(folder / "rigid.safetensors", scene);
+        save_model(path, scene);
+        save_model(folder / "rigid.safetensors", scene);
         arrays = read_safetensors(path, &metadata);
     }
     std::string load_error() {
-        return get_data_error_message([&] { load_scene_from_model_file(path); });
+        return get_data_error_message([&] { load_model(path); });
     }
     std::string get_error_with_layout(const std::string& layout) {
         metadata["layout"] = layout;
@@ -46,7 +46,7 @@ protected:
 };
 
 TEST_F(ModelFile, RoundTripsExactly) {
-    const Scene read = load_scene_from_model_file(path);
+    const Scene read = load_model(path);
     test::expect_same_surfels(read.surfels, scene.surfels);
     ASSERT_EQ(read.models.size(), 2u);
     EXPECT_EQ(read.models[1].name, "track 7");
@@ -61,18 +61,17 @@ TEST_F(ModelFile, RoundTripsExactly) {
 
 TEST_F(ModelFile, KeepsWhichPatchesWereSeen) {
     ObservedBoxSurface surface({4.5, 1.75, 1.5});
-    surface.mark_patch_of_point_as_observed({2.25, 0.3, 0.2}, {-1.0, 0.0, 0.0});
+    surface.mark_observed({2.25, 0.3, 0.2}, {-1.0, 0.0, 0.0});
     surface.is_completed = true;
     scene.models[1].surface = surface;
-    save_scene_to_model_file(path, scene);
-    const Scene read = load_scene_from_model_file(path);
+    save_model(path, scene);
+    const Scene read = load_model(path);
     EXPECT_FALSE(read.models[0].surface);
     ASSERT_TRUE(read.models[1].surface);
     EXPECT_TRUE(read.models[1].surface->is_completed);
-    EXPECT_TRUE(read.models[1].surface->is_patch_of_point_observed({2.25, 0.3, 0.2}));
-    EXPECT_TRUE(read.models[1].surface->is_observed_only_in_mirror_image({2.25, -0.3, 0.2}));
-    EXPECT_EQ(read.models[1].surface->compute_covered_fraction_of_each_side(),
-              surface.compute_covered_fraction_of_each_side());
+    EXPECT_TRUE(read.models[1].surface->is_observed({2.25, 0.3, 0.2}));
+    EXPECT_TRUE(read.models[1].surface->is_mirror_observed({2.25, -0.3, 0.2}));
+    EXPECT_EQ(read.models[1].surface->covered_sides(), surface.covered_sides());
     arrays = read_safetensors(path, &metadata);
     std::string layout = metadata.at("layout");
     layout.replace(layout.find("\"front\":\"") + 9, 1, "7");
@@ -93,11 +92,11 @@ TEST_F(ModelFile, HasTheDocumentedArrays) {
 }
 
 TEST_F(ModelFile, GaussiansHaveASixthArray) {
-    convert_to_primitive(scene.surfels, PrimitiveType::gaussian, 0.3);
-    save_scene_to_model_file(path, scene);
+    convert_surfels(scene.surfels, PrimitiveType::gaussian, 0.3);
+    save_model(path, scene);
     arrays = read_safetensors(path, &metadata);
     EXPECT_EQ(array("log_scale_w").shape, std::vector<std::size_t>{4});
-    EXPECT_EQ(load_scene_from_model_file(path).surfels.log_scale_w, scene.surfels.log_scale_w);
+    EXPECT_EQ(load_model(path).surfels.log_scale_w, scene.surfels.log_scale_w);
     EXPECT_EQ(metadata.at("primitive"), "gaussian");
     metadata.erase("primitive");
     write_safetensors(path, arrays, metadata);
@@ -116,25 +115,24 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
 
 TEST_F(ModelFile, EveryPrimitiveComesBack) {
     for (const PrimitiveProperties& kind : kPrimitives) {
-        convert_to_primitive(scene.surfels, kind.primitive, 0.3);
-        save_scene_to_model_file(path, scene);
-        EXPECT_EQ(load_scene_from_model_file(path).surfels.primitive, kind.primitive) << kind.name;
-        EXPECT_EQ(load_scene_from_model_file(path).surfels.log_scale_w.size(), kind.third_scale ? 4u : 0u)
-            << kind.name;
+        convert_surfels(scene.surfels, kind.primitive, 0.3);
+        save_model(path, scene);
+        EXPECT_EQ(load_model(path).surfels.primitive, kind.primitive) << kind.name;
+        EXPECT_EQ(load_model(path).surfels.log_scale_w.size(), kind.third_scale ? 4u : 0u) << kind.name;
         write_safetensors(path, read_safetensors(path, &metadata), metadata);
         EXPECT_EQ(metadata.at("primitive"), kind.name);
         Config config;
-        set_config_value(config, "image.primitive", kind.name);
+        set_value(config, "image.primitive", kind.name);
         EXPECT_EQ(config.image.primitive, kind.primitive);
     }
 }
 
 TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
-    scene.surfels.add_motionless_gait();
+    scene.surfels.add_still_gait();
     scene.surfels.gait[3] = {0.25f, 2.5f, {0.1f, -0.2f, 0.3f}};
     scene.models[1].stride_m = 1.25f;
-    save_scene_to_model_file(path, scene);
-    const Scene read = load_scene_from_model_file(path);
+    save_model(path, scene);
+    const Scene read = load_model(path);
     ASSERT_TRUE(read.surfels.bends);
     for (std::size_t i = 0; i < 4; ++i) {
         EXPECT_EQ(read.surfels.gait[i].phase, scene.surfels.gait[i].phase);
@@ -143,8 +141,7 @@ TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
     }
     EXPECT_EQ(read.models[0].stride_m, 0.0f);
     EXPECT_EQ(read.models[1].stride_m, 1.25f);
-    EXPECT_FALSE(load_scene_from_model_file(folder / "rigid.safetensors").surfels.bends)
-        << "saved before it had a gait";
+    EXPECT_FALSE(load_model(folder / "rigid.safetensors").surfels.bends) << "saved before it had a gait";
 
     arrays = read_safetensors(path, &metadata);
     NamedArray& gait = array("gait");
@@ -155,10 +152,10 @@ TEST_F(ModelFile, AGaitAndItsStrideComeBack) {
 }
 
 TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
-    EXPECT_TRUE(load_scene_from_model_file(path).sensor_drop.empty());
+    EXPECT_TRUE(load_model(path).sensor_drop.empty());
     scene.sensor_drop = {2, 3, {0.0f, 0.25f, 1.0f, 1.0f / 3.0f, 0.5f, 0.75f}};
-    save_scene_to_model_file(path, scene);
-    const RayDropTable read = load_scene_from_model_file(path).sensor_drop;
+    save_model(path, scene);
+    const RayDropTable read = load_model(path).sensor_drop;
     EXPECT_EQ(read.channels, 2);
     EXPECT_EQ(read.bins, 3);
     EXPECT_EQ(read.probability, scene.sensor_drop.probability);
@@ -172,8 +169,8 @@ TEST_F(ModelFile, SensorDropRoundTripsAndIsChecked) {
 }
 
 TEST_F(ModelFile, AnEmptySceneRoundTrips) {
-    save_scene_to_model_file(path, make_background_scene({}));
-    EXPECT_EQ(load_scene_from_model_file(path).surfels.size(), 0u);
+    save_model(path, wrap_background({}));
+    EXPECT_EQ(load_model(path).surfels.size(), 0u);
 }
 
 TEST_F(ModelFile, CutFilesAreRefused) {
@@ -211,10 +208,10 @@ TEST_F(ModelFile, ValuesThatAreNotFiniteAreNamed) {
     write_safetensors(path, arrays, metadata);
     EXPECT_THAT(load_error(), test::Names("array log_scale: row 2 contains nan"));
     scene.surfels.sh[1 * kShFloats + 5] = std::numeric_limits<float>::infinity();
-    EXPECT_THAT(get_data_error_message([&] { save_scene_to_model_file(path, scene); }),
+    EXPECT_THAT(get_data_error_message([&] { save_model(path, scene); }),
                 test::Names("array sh: row 1 contains inf"));
     scene.surfels.rotation.pop_back();
-    EXPECT_THROW(save_scene_to_model_file(path, scene), DataError);
+    EXPECT_THROW(save_model(path, scene), DataError);
 }
 
 TEST_F(ModelFile, ModelsMustCoverTheSurfels) {

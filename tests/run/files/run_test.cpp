@@ -162,9 +162,9 @@ TEST_F(RunFolder, KeepsWhatWasGuessedAndFoundOfBoxes) {
 }
 
 TEST_F(RunFolder, RoundTripsExactly) {
-    const relidar::TrainedRun read = load_run(run.folder);
+    const relidar::Run read = load_run(run.folder);
     EXPECT_EQ(to_toml(read.config), to_toml(run.config));
-    const LidarSequence &a = read.sequence, &b = run.sequence;
+    const Log &a = read.sequence, &b = run.sequence;
     EXPECT_EQ(a.name, b.name);
     EXPECT_EQ(a.source, b.source);
     EXPECT_EQ(a.conventions, b.conventions);
@@ -218,10 +218,10 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
 TEST_F(RunFolder, CoverageRoundTripsExactly) {
     const std::filesystem::path file = run.folder / "coverage.safetensors";
     EXPECT_FALSE(std::filesystem::exists(file)) << "nothing is known";
-    run.coverage.add_voxels_on_line_segment({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
+    run.coverage.add_segment({0.5, 0.5, 0.5}, {-70.0, 33.0, 9.0});
     save_run(run);
-    const auto expected = run.coverage.list_voxel_blocks(),
-               loaded_blocks = load_run(run.folder).coverage.list_voxel_blocks();
+    const auto expected = run.coverage.list_blocks(),
+               loaded_blocks = load_run(run.folder).coverage.list_blocks();
     ASSERT_EQ(loaded_blocks.size(), expected.size());
     for (std::size_t i = 0; i < loaded_blocks.size(); ++i) {
         EXPECT_EQ(loaded_blocks[i].grid_index, expected[i].grid_index);
@@ -283,12 +283,12 @@ TEST_F(RunFolder, SensorRoundTripsExactly) {
 }
 
 TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
-    LidarSequence& s = run.sequence;
+    Log& s = run.sequence;
     s.lidars.push_back({"rear", s.lidars[0].sensor, make_example_pose(0.3)});
     s.lidars[0].name = "front";
     s.frames.insert(s.frames.begin() + 2, {11, s.frames[1].time_s, {}, 1});
     save_run(run);
-    const LidarSequence read = load_run(run.folder).sequence;
+    const Log read = load_run(run.folder).sequence;
     ASSERT_EQ(read.lidars.size(), 2u);
     EXPECT_EQ(read.lidars[1].name, "rear");
     expect_equal(read.lidars[1].vehicle_from_sensor, make_example_pose(0.3));
@@ -301,7 +301,7 @@ TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
 }
 
 TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
-    LidarSequence& s = run.sequence;
+    Log& s = run.sequence;
     const WindowScanSensor window{.name = "front",
                                   .rows = 4,
                                   .columns = 6,
@@ -324,8 +324,8 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         const Lidar read = load_run(run.folder).sequence.lidars[0];
         ASSERT_TRUE(read.pattern);
         EXPECT_EQ(read.pattern->index(), pattern.index());
-        EXPECT_EQ(read.get_sweep_period_s(), s.lidars[0].get_sweep_period_s());
-        const RayTable a = make_nominal_rays(read, 1.7), b = make_nominal_rays(s.lidars[0], 1.7);
+        EXPECT_EQ(read.sweep_period_s(), s.lidars[0].sweep_period_s());
+        const RayTable a = make_lidar_rays(read, 1.7), b = make_lidar_rays(s.lidars[0], 1.7);
         EXPECT_TRUE(a.direction == b.direction && a.origin == b.origin &&
                     a.time_offset_s == b.time_offset_s && a.channel == b.channel);
         EXPECT_EQ(a.divergence_rad, b.divergence_rad);
@@ -356,8 +356,8 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json scene_json = Json::parse(scene);
     // keys for human readers, members with default values, and edits
-    const std::vector<std::string> optional_prefixes = {"/relidar", "/units", "/conventions",
-                                                        "/lidars/0/sensor/spinning/", "/edits", "/start_unix_ns"};
+    const std::vector<std::string> optional_prefixes = {
+        "/relidar", "/units", "/conventions", "/lidars/0/sensor/spinning/", "/edits", "/start_unix_ns"};
     int n_removed_fields = 0;
     const Json flat = scene_json.flatten();
     for (const auto& [pointer, value] : flat.items()) {
@@ -466,9 +466,8 @@ TEST_F(RunFolder, UnwritableFoldersFailEarly) {
                                        {folder / std::string(300, 'x'), "File name too long"},
                                        {folder / "loop" / "run", "Too many levels"},
                                        {"/proc/relidar", "/proc/relidar"}})
-        EXPECT_THAT(get_data_error_message([&] { create_folder_and_require_writable(path); }),
-                    test::Names(reason));
-    create_folder_and_require_writable(folder / "a" / "b");
+        EXPECT_THAT(get_data_error_message([&] { prepare_folder(path); }), test::Names(reason));
+    prepare_folder(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));
 }
 

@@ -12,7 +12,7 @@ namespace {
 
 TEST_F(SavedRun, IsSavedCompleteOrNotAtAll) {
     const std::string model = read_contents(run.folder / kModelFile);
-    relidar::TrainedRun grown = run;
+    relidar::Run grown = run;
     grown.drop_network = make_example_network();
     for (rlim_t n_bytes = 0; n_bytes < 40'000; n_bytes += 5'000) {
         const test::FileSizeLimit full(n_bytes);

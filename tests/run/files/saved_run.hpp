@@ -17,7 +17,7 @@ protected:
         scene = read_contents(run.folder / "scene.json");
     }
 
-    relidar::TrainedRun run;
+    relidar::Run run;
     std::string scene;  ///< text of scene.json
 };
 

@@ -14,19 +14,19 @@ namespace relidar {
 namespace {
 
 struct Street {
-    LidarSequence log;            ///< log without boxes
+    Log log;                      ///< log without boxes
     std::vector<BoxTrack> truth;  ///< true boxes that move
-    TrainTestSplit split;
-    std::vector<BoxTrack> discover() const { return discover_moving_object_tracks(log, split.train); }
+    Split split;
+    std::vector<BoxTrack> discover() const { return discover_tracks(log, split.train); }
 };
 
 Street make_street_without_labels() {
     Street street;
-    street.log = make_synthetic_street({.n_frames = 24, .rows = 32, .columns = 512, .range_noise_m = 0.01});
+    street.log = make_street_log({.n_frames = 24, .rows = 32, .columns = 512, .range_noise_m = 0.01});
     for (const BoxTrack& box : street.log.boxes)
         if (box.is_moving()) street.truth.push_back(box);
     street.log.boxes.clear();
-    street.split = split_frames_into_train_and_test(street.log, 10);
+    street.split = split_frames(street.log, 10);
     return street;
 }
 
@@ -36,9 +36,8 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTra
         const double from =
             std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
         const double to = std::min(track.world_from_box.time_s.back(), truth.world_from_box.time_s.back());
-        if (from < to &&
-            truth.contains_point(track.world_from_box.interpolate_pose(0.5 * (from + to)).translation,
-                                 0.5 * (from + to), 0.3))
+        if (from < to && truth.contains_point(track.world_from_box.pose_at(0.5 * (from + to)).translation,
+                                              0.5 * (from + to), 0.3))
             return &track;
     }
     return nullptr;
@@ -58,9 +57,9 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         std::vector<glm::dvec3> relative_positions_m;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
-            if (truth.is_observed_at_time(t_s))
+            if (truth.is_observed(t_s))
                 relative_positions_m.push_back(inverse(track->world_from_box.pose[i]) *
-                                               truth.world_from_box.interpolate_pose(t_s).translation);
+                                               truth.world_from_box.pose_at(t_s).translation);
         }
         ASSERT_GE(relative_positions_m.size(), 6u);
         glm::dvec3 mean(0.0);
@@ -77,7 +76,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
 }
 
 /// Removes the labels of a box except in some frames. Returns the times of the others.
-std::vector<double> cut_labels(BoxTrack& box, const std::vector<LidarFrame>& frames, std::size_t first,
+std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
                                std::size_t end) {
     const BoxTrack original_box = box;
     std::vector<double> cut_s;
@@ -89,7 +88,7 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<LidarFrame>& fra
             continue;
         }
         box.world_from_box.time_s.push_back(t_s);
-        box.world_from_box.pose.push_back(original_box.world_from_box.interpolate_pose(t_s));
+        box.world_from_box.pose.push_back(original_box.world_from_box.pose_at(t_s));
     }
     return cut_s;
 }
@@ -110,15 +109,14 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         EXPECT_EQ(box.size_m, truth.size_m);
         EXPECT_EQ(box.n_before > 0, first > 0);
         EXPECT_EQ(box.n_after > 0, end < 24);
-        EXPECT_EQ(box.copy_track_of_labelled_poses().world_from_box.time_s,
-                  street.log.boxes[1].world_from_box.time_s);
+        EXPECT_EQ(box.labelled_part().world_from_box.time_s, street.log.boxes[1].world_from_box.time_s);
         const std::ptrdiff_t n_visible_labels =
             std::ranges::count_if(cut_s, [&](double t_s) { return t_s >= 0.9 && t_s < 2.4; });
         EXPECT_GE(box.n_before + box.n_after, std::size_t(n_visible_labels) - 2)
             << "two frames are held out; before it is out of sight";
         EXPECT_TRUE(std::ranges::is_sorted(box.world_from_box.time_s));
         for (std::size_t k = 0; k < box.world_from_box.time_s.size(); ++k) {
-            const Pose at = truth.world_from_box.interpolate_pose(box.world_from_box.time_s[k]),
+            const Pose at = truth.world_from_box.pose_at(box.world_from_box.time_s[k]),
                        off = inverse(at) * box.world_from_box.pose[k];
             EXPECT_LT(glm::length(off.translation), 0.3) << box.world_from_box.time_s[k];
             EXPECT_LT(glm::angle(off.rotation), 4.0 * kPi / 180.0) << box.world_from_box.time_s[k];
@@ -131,10 +129,10 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     Street street = make_street_without_labels();
     const BoxTrack& truth = street.truth[0];
     for (std::size_t f = 8; f < 15; ++f) {
-        LidarFrame& frame = street.log.frames[f];
+        Frame& frame = street.log.frames[f];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f)
-                if (const WorldReturn w = compute_world_return(street.log, frame, ray);
+                if (const WorldReturn w = locate_return(street.log, frame, ray);
                     truth.contains_point(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
@@ -158,7 +156,7 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     for (std::size_t k = 0; k < ahead->world_from_box.time_s.size(); ++k) {
         const double t_s = ahead->world_from_box.time_s[k];
         EXPECT_LT(glm::distance(glm::dvec2(ahead->world_from_box.pose[k].translation),
-                                glm::dvec2(street.truth[0].world_from_box.interpolate_pose(t_s).translation)),
+                                glm::dvec2(street.truth[0].world_from_box.pose_at(t_s).translation)),
                   0.5)
             << "filled up ahead, " << t_s;
     }
@@ -169,8 +167,8 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_frame_is_complete : {false, true}) {
         Street street = make_street_without_labels();
-        std::vector<LidarFrame> frames;
-        for (const LidarFrame& frame : street.log.frames)
+        std::vector<Frame> frames;
+        for (const Frame& frame : street.log.frames)
             for (const int lidar : {0, 1}) {
                 frames.push_back(frame);
                 frames.back().lidar = lidar;
@@ -183,9 +181,9 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars[0].name = "first";
         street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
-        require_valid_sequence(street.log);
+        check_sequence(street.log);
         const std::vector<BoxTrack> discovered_tracks =
-            discover_moving_object_tracks(street.log, split_frames_into_train_and_test(street.log, 10).train);
+            discover_tracks(street.log, split_frames(street.log, 10).train);
         EXPECT_EQ(discovered_tracks.size(), street.truth.size()) << first_frame_is_complete;
         for (const BoxTrack& truth : street.truth)
             EXPECT_NE(fingerprint_of(discovered_tracks, truth), nullptr) << "box " << truth.id;
@@ -214,7 +212,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
 /// A roof rack: returns at the same position relative to the sensor in every scan.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = make_street_without_labels();
-    for (LidarFrame& frame : street.log.frames)
+    for (Frame& frame : street.log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
             if (d.x < -0.6f && d.y > 0.2f && d.y < 0.5f && d.z > -0.35f && d.z < -0.15f)
@@ -240,15 +238,14 @@ TEST(DiscoverTracks, LooksAtTrainingFramesOnly) {
 
 TEST(DiscoverTracks, BecomeActors) {
     Street street = make_street_without_labels();
-    SceneInitialisationOptions options;
+    InitOptions options;
     options.unlabelled_movers = UnlabelledMoverPolicy::actors;
     options.actor_min_points = 20;
     street.log.boxes = street.discover();
-    EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(),
-              1 + street.truth.size());
+    EXPECT_EQ(init_scene(street.log, street.split.train, options).models.size(), 1 + street.truth.size());
     options.unlabelled_movers = UnlabelledMoverPolicy::removed;
     options.actor_classes = "Car";
-    EXPECT_EQ(initialise_scene(street.log, street.split.train, options).models.size(), 1u)
+    EXPECT_EQ(init_scene(street.log, street.split.train, options).models.size(), 1u)
         << "no class is wanted: masked instead";
 }
 

@@ -29,7 +29,7 @@ TEST(MoverPath, KeepsConstantAcceleration) {
         EXPECT_LT(glm::distance(path[k].velocity_mps, glm::dvec3(-3.0 + 1.6 * times[k], 5.0, 0.1)), 0.05);
         const double later = times[k] + 0.05;
         const glm::dvec3 truth(20.0 - 3.0 * later + 0.8 * later * later, 5.0 * later, 0.1 * later);
-        EXPECT_LT(glm::distance(path[k].predict_position_after(0.05), truth), 0.02);
+        EXPECT_LT(glm::distance(path[k].position_after(0.05), truth), 0.02);
     }
 }
 
@@ -40,8 +40,8 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
     for (const double t : times) {
         // a curve of 8 m radius at 4 m/s
         truth.push_back({8.0 * std::sin(0.5 * t), 8.0 - 8.0 * std::cos(0.5 * t), 0.0});
-        positions_m.push_back(truth.back() + 0.05 * glm::dvec3(random.sample_standard_normal(),
-                                                               random.sample_standard_normal(), 0.0));
+        positions_m.push_back(truth.back() +
+                              0.05 * glm::dvec3(random.sample_normal(), random.sample_normal(), 0.0));
     }
     positions_m[30] += glm::dvec3(2.0, -2.0, 0.0);
     const std::vector<KinematicState> path = smooth_path(times, positions_m);
@@ -54,7 +54,7 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
         EXPECT_LT(off, 0.15) << k;
     }
     EXPECT_LT(std::sqrt(squares), 0.05) << "of noise of 0.07 m";
-    const std::vector<double> yaw = compute_path_headings_rad(smooth);
+    const std::vector<double> yaw = path_headings_rad(smooth);
     for (std::size_t k = 15; k + 15 < times.size(); ++k)
         EXPECT_LT(std::abs(std::remainder(yaw[k] - 0.5 * times[k], 2.0 * kPi)), 3.0 * kPi / 180.0) << k;
 }
@@ -72,10 +72,10 @@ TEST(MoverPath, StandsWithTheHeadingItCameWith) {
         times.push_back(t);
         positions_m.push_back(
             glm::dvec3(4.0 * std::min(t - 1.0, 0.0) - brakes * brakes + starts * starts, 0.0, 0.0) +
-            0.03 * glm::dvec3(random.sample_standard_normal(), random.sample_standard_normal(), 0.0));
+            0.03 * glm::dvec3(random.sample_normal(), random.sample_normal(), 0.0));
     }
     for (const KinematicState& state : smooth_path(times, positions_m)) smooth.push_back(state.position_m);
-    const std::vector<double> yaw = compute_path_headings_rad(smooth);
+    const std::vector<double> yaw = path_headings_rad(smooth);
     for (std::size_t k = 0; k < yaw.size(); ++k) EXPECT_LT(std::abs(yaw[k]), 3.0 * kPi / 180.0) << k;
     for (std::size_t k = 31; k < 60; ++k)
         EXPECT_LT(std::abs(yaw[k] - yaw[k - 1]), 0.5 * kPi / 180.0) << "it stands, " << k;

@@ -21,22 +21,22 @@ namespace {
 
 // An object should be discovered if at least kMinVisibleFrames have kMinVisibleReturns.
 constexpr std::size_t kMinVisibleReturns = 12, kMinVisibleFrames = 10;
-constexpr double kFarthest_m = 40.0;  // discover_moving_object_tracks() ignores objects farther away
+constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
 // The centre of a discovered box must lie in the true box, enlarged by kInside_m. It may
 // exceed the size of the true box by kLarger_m.
 constexpr double kInside_m = 0.3, kLarger_m = 0.8;
 constexpr double kDriftStep_m = 0.03, kDriftMargin_m = 1.0;  // drift of inaccurate poses
 
 /// Returns the number of training frames in which each thing has enough returns.
-std::vector<std::size_t> list_frames_that_see(const LidarSequence& log, const std::vector<int>& train,
+std::vector<std::size_t> list_frames_that_see(const Log& log, const std::vector<int>& train,
                                               const std::vector<BoxTrack>& things) {
     std::vector<std::size_t> n_frames(things.size(), 0);
     for (const int position : train) {
-        const LidarFrame& frame = log.frames[std::size_t(position)];
+        const Frame& frame = log.frames[std::size_t(position)];
         std::vector<std::size_t> n_returns(things.size(), 0);
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kFarthest_m)) continue;
-            const WorldReturn w = compute_world_return(log, frame, ray);
+            const WorldReturn w = locate_return(log, frame, ray);
             for (std::size_t i = 0; i < things.size(); ++i)
                 n_returns[i] += things[i].contains_point(w.point_m, w.time_s, 0.0);
         }
@@ -51,7 +51,7 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i) {
         const double t_s = track.world_from_box.time_s[i];
-        inside += truth.is_observed_at_time(t_s) &&
+        inside += truth.is_observed(t_s) &&
                   truth.contains_point(track.world_from_box.pose[i].translation, t_s, kInside_m);
     }
     return 10 * inside >= 8 * track.world_from_box.time_s.size() &&
@@ -63,9 +63,9 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
 double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
     std::vector<glm::dvec3> relative_positions_m;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)
-        if (const double t_s = track.world_from_box.time_s[i]; thing.is_observed_at_time(t_s))
+        if (const double t_s = track.world_from_box.time_s[i]; thing.is_observed(t_s))
             relative_positions_m.push_back(inverse(track.world_from_box.pose[i]) *
-                                           thing.world_from_box.interpolate_pose(t_s).translation);
+                                           thing.world_from_box.pose_at(t_s).translation);
     glm::dvec3 mean(0.0);
     for (const glm::dvec3& p : relative_positions_m) mean += p / double(relative_positions_m.size());
     double farthest = 0.0;
@@ -78,9 +78,8 @@ double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
 void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double>& wobble_deg) {
     const PoseTrack& track = found.world_from_box;
     const auto turned = [&](std::size_t index) {
-        const glm::dvec3 ahead =
-            inverse(thing.world_from_box.interpolate_pose(track.time_s[index])).rotation *
-            track.pose[index].rotation * glm::dvec3(1, 0, 0);
+        const glm::dvec3 ahead = inverse(thing.world_from_box.pose_at(track.time_s[index])).rotation *
+                                 track.pose[index].rotation * glm::dvec3(1, 0, 0);
         return std::atan2(ahead.y, ahead.x);
     };
     for (std::size_t i = 1; i < track.pose.size(); ++i)
@@ -107,11 +106,11 @@ struct Score {
 };
 
 /// A second detection of the same object counts as wrong.
-void add_street(const SyntheticOptions& options, Score& score) {
-    LidarSequence log = make_synthetic_street(options);
+void add_street(const StreetOptions& options, Score& score) {
+    Log log = make_street_log(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
-    const std::vector<int> train = split_frames_into_train_and_test(log, 10).train;
-    const std::vector<BoxTrack> discovered_tracks = discover_moving_object_tracks(log, train);
+    const std::vector<int> train = split_frames(log, 10).train;
+    const std::vector<BoxTrack> discovered_tracks = discover_tracks(log, train);
     std::vector<char> is_matched(discovered_tracks.size(), 0);
     const std::vector<std::size_t> n_visible_frames = list_frames_that_see(log, train, truth);
     score.discovered += discovered_tracks.size();
@@ -139,8 +138,7 @@ void add_street(const SyntheticOptions& options, Score& score) {
 
 TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
     Score score;
-    SyntheticOptions street{
-        .n_frames = 40, .rows = 64, .columns = 768, .range_noise_m = 0.02, .people = true};
+    StreetOptions street{.n_frames = 40, .rows = 64, .columns = 768, .range_noise_m = 0.02, .people = true};
     for (street.seed = 1; street.seed <= 4; ++street.seed) {
         street.speed_mps = street.seed % 2 ? 8.0 : 3.0;
         add_street(street, score);
@@ -154,24 +152,22 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
 /// In a short log whose poses drift by 3 cm per frame, parked cars are observed from
 /// changing sides at changing positions. No parked car may be discovered as moving.
 TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
-    SyntheticOptions street{.n_frames = 27, .rows = 48, .columns = 768, .range_noise_m = 0.02};
+    StreetOptions street{.n_frames = 27, .rows = 48, .columns = 768, .range_noise_m = 0.02};
     street.moving_cars = false;
     street.people = true;
     for (std::uint64_t seed = 1; seed <= 2; ++seed) {
         street.seed = seed;
         street.speed_mps = seed % 2 ? 3.0 : 8.0;
-        LidarSequence log = make_synthetic_street(street);
+        Log log = make_street_log(street);
         const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
         Random random(seed);
         glm::dvec3 off_m(0.0);
         for (Pose& pose : log.world_from_vehicle.pose) {
-            off_m +=
-                kDriftStep_m * glm::dvec3(random.sample_standard_normal(), random.sample_standard_normal(),
-                                          0.3 * random.sample_standard_normal());
+            off_m += kDriftStep_m *
+                     glm::dvec3(random.sample_normal(), random.sample_normal(), 0.3 * random.sample_normal());
             pose.translation += off_m;
         }
-        for (const BoxTrack& discovered_track :
-             discover_moving_object_tracks(log, split_frames_into_train_and_test(log, 10).train)) {
+        for (const BoxTrack& discovered_track : discover_tracks(log, split_frames(log, 10).train)) {
             const PoseTrack& track = discovered_track.world_from_box;
             const bool is_one = std::ranges::any_of(truth, [&](const BoxTrack& thing) {
                 std::size_t inside = 0;
@@ -192,7 +188,7 @@ TEST(MoverScores, UnevenBeams) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_mover_scores.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     Score score;
-    SyntheticOptions street{.n_frames = 30, .range_noise_m = 0.02, .rig = rig.string(), .people = true};
+    StreetOptions street{.n_frames = 30, .range_noise_m = 0.02, .rig = rig.string(), .people = true};
     for (street.seed = 1; street.seed <= 2; ++street.seed) {
         street.speed_mps = street.seed % 2 ? 8.0 : 3.0;
         add_street(street, score);

@@ -13,7 +13,7 @@ namespace relidar {
 namespace {
 
 Config native() {
-    Config config = make_preset_config("quick");
+    Config config = make_preset("quick");
     config.sensor.grid = "native";
     return config;
 }
@@ -21,24 +21,23 @@ Config native() {
 class ActorScoresOf : public testing::Test {
 protected:
     static void SetUpTestSuite() {
-        street = make_synthetic_street({.seed = 3,
-                                        .n_frames = 6,
-                                        .rows = 64,
-                                        .columns = 1024,
-                                        .range_noise_m = 0.01,
-                                        .speed_mps = 5.0,
-                                        .people = true,
-                                        .gait = true});
+        street = make_street_log({.seed = 3,
+                                  .n_frames = 6,
+                                  .rows = 64,
+                                  .columns = 1024,
+                                  .range_noise_m = 0.01,
+                                  .speed_mps = 5.0,
+                                  .people = true,
+                                  .gait = true});
     }
     static void TearDownTestSuite() { street = {}; }
 
-    inline static LidarSequence street;
-    const LidarFrame& frame = street.frames[3];
-    const RangeImage real = make_measured_image(native(), frame.scan);
+    inline static Log street;
+    const Frame& frame = street.frames[3];
+    const RangeImage real = measured_image(native(), frame.scan);
 
     FrameActorScores compute_all_scores(const RangeImage& rendered) const {
-        return compute_actor_scores(rendered, rendered.range_m, real, street,
-                                    get_sweep_timing_of_frame(frame));
+        return score_actors(rendered, rendered.range_m, real, street, timing_of(frame));
     }
     MetricValues scores(const RangeImage& rendered) const { return compute_all_scores(rendered).metrics; }
 };
@@ -85,21 +84,20 @@ TEST_F(ActorScoresOf, RangesThatAreTooLongHaveThisBias) {
 }
 
 TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
-    const LidarFrame& last = street.frames.back();
+    const Frame& last = street.frames.back();
     const BoxTrack* fastest = nullptr;
     const auto path_m = [&](const BoxTrack& box) {
-        return glm::distance(box.world_from_box.interpolate_pose(last.time_s).translation,
+        return glm::distance(box.world_from_box.pose_at(last.time_s).translation,
                              box.world_from_box.pose.front().translation);
     };
     for (const BoxTrack& box : street.boxes)
-        if (box.is_observed_at_time(last.time_s) && (!fastest || path_m(box) > path_m(*fastest)))
-            fastest = &box;
+        if (box.is_observed(last.time_s) && (!fastest || path_m(box) > path_m(*fastest))) fastest = &box;
     ASSERT_TRUE(fastest);
     ASSERT_GT(path_m(*fastest), 0.5 * fastest->size_m.x + 0.5) << "it must have left the place";
-    const Pose sensor_from_world = inverse(street.world_from_vehicle.interpolate_mounted_pose(
-        last.time_s, street.lidars[0].vehicle_from_sensor));
+    const Pose sensor_from_world =
+        inverse(street.world_from_vehicle.mounted_pose_at(last.time_s, street.lidars[0].vehicle_from_sensor));
     const glm::dvec3 earlier = sensor_from_world * fastest->world_from_box.pose.front().translation;
-    RangeImage ghost = make_measured_image(native(), last.scan);
+    RangeImage ghost = measured_image(native(), last.scan);
     const RangeImage measured = ghost;
     const auto angle_to = [&](const glm::vec3& direction) {
         return -glm::dot(glm::dvec3(direction), glm::normalize(earlier));
@@ -109,7 +107,7 @@ TEST_F(ActorScoresOf, APointWhereACarWasIsInItsTail) {
     ghost.range_m[ray] = float(glm::length(earlier));
     ghost.drop_prob[ray] = 0.0f;
     const FrameActorScores actor_scores =
-        compute_actor_scores(ghost, ghost.range_m, measured, street, get_sweep_timing_of_frame(last));
+        score_actors(ghost, ghost.range_m, measured, street, timing_of(last));
     const auto actor = std::ranges::find(actor_scores.actors, fastest->id, &ActorScore::track);
     ASSERT_NE(actor, actor_scores.actors.end());
     EXPECT_EQ(actor->metrics.at("tail"), actor->metrics.at("tail_real") + 1.0);
@@ -121,7 +119,7 @@ TEST_F(ActorScoresOf, SeveralFramesAreWeightedByTheirPoints) {
          {"b", "Van", {{"points", 5}, {"points_real", 5}, {"range_above_30cm", 0.25}, {"tail", 0}}}},
         {{"a", "Car", {{"points", 30}, {"points_real", 30}, {"range_above_30cm", 0.1}, {"tail", 1}}},
          {"c", "Van", {{"points", 0}, {"points_real", 0}, {"tail", 4}}}}};
-    const std::vector<ActorScore> all = average_actor_scores(frames);
+    const std::vector<ActorScore> all = average_scores(frames);
     ASSERT_EQ(all.size(), 3u);
     EXPECT_EQ(all[0].track, "b") << "the highest share of large errors is first";
     EXPECT_EQ(all[1].category, "Car");
@@ -137,8 +135,7 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
     for (Pose& pose : world_from_sensor.pose) pose = pose * mounted;
     std::size_t n_people = 0;
     for (const BoxTrack& box : street.boxes) {
-        if (parse_object_kind(box.category) != ObjectKind::person || !box.is_observed_at_time(frame.time_s))
-            continue;
+        if (parse_kind(box.category) != ObjectKind::person || !box.is_observed(frame.time_s)) continue;
         ++n_people;
         std::size_t expected = 0;
         const glm::dvec3 half = 0.5 * box.size_m + 0.1;
@@ -146,12 +143,11 @@ TEST_F(ActorScoresOf, TakePointsAtTheMomentOfTheirFiring) {
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             const WorldRay ray = make_world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-            const glm::dvec3 p = inverse(box.world_from_box.interpolate_pose(t_s)) *
+            const glm::dvec3 p = inverse(box.world_from_box.pose_at(t_s)) *
                                  (ray.origin_m + double(frame.scan.range_m[i]) * ray.direction);
             expected += glm::all(glm::lessThanEqual(glm::abs(p), half)) && p.z >= 0.15 - 0.5 * box.size_m.z;
         }
-        const MovingBoxPoints points =
-            collect_points_in_box(real, real.range_m, real, street, get_sweep_timing_of_frame(frame), box);
+        const MovingBoxPoints points = points_in_box(real, real.range_m, real, street, timing_of(frame), box);
         EXPECT_NEAR(double(points.real_m.size()), double(expected), 2.0)
             << box.id << ": a point at the edge may fall to either side";
     }

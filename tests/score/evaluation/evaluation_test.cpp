@@ -21,17 +21,17 @@ class EvaluationOf : public test::DeviceTest {
 protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
-        run.sequence = make_synthetic_street({.n_frames = kFrames, .rows = 8, .columns = 64});
-        run.config = make_preset_config("quick");
+        run.sequence = make_street_log({.n_frames = kFrames, .rows = 8, .columns = 64});
+        run.config = make_preset("quick");
         run.config.refine.enabled = false;
-        run.split = split_frames_into_train_and_test(run.sequence, 0);
+        run.split = split_frames(run.sequence, 0);
         run.config.init.voxel_m = 0.5;
-        run.scene = initialise_scene(run.sequence, run.split.train, run.config.init);
+        run.scene = init_scene(run.sequence, run.split.train, run.config.init);
         positions.resize(kFrames);
         std::iota(positions.begin(), positions.end(), 0);
     }
 
-    void expect_forgotten(const EvaluationResult& evaluation, const std::vector<ScoredFrame>& frames) {
+    void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& frames) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(frames.size(), std::size_t(kFrames));
         for (std::size_t i = 0; i < frames.size(); ++i) {
@@ -47,7 +47,7 @@ protected:
         }
     }
 
-    relidar::TrainedRun run;
+    relidar::Run run;
     std::vector<int> positions;
 };
 
@@ -59,7 +59,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
         frame.metrics["own"] = frame.frame;
     };
     std::vector<double> progress_values;
-    const EvaluationResult evaluation = evaluate_frames(
+    const Evaluation evaluation = evaluate_frames(
         renderer, run.config, run.sequence, positions,
         [&](std::string_view, double done) { progress_values.push_back(done); }, see);
     expect_forgotten(evaluation, reported_frames);
@@ -71,7 +71,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
     double sum = 0.0;
     for (int i = 0; i < kFrames; ++i) {
         const ScoredFrame alone =
-            render_and_score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
+            score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
         EXPECT_GT(alone.metrics.size(), 20u);
         for (const auto& [name, value] : alone.metrics) {
             const double actual = evaluation.frames[std::size_t(i)].metrics.at(name);
@@ -86,7 +86,7 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
 TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
     const auto count = [&] {
         ScanRenderer renderer(device(), run);
-        const EvaluationResult evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
+        const Evaluation evaluation = evaluate_frames(renderer, run.config, run.sequence, {3});
         return std::ranges::count_if(
             evaluation.mean, [](const auto& m) { return m.first.find("intensity") != std::string::npos; });
     };
@@ -102,7 +102,7 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
         run.split.test.push_back(i);
     }
     std::vector<ScoredFrame> reported_frames;
-    const EvaluationResult evaluation =
+    const Evaluation evaluation =
         evaluate_baseline("nearest", run.config, run.sequence, run.split, {},
                           [&](const ScoredFrame& frame) { reported_frames.push_back(frame); });
     expect_forgotten(evaluation, reported_frames);

@@ -212,18 +212,18 @@ TEST(Evaluate, RefusesWrongShapesAndValues) {
 }
 
 TEST(Mean, IsOverTheFramesThatHaveTheMetric) {
-    const MetricValues result = compute_mean_metrics({{{"a", 1.0}, {"b", 5.0}}, {{"a", 3.0}}});
+    const MetricValues result = mean_metrics({{{"a", 1.0}, {"b", 5.0}}, {{"a", 3.0}}});
     EXPECT_EQ(result, (MetricValues{{"a", 2.0}, {"b", 5.0}}));
-    EXPECT_TRUE(compute_mean_metrics({}).empty());
+    EXPECT_TRUE(mean_metrics({}).empty());
 }
 
 TEST(ClassScores, AreTheShareOfEqualClassesAndTheMeanIou) {
     using enum SurfaceClass;
     const std::vector<SurfaceClass> real = {road, road, road, pole, unknown, building};
-    const MetricValues scores = compute_surface_class_metrics({5, 5, 12, 12, 5, -1}, real);
+    const MetricValues scores = score_classes({5, 5, 12, 12, 5, -1}, real);
     EXPECT_DOUBLE_EQ(scores.at("classes/accuracy"), 3.0 / 5.0);
     EXPECT_DOUBLE_EQ(scores.at("classes/mean_iou"), (2.0 / 3.0 + 1.0 / 2.0 + 0.0) / 3.0);
-    EXPECT_TRUE(compute_surface_class_metrics({5, -1}, std::vector{unknown, unknown}).empty());
+    EXPECT_TRUE(score_classes({5, -1}, std::vector{unknown, unknown}).empty());
 }
 
 }  // namespace

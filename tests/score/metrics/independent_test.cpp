@@ -112,7 +112,7 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
     if (expected.empty()) GTEST_SKIP() << "no python3 with numpy and scipy";
     const std::vector<bool> moving(pair.moving.begin(), pair.moving.end());
     const MetricValues actual_metrics =
-        evaluate_all({{&pair.rendered, &pair.real, make_evaluation_regions(pair.real, moving)}}).front();
+        evaluate_all({{&pair.rendered, &pair.real, make_regions(pair.real, moving)}}).front();
     std::vector<std::pair<std::string, std::string>> names = {
         {"0.4:cd_sq", "peer/cd_sq_m2"},
         {"0.4:F22", "peer/f_score"},

@@ -131,8 +131,7 @@ TEST(LpipsNetwork, AgreesWithDirectLoops) {
                                  b = make_random_values(n, -3.0f, 5.0f, 2);
         const std::vector<Planes> fa = compute_reference_features(a, rows, columns, weights),
                                   fb = compute_reference_features(b, rows, columns, weights);
-        const std::array<double, 5> layer_distances =
-            lpips.compute_lpips_layer_distances(a, b, rows, columns);
+        const std::array<double, 5> layer_distances = lpips.layer_distances(a, b, rows, columns);
         for (std::size_t l = 0; l < 5; ++l) {
             const double expected = compute_reference_distance(fa[l], fb[l], weights.linear[l]);
             EXPECT_GT(expected, 0.0);
@@ -153,11 +152,10 @@ TEST(LpipsNetwork, OneChannelIsRepeatedAndNotClamped) {
         return repeated;
     };
     double expected = 0.0;
-    for (const double d : lpips.compute_lpips_layer_distances(colours(metres), colours(other), 31, 40))
-        expected += d;
+    for (const double d : lpips.layer_distances(colours(metres), colours(other), 31, 40)) expected += d;
     const std::vector<double> a(metres.begin(), metres.end()), b(other.begin(), other.end());
-    EXPECT_NEAR(lpips.compute_perceptual_distance(a, b, 31, 40), expected, 1e-12);
-    EXPECT_EQ(lpips.compute_perceptual_distance(a, a, 31, 40), 0.0);
+    EXPECT_NEAR(lpips.compute_distance(a, b, 31, 40), expected, 1e-12);
+    EXPECT_EQ(lpips.compute_distance(a, a, 31, 40), 0.0);
 }
 
 TEST(LpipsNetwork, RefusesWrongSizes) {
@@ -172,12 +170,12 @@ TEST(LpipsNetwork, RefusesWrongSizes) {
     refused([](LpipsWeights& weights) { weights.linear[4].clear(); });
     refused([](LpipsWeights& weights) { weights.weight[1][7] = std::numeric_limits<float>::quiet_NaN(); });
     const Lpips lpips(good);
-    EXPECT_THROW(lpips.compute_lpips_layer_distances(std::vector<float>(3 * 30 * 40),
-                                                     std::vector<float>(3 * 30 * 40), 30, 40),
-                 DataError);
-    EXPECT_THROW(lpips.compute_lpips_layer_distances(std::vector<float>(3 * 31 * 40),
-                                                     std::vector<float>(3 * 31 * 39), 31, 40),
-                 DataError);
+    EXPECT_THROW(
+        lpips.layer_distances(std::vector<float>(3 * 30 * 40), std::vector<float>(3 * 30 * 40), 30, 40),
+        DataError);
+    EXPECT_THROW(
+        lpips.layer_distances(std::vector<float>(3 * 31 * 40), std::vector<float>(3 * 31 * 39), 31, 40),
+        DataError);
 }
 
 /// Compares with expected.json of the shared folder. Image a consists of sin(0.1 x + 0.05
@@ -207,8 +205,7 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
     };
     const std::array<double, 5> layer_distances =
         Lpips(read_lpips_weights(file))
-            .compute_lpips_layer_distances(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows,
-                                           n_columns);
+            .layer_distances(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows, n_columns);
     const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695,
                                 0.02966426871716976, 0.01576225645840168};
     double sum = 0.0;

@@ -33,7 +33,7 @@ Points make_random_points(int count, glm::dvec3 centre, glm::dvec3 extent, unsig
 }
 
 void expect_exact(const Points& query, const Points& target) {
-    const std::vector<double> actual = compute_nearest_distances(query, target),
+    const std::vector<double> actual = nearest_distances_m(query, target),
                               expected = brute_force(query, target);
     ASSERT_EQ(actual.size(), expected.size());
     for (std::size_t i = 0; i < actual.size(); ++i)
@@ -61,18 +61,18 @@ TEST(NearestDistances, AgreeOnManyThreads) {
 
 TEST(NearestDistances, AreZeroToThemselves) {
     const Points points = make_random_points(1000, glm::dvec3(0.0), glm::dvec3(10.0), 1);
-    EXPECT_EQ(compute_nearest_distances(points, points), std::vector<double>(1000, 0.0));
+    EXPECT_EQ(nearest_distances_m(points, points), std::vector<double>(1000, 0.0));
 }
 
 TEST(NearestDistances, OfNothingAreNone) {
-    EXPECT_TRUE(compute_nearest_distances({}, {}).empty());
-    EXPECT_THROW(compute_nearest_distances({glm::dvec3(0.0)}, {}), DataError);
+    EXPECT_TRUE(nearest_distances_m({}, {}).empty());
+    EXPECT_THROW(nearest_distances_m({glm::dvec3(0.0)}, {}), DataError);
 }
 
 TEST(NearestDistances, RefuseValuesThatAreNotFinite) {
     const Points good{glm::dvec3(0.0)}, bad{glm::dvec3(0.0, std::numeric_limits<double>::quiet_NaN(), 0.0)};
-    EXPECT_THROW(compute_nearest_distances(bad, good), DataError);
-    EXPECT_THROW(compute_nearest_distances(good, bad), DataError);
+    EXPECT_THROW(nearest_distances_m(bad, good), DataError);
+    EXPECT_THROW(nearest_distances_m(good, bad), DataError);
 }
 
 }  // namespace

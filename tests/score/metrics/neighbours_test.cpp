@@ -19,8 +19,8 @@ Pose turned(double yaw_rad, glm::dvec3 translation) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation};
 }
 
-LidarFrame make_frame(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
-    LidarFrame frame{index, time_s, {}};
+Frame make_frame(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
+    Frame frame{index, time_s, {}};
     for (const glm::vec3& p : points) {
         frame.scan.rays.origin.emplace_back(0.0f);
         frame.scan.rays.direction.push_back(glm::normalize(p));
@@ -36,8 +36,8 @@ LidarFrame make_frame(int index, double time_s, const std::vector<glm::vec3>& po
 
 /// From a sensor that drives and turns. Each sweep has a single return. The tests
 /// evaluate sweep 2.
-LidarSequence drive(bool rolling_shutter) {
-    LidarSequence s;
+Log drive(bool rolling_shutter) {
+    Log s;
     s.rolling_shutter = rolling_shutter;
     for (int i = 0; i < 5; ++i) {
         s.frames.push_back(
@@ -49,44 +49,43 @@ LidarSequence drive(bool rolling_shutter) {
 }
 
 TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
-    const LidarSequence s = drive(false);
-    const Scan points =
-        predict_scan_from_neighbours(s, 2, {0, 1, 4}, BoxPointMotion::stay);  // frame 3 is held out too
+    const Log s = drive(false);
+    const Scan points = predict_scan(s, 2, {0, 1, 4}, BoxPointMotion::stay);  // frame 3 is held out too
     ASSERT_EQ(points.range_m.size(), 2u);
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
         const auto f = std::size_t(frames[k]);
-        const glm::dvec3 expected = inverse(s.world_from_vehicle.pose[2]) *
-                                    (s.world_from_vehicle.pose[f] *
-                                     glm::dvec3(s.frames[f].scan.compute_return_point_in_sensor_frame(0)));
-        EXPECT_LT(glm::distance(glm::dvec3(points.compute_return_point_in_sensor_frame(k)), expected), 1e-5);
+        const glm::dvec3 expected =
+            inverse(s.world_from_vehicle.pose[2]) *
+            (s.world_from_vehicle.pose[f] * glm::dvec3(s.frames[f].scan.return_point(0)));
+        EXPECT_LT(glm::distance(glm::dvec3(points.return_point(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
     // no later frame exists
-    EXPECT_EQ(predict_scan_from_neighbours(s, 4, {0, 1}, BoxPointMotion::stay).range_m.size(), 1u);
-    EXPECT_THROW((void)predict_scan_from_neighbours(s, 2, {}, BoxPointMotion::stay), DataError);
+    EXPECT_EQ(predict_scan(s, 4, {0, 1}, BoxPointMotion::stay).range_m.size(), 1u);
+    EXPECT_THROW((void)predict_scan(s, 2, {}, BoxPointMotion::stay), DataError);
 }
 
 TEST(Neighbours, FollowTheRollingShutter) {
-    const LidarSequence s = drive(true);
-    const Scan points = predict_scan_from_neighbours(s, 2, {1, 3}, BoxPointMotion::stay);
+    const Log s = drive(true);
+    const Scan points = predict_scan(s, 2, {1, 3}, BoxPointMotion::stay);
     ASSERT_EQ(points.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
-        const LidarFrame& from = s.frames[k == 0 ? 1 : 3];
-        const glm::dvec3 world = s.world_from_vehicle.interpolate_pose(from.time_s + 0.01) *
-                                 glm::dvec3(from.scan.compute_return_point_in_sensor_frame(0));
-        const glm::dvec3 predicted_m(points.compute_return_point_in_sensor_frame(k));
+        const Frame& from = s.frames[k == 0 ? 1 : 3];
+        const glm::dvec3 world =
+            s.world_from_vehicle.pose_at(from.time_s + 0.01) * glm::dvec3(from.scan.return_point(0));
+        const glm::dvec3 predicted_m(points.return_point(k));
         // a head that turns clockwise
         const double azimuth = std::atan2(predicted_m.y, predicted_m.x),
                      t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
         // tolerance: the azimuth of the point changes while the head turns towards it
-        EXPECT_LT(glm::distance(s.world_from_vehicle.interpolate_pose(t_s) * predicted_m, world), 2e-3);
-        EXPECT_GT(glm::distance(s.world_from_vehicle.interpolate_pose(0.2) * predicted_m, world), 0.01);
+        EXPECT_LT(glm::distance(s.world_from_vehicle.pose_at(t_s) * predicted_m, world), 2e-3);
+        EXPECT_GT(glm::distance(s.world_from_vehicle.pose_at(0.2) * predicted_m, world), 0.01);
     }
 }
 
 TEST(Neighbours, MoveWithTheirBoxes) {
-    LidarSequence s = drive(false);
+    Log s = drive(false);
     for (Pose& pose : s.world_from_vehicle.pose) pose = {};
     // a box that moves by 1 m per frame and contains the points of frames 1 and 3
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};
@@ -95,20 +94,20 @@ TEST(Neighbours, MoveWithTheirBoxes) {
         box.world_from_box.pose.push_back(turned(0.1 * i, {9.5 + i, 2.0, 1.0}));
     }
     s.boxes = {box};
-    const Scan still = predict_scan_from_neighbours(s, 2, {1, 3}, BoxPointMotion::stay),
-               moved = predict_scan_from_neighbours(s, 2, {1, 3}, BoxPointMotion::follow);
+    const Scan still = predict_scan(s, 2, {1, 3}, BoxPointMotion::stay),
+               moved = predict_scan(s, 2, {1, 3}, BoxPointMotion::follow);
     ASSERT_EQ(moved.range_m.size(), 2u);
     for (std::size_t k = 0; k < 2; ++k) {
         const std::size_t f = k == 0 ? 1 : 3;
-        const glm::dvec3 world(s.frames[f].scan.compute_return_point_in_sensor_frame(0));
-        EXPECT_LT(glm::distance(glm::dvec3(still.compute_return_point_in_sensor_frame(k)), world), 1e-5);
+        const glm::dvec3 world(s.frames[f].scan.return_point(0));
+        EXPECT_LT(glm::distance(glm::dvec3(still.return_point(k)), world), 1e-5);
         const glm::dvec3 expected =
             box.world_from_box.pose[2] * (inverse(box.world_from_box.pose[f]) * world);
-        EXPECT_LT(glm::distance(glm::dvec3(moved.compute_return_point_in_sensor_frame(k)), expected), 1e-5);
+        EXPECT_LT(glm::distance(glm::dvec3(moved.return_point(k)), expected), 1e-5);
     }
     s.boxes[0].world_from_box.time_s.resize(2);  // the box does not exist in sweep 2
     s.boxes[0].world_from_box.pose.resize(2);
-    EXPECT_EQ(predict_scan_from_neighbours(s, 2, {1, 3}, BoxPointMotion::follow).range_m.size(), 1u);
+    EXPECT_EQ(predict_scan(s, 2, {1, 3}, BoxPointMotion::follow).range_m.size(), 1u);
 }
 
 SpinningSensor make_uneven_sensor() {
@@ -129,7 +128,7 @@ TEST(BinOntoRays, GivesEachRayItsOwnPoint) {
         points.range_m.push_back(uniform(random));
         points.intensity.push_back(uniform(random));
     }
-    const Scan scan = assign_points_to_nearest_rays(rays, points);
+    const Scan scan = assign_points(rays, points);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;
         ASSERT_EQ(scan.intensity[i], points.intensity[i]) << i;
@@ -145,10 +144,10 @@ TEST(BinOntoRays, AWindowEnds) {
         points.range_m.push_back(5.0f + 0.1f * float(i));
         points.intensity.push_back(0.5f);
     }
-    const Scan scan = assign_points_to_nearest_rays(rays, points);
+    const Scan scan = assign_points(rays, points);
     for (std::size_t i = 0; i < rays.size(); ++i) ASSERT_NEAR(scan.range_m[i], points.range_m[i], 1e-4) << i;
     for (glm::vec3& direction : points.rays.direction) direction.x = -direction.x;  // ahead
-    EXPECT_EQ(assign_points_to_nearest_rays(rays, points).count_returns(), 0u);
+    EXPECT_EQ(assign_points(rays, points).count_returns(), 0u);
 }
 
 TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
@@ -164,7 +163,7 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     points.rays.origin = {rays.origin[ray], rays.origin[ray], rays.origin[ray], {}, {}};
     points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4),
                              at(-12.8)};
-    const Scan scan = assign_points_to_nearest_rays(rays, points);
+    const Scan scan = assign_points(rays, points);
     // points at 5.4 and -12.8 degrees are farther from any beam than half the beam
     // spacing
     EXPECT_EQ(scan.count_returns(), 1u);
@@ -172,8 +171,8 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     EXPECT_EQ(scan.intensity[ray], 0.1f);
     points.rays.direction[3] = at(5.1);
     points.rays.direction[4] = at(-12.2);
-    EXPECT_EQ(assign_points_to_nearest_rays(rays, points).count_returns(), 3u);
-    EXPECT_THROW((void)assign_points_to_nearest_rays(points.rays, points),
+    EXPECT_EQ(assign_points(rays, points).count_returns(), 3u);
+    EXPECT_THROW((void)assign_points(points.rays, points),
                  DataError);  // the rays have no image order
 }
 
@@ -192,7 +191,7 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
     const RangeImage real = image_of({10, 20, 30, 0, 50}, {0, 0, 0, 1, 0}),
                      rendered = image_of({11, 20, 33, 7, 50}, {0, 0.9f, 0.6f, 0, 0});
     const MetricValues row =
-        evaluate_regions(rendered, real, make_evaluation_regions(real, {true, false, true, true, false}));
+        evaluate_regions(rendered, real, make_regions(real, {true, false, true, true, false}));
     EXPECT_EQ(row.at("moving_boxes/pixels"), 2.0);    // pixel 3 has no return
     EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);  // pixel 2 is dropped, but counts
     EXPECT_NEAR(row.at("moving_boxes/depth_medae_m"), 2.0, 1e-12);
@@ -210,31 +209,29 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
 }
 
 TEST(Regions, KnowWhatMoves) {
-    LidarSequence s = drive(true);
+    Log s = drive(true);
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};  // contains the point of frame 2 at its firing time
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
         box.world_from_box.pose.push_back(
-            {s.world_from_vehicle.interpolate_pose(0.21).rotation,
-             s.world_from_vehicle.interpolate_pose(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
+            {s.world_from_vehicle.pose_at(0.21).rotation,
+             s.world_from_vehicle.pose_at(0.21) * glm::dvec3(12.0, 2.0 + 2.0 * (i - 2.1), 1.0)});
     }
     s.boxes = {box};
-    EXPECT_EQ(mask_returns_in_labelled_movers(s, s.frames[2]), std::vector<bool>{true});
-    EXPECT_EQ(mask_returns_in_labelled_movers(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}),
+    EXPECT_EQ(mask_labelled_movers(s, s.frames[2]), std::vector<bool>{true});
+    EXPECT_EQ(mask_labelled_movers(s, s.frames[2], {{1.0, 0.0, 0.0, 0.0}, {0.0, 2.0, 0.0}}),
               std::vector<bool>{false});
-    EXPECT_EQ(mask_returns_in_labelled_movers(s, s.frames[4]), std::vector<bool>{false});
-    EXPECT_EQ(mask_returns_in_discovered_movers(s, s.frames[2]), std::vector<bool>{false})
-        << "it is labelled";
+    EXPECT_EQ(mask_labelled_movers(s, s.frames[4]), std::vector<bool>{false});
+    EXPECT_EQ(mask_found_movers(s, s.frames[2]), std::vector<bool>{false}) << "it is labelled";
     s.boxes[0].category = kDiscoveredCategory;
-    EXPECT_EQ(mask_returns_in_discovered_movers(s, s.frames[2]), std::vector<bool>{true});
-    EXPECT_EQ(mask_returns_in_discovered_movers(s, s.frames[4]), std::vector<bool>{false});
-    EXPECT_EQ(mask_returns_in_labelled_movers(s, s.frames[2]), std::vector<bool>{false})
-        << "it is scored on its own";
+    EXPECT_EQ(mask_found_movers(s, s.frames[2]), std::vector<bool>{true});
+    EXPECT_EQ(mask_found_movers(s, s.frames[4]), std::vector<bool>{false});
+    EXPECT_EQ(mask_labelled_movers(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
     s.boxes[0].category = "Car";
     // The labels end before frame 2. The discovery of moving objects has added the later
     // poses, and such poses must not change scores.
     s.boxes[0].n_after = 3;
-    EXPECT_EQ(mask_returns_in_labelled_movers(s, s.frames[2]), std::vector<bool>{false});
+    EXPECT_EQ(mask_labelled_movers(s, s.frames[2]), std::vector<bool>{false});
 }
 
 }  // namespace

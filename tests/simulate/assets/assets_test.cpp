@@ -24,17 +24,16 @@ const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};  // its rear faces the LiDAR
 
 class Sightings : public test::DeviceTest {
 protected:
-    double seen(const relidar::TrainedRun& run, BoxSide side) {
-        const auto sightings = collect_actor_observations(device(), run);
+    double seen(const relidar::Run& run, BoxSide side) {
+        const auto sightings = observe_actors(device(), run);
         return sightings.empty() ? 0.0
-                                 : make_observed_box_surface(kCarSize_m, sightings.at("7"))
-                                       .compute_observed_area_fraction(side);
+                                 : observed_surface(kCarSize_m, sightings.at("7")).observed_fraction(side);
     }
 };
 
 TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
-    const relidar::TrainedRun run = run_of(make_plates(), kAhead);
-    const auto sightings = collect_actor_observations(device(), run);
+    const relidar::Run run = run_of(make_plates(), kAhead);
+    const auto sightings = observe_actors(device(), run);
     ASSERT_EQ(sightings.count("7"), 1u);
     const ActorObservations& actor = sightings.at("7");
     ASSERT_GT(actor.points_m.size(), 100u);
@@ -56,21 +55,21 @@ TEST_F(Sightings, TurnWithTheActor) {
 }
 
 TEST_F(Sightings, WhatHidesAnActorHidesIt) {
-    relidar::TrainedRun run = run_of(make_plates(), kAhead);
+    relidar::Run run = run_of(make_plates(), kAhead);
     Surfels wall;
     wall.resize(1);
     wall.mean[0] = {4.0f, 0.0f, 0.0f};
     wall.rotation[0] = {std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f};
     wall.log_scale[0] = glm::vec2(std::log(5.0f));
     wall.opacity_logit[0] = 8.0f;
-    run.scene = copy_scene_with_new_background(run.scene, wall);
+    run.scene = replace_background(run.scene, wall);
     EXPECT_EQ(seen(run, BoxSide::rear), 0.0);
 }
 
 TEST_F(Sightings, HeldOutFramesDoNotCount) {
-    relidar::TrainedRun run = run_of(make_plates(), kAhead);
+    relidar::Run run = run_of(make_plates(), kAhead);
     run.split = {{}, {0, 1, 2}};
-    EXPECT_TRUE(collect_actor_observations(device(), run).empty());
+    EXPECT_TRUE(observe_actors(device(), run).empty());
 }
 
 TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
@@ -78,7 +77,7 @@ TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
     const std::size_t n = car.size();
     car.opacity_logit[3] = -7.0f;      // below 1 / 255
     car.mean[5] = {2.3f, 0.0f, 0.0f};  // 30 cm in front of the box
-    const ActorAsset asset = extract_actor_asset(run_of(car, kAhead), "7", {});
+    const ActorAsset asset = extract_asset(run_of(car, kAhead), "7", {});
     EXPECT_EQ(asset.facts.surfels, n - 2);
     EXPECT_EQ(asset.run.scene.surfels.size(), n - 2);
     EXPECT_EQ(asset.facts.mirrored, 0u) << "nothing was seen that a mirror image could be of";
@@ -93,44 +92,43 @@ TEST(MakeAsset, OnlyVehiclesAreMirrored) {
     }
     for (const auto& [category, is_vehicle] :
          {std::pair("Car", true), {"Pedestrian", false}, {"Cyclist", false}, {kDiscoveredCategory, true}}) {
-        relidar::TrainedRun run = run_of(make_plates(), kAhead);
+        relidar::Run run = run_of(make_plates(), kAhead);
         run.sequence.boxes[0].category = category;
-        const ActorAsset asset = extract_actor_asset(run, "7", left);
+        const ActorAsset asset = extract_asset(run, "7", left);
         EXPECT_EQ(asset.facts.kind == ObjectKind::vehicle, is_vehicle) << category;
         EXPECT_EQ(asset.facts.mirrored > 0, is_vehicle) << category;
         EXPECT_EQ(asset.facts.completed > 0.1, is_vehicle) << category;
-        EXPECT_DOUBLE_EQ(asset.facts.get_observed_or_mirrored_surface_fraction(),
-                         asset.facts.seen + asset.facts.completed);
+        EXPECT_DOUBLE_EQ(asset.facts.covered_share(), asset.facts.seen + asset.facts.completed);
     }
 }
 
 TEST(MakeAsset, IsARunOfThatActorAlone) {
-    relidar::TrainedRun run = run_of(make_plates(), kAhead);
+    relidar::Run run = run_of(make_plates(), kAhead);
     run.scene.instances.push_back({1, "copy"});
     run.sequence.boxes.push_back(run.sequence.boxes[0]);
     run.sequence.boxes[1].id = "copy";
     run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});  // without a model
-    const ActorAsset asset = extract_actor_asset(run, "7", {});
+    const ActorAsset asset = extract_asset(run, "7", {});
     EXPECT_EQ(asset.facts.name, "car-7");
-    EXPECT_EQ(get_track_name_of_only_actor(asset.run), "car-7");
+    EXPECT_EQ(only_track(asset.run), "car-7");
     ASSERT_EQ(asset.run.sequence.boxes.size(), 1u);
     EXPECT_EQ(asset.run.sequence.boxes[0].id, "car-7");
     EXPECT_EQ(asset.run.scene.models.size(), 2u);
-    EXPECT_THROW(extract_actor_asset(run, "nobody", {}), UsageError);
-    EXPECT_THROW(get_track_name_of_only_actor(run), UsageError) << "it has two";
+    EXPECT_THROW(extract_asset(run, "nobody", {}), UsageError);
+    EXPECT_THROW(only_track(run), UsageError) << "it has two";
 }
 
 class AssetFiles : public TemporaryFolder {};
 
 TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
-    ActorAsset asset = extract_actor_asset(run_of(make_plates(), kAhead), "7",
-                                           from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
+    ActorAsset asset = extract_asset(run_of(make_plates(), kAhead), "7",
+                                     from_outside({{-1.95f, 0.0f, 0.2f}, {0.1f, 0.95f, 0.3f}}, 8.25));
     asset.facts.clearance_m = 0.15;
     save_asset(asset, folder / "car-7");
-    EXPECT_EQ(read_asset_ground_clearance(load_run(folder / "car-7")), 0.15);
-    EXPECT_FALSE(read_asset_ground_clearance(run_of(make_plates(), kAhead)));
-    ASSERT_EQ(list_asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
-    const AssetDescription loaded_facts = read_asset_description(folder / "car-7");
+    EXPECT_EQ(read_clearance(load_run(folder / "car-7")), 0.15);
+    EXPECT_FALSE(read_clearance(run_of(make_plates(), kAhead)));
+    ASSERT_EQ(list_assets(folder), std::vector<std::filesystem::path>{folder / "car-7"});
+    const AssetDescription loaded_facts = read_description(folder / "car-7");
     EXPECT_EQ(loaded_facts.name, "car-7");
     EXPECT_EQ(loaded_facts.category, "Car");
     EXPECT_EQ(loaded_facts.kind, ObjectKind::vehicle);
@@ -149,33 +147,32 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
 }
 
 TEST_F(AssetFiles, DamageIsNamed) {
-    EXPECT_THAT(get_data_error_message([&] { list_asset_folders(folder); }), Names("asset"));
-    EXPECT_THAT(get_data_error_message([&] { list_asset_folders(folder / "nowhere"); }), Names("nowhere"));
-    save_asset(extract_actor_asset(run_of(make_plates(), kAhead), "7", from_outside({}, 8.0)),
-               folder / "car-7");
+    EXPECT_THAT(get_data_error_message([&] { list_assets(folder); }), Names("asset"));
+    EXPECT_THAT(get_data_error_message([&] { list_assets(folder / "nowhere"); }), Names("nowhere"));
+    save_asset(extract_asset(run_of(make_plates(), kAhead), "7", from_outside({}, 8.0)), folder / "car-7");
     const std::string good = read_contents(folder / "car-7" / kAssetFile);
     const nlohmann::json wrong = {{"seen", 1.5}, {"kind", "plane"}, {"size_m", {1, 2}}, {"format", "x"}};
     for (const auto& [member, value] : wrong.items()) {
         nlohmann::json json = nlohmann::json::parse(good);
         json[member] = value;
         put(folder / "car-7" / kAssetFile, json.dump());
-        EXPECT_THAT(get_data_error_message([&] { read_asset_description(folder / "car-7"); }), Names(member));
+        EXPECT_THAT(get_data_error_message([&] { read_description(folder / "car-7"); }), Names(member));
     }
 }
 
 class InsertedAsset : public Sightings {};
 
 TEST_F(InsertedAsset, RendersAsTheActorItWas) {
-    const relidar::TrainedRun run = run_of(make_plates(), kAhead);
+    const relidar::Run run = run_of(make_plates(), kAhead);
     // no surfel is mirrored or omitted
-    const ActorAsset asset = extract_actor_asset(run, "7", from_outside(make_plates().mean));
+    const ActorAsset asset = extract_asset(run, "7", from_outside(make_plates().mean));
     ASSERT_EQ(asset.facts.mirrored, 0u);
-    const SceneWithLog empty = remove_track(run.copy_driving_scene(), "7");
+    const SceneWithLog empty = remove_track(run.driving_scene(), "7");
     Pose dataset_from_car = kAhead;
     dataset_from_car.translation += run.sequence.world_offset_m;
     const SceneWithLog inserted =
-        insert_track(empty, asset.run.copy_driving_scene(), asset.facts.name, {dataset_from_car});
-    const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence);
+        insert_track(empty, asset.run.driving_scene(), asset.facts.name, {dataset_from_car});
+    const SimulatedSensor sensor = make_sensor(run.config, run.sequence);
     const RenderedScan before =
         ScanRenderer(device(), run.scene, run.config, run.sequence).render(sensor, 0.5);
     const RenderedScan after =

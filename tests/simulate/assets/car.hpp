@@ -36,13 +36,13 @@ inline ActorObservations from_outside(const std::vector<glm::vec3>& points_m, do
 }
 
 /// Three frames with a LiDAR at the origin and a static car.
-inline TrainedRun run_of(Surfels car, const Pose& world_from_car) {
-    TrainedRun run;
+inline Run run_of(Surfels car, const Pose& world_from_car) {
+    Run run;
     const auto n = std::uint32_t(car.size());
     run.scene.surfels = std::move(car);
     run.scene.models = {{"background", 0, 0, {}}, {"7", 0, n, glm::vec3(0.5 * kCarSize_m + 0.1)}};
     run.scene.instances = {{0, ""}, {1, "7"}};
-    LidarSequence& log = run.sequence;
+    Log& log = run.sequence;
     log.lidars[0].sensor = {"small", {}, 720};
     for (int i = 0; i < 24; ++i) log.lidars[0].sensor.beams.push_back({(4.0 - i) * kPi / 180.0});
     log.lidars[0].sensor.first_azimuth_rad = kPi;

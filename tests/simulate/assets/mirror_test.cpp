@@ -24,8 +24,7 @@ glm::dmat3 compute_covariance(const Surfels& surfels, std::size_t index) {
     const glm::vec4 q = surfels.rotation[index];
     const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
     glm::dvec3 sigma(std::exp(surfels.log_scale[index].x), std::exp(surfels.log_scale[index].y), 0.0);
-    if (get_primitive_properties(surfels.primitive).third_scale)
-        sigma.z = std::exp(surfels.log_scale_w[index]);
+    if (properties_of(surfels.primitive).third_scale) sigma.z = std::exp(surfels.log_scale_w[index]);
     const glm::dmat3 scaled(sigma.x * axes[0], sigma.y * axes[1], sigma.z * axes[2]);
     return scaled * glm::transpose(scaled);
 }
@@ -39,9 +38,9 @@ double difference(const glm::dmat3& first, const glm::dmat3& second) {
 
 TEST(Mirror, CovarianceIsMirrored) {
     Surfels discs = make_surfels_anywhere(50), ellipsoids = discs;
-    convert_to_primitive(ellipsoids, PrimitiveType::gaussian, 0.3);
+    convert_surfels(ellipsoids, PrimitiveType::gaussian, 0.3);
     for (const Surfels* surfels : {&discs, &ellipsoids}) {
-        const Surfels other = mirror_left_right(*surfels);
+        const Surfels other = mirror_surfels(*surfels);
         for (std::size_t i = 0; i < surfels->size(); ++i) {
             EXPECT_EQ(other.mean[i], glm::vec3(kMirror * glm::dvec3(surfels->mean[i])));
             EXPECT_LT(
@@ -54,7 +53,7 @@ TEST(Mirror, CovarianceIsMirrored) {
 TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
     const Surfels surfels = make_surfels_anywhere(20);
     const std::vector<reference::Surfel> here = test::to_reference(surfels),
-                                         there = test::to_reference(mirror_left_right(surfels));
+                                         there = test::to_reference(mirror_surfels(surfels));
     std::mt19937 random(9);
     std::normal_distribution<double> normal;
     for (std::size_t i = 0; i < here.size(); ++i) {
@@ -74,11 +73,11 @@ TEST(Mirror, AMovingSurfelSwingsToTheOtherSide) {
     Surfels surfels = make_surfels_anywhere(1);
     surfels.bends = true;
     surfels.gait.assign(1, {0.25f, 1.0f, glm::vec3(1.0f, 2.0f, 3.0f)});
-    EXPECT_EQ(mirror_left_right(surfels).gait[0].swing, glm::vec3(1.0f, -2.0f, 3.0f));
+    EXPECT_EQ(mirror_surfels(surfels).gait[0].swing, glm::vec3(1.0f, -2.0f, 3.0f));
 }
 
 TEST(Mirror, TwiceIsNoChange) {
-    const Surfels surfels = make_surfels_anywhere(5), twice = mirror_left_right(mirror_left_right(surfels));
+    const Surfels surfels = make_surfels_anywhere(5), twice = mirror_surfels(mirror_surfels(surfels));
     EXPECT_EQ(twice.mean, surfels.mean);
     EXPECT_EQ(twice.rotation, surfels.rotation);
     EXPECT_EQ(twice.sh, surfels.sh);
@@ -102,7 +101,7 @@ RayTable make_rays_from_the_right(double y) {
 
 class MirroredCar : public test::DeviceTest {
 protected:
-    RenderedScan seen(const relidar::TrainedRun& run, const RayTable& rays) {
+    RenderedScan seen(const relidar::Run& run, const RayTable& rays) {
         const PoseTrack stands{{0.5}, {Pose{{1, 0, 0, 0}, run.sequence.world_offset_m}}};
         const std::string track = run.scene.instances[1].track;
         return ScanRenderer(device(), run.scene, run.config, run.sequence)
@@ -114,7 +113,7 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
     Surfels guessed = left;  // adds surfels that training left on the unobserved side
     guessed.append_surfels(make_random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
-    const ActorAsset asset = extract_actor_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
+    const ActorAsset asset = extract_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());
     EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
     const RenderedScan expected = seen(asset.run, make_rays_from_the_right(-1.0)),
@@ -135,7 +134,7 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
 TEST_F(MirroredCar, KeepsWhatWasSeen) {
     const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
     const Surfels asset_surfels =
-        extract_actor_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
+        extract_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
     for (std::size_t i = 0; i < left.size(); ++i) {
         const auto it = std::ranges::find(asset_surfels.mean, left.mean[i]);
         ASSERT_NE(it, asset_surfels.mean.end()) << i;
@@ -155,21 +154,21 @@ Surfels left_plate() {
     return all.reorder(left);
 }
 
-relidar::TrainedRun train_small_run(const Surfels& car, const std::string& category) {
-    relidar::TrainedRun run = run_of(car, {});
+relidar::Run train_small_run(const Surfels& car, const std::string& category) {
+    relidar::Run run = run_of(car, {});
     run.sequence.boxes[0].category = category;
     ObservedBoxSurface surface(kCarSize_m);
     for (const glm::vec3& p : car.mean)
-        surface.mark_patch_of_point_as_observed(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
+        surface.mark_observed(glm::dvec3(p), {0.0, p.y > 0.0f ? -1.0 : 1.0, 0.0});
     run.scene.models[1].surface = surface;
     return run;
 }
 
 TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
-    const relidar::TrainedRun run = train_small_run(left_plate(), "Car");
-    relidar::TrainedRun edited = run;
+    const relidar::Run run = train_small_run(left_plate(), "Car");
+    relidar::Run edited = run;
     const Pose ahead{{1, 0, 0, 0}, {1, 0, 0}};
-    edited.replace_driving_scene(move_track(edited.copy_driving_scene(), "7", ahead));
+    edited.set_driving_scene(move_track(edited.driving_scene(), "7", ahead));
     const RayTable rays = make_rays_from_the_right(1.0);
     const RenderedScan before = seen(run, rays), after = seen(edited, rays);
     for (std::size_t i = 0; i < rays.direction.size(); ++i) {
@@ -183,32 +182,31 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
               seen(run, make_rays_from_the_right(-1.0)).median_range_m)
         << "the seen side";
     const ObservedBoxSurface& surface = *edited.scene.models[1].surface;
-    EXPECT_EQ(format_unobserved_sides(surface.compute_covered_fraction_of_each_side()), "front, rear, top");
-    relidar::TrainedRun again = edited;
-    again.replace_driving_scene(move_track(again.copy_driving_scene(), "7", ahead));
+    EXPECT_EQ(list_unseen_sides(surface.covered_sides()), "front, rear, top");
+    relidar::Run again = edited;
+    again.set_driving_scene(move_track(again.driving_scene(), "7", ahead));
     EXPECT_EQ(again.scene.surfels.size(), edited.scene.surfels.size()) << "completed once";
 }
 
 TEST_F(MirroredCar, ASideStaysUnseenIfNoSurfelIsMirrored) {
     Surfels inside = left_plate();
     ObservedBoxSurface surface(kCarSize_m);
-    for (const glm::vec3& p : inside.mean)
-        surface.mark_patch_of_point_as_observed(glm::dvec3(p), {0.0, -1.0, 0.0});
+    for (const glm::vec3& p : inside.mean) surface.mark_observed(glm::dvec3(p), {0.0, -1.0, 0.0});
     for (glm::vec3& mean : inside.mean) mean = glm::vec3(0.0f);
-    EXPECT_EQ(replace_unobserved_by_mirrored_surfels(inside, surface), 0u);
+    EXPECT_EQ(mirror_unobserved(inside, surface), 0u);
     EXPECT_FALSE(surface.is_completed);
     EXPECT_EQ(inside.size(), left_plate().size());
 }
 
 TEST_F(MirroredCar, OnlyASymmetricVehicleIsCompleted) {
-    const auto count_after_copy = [](relidar::TrainedRun run) {
-        run.replace_driving_scene(copy_track(run.copy_driving_scene(), "7", {}));
+    const auto count_after_copy = [](relidar::Run run) {
+        run.set_driving_scene(copy_track(run.driving_scene(), "7", {}));
         return run.scene.surfels.size();
     };
     EXPECT_GT(count_after_copy(train_small_run(left_plate(), "Car")), left_plate().size());
     EXPECT_EQ(count_after_copy(train_small_run(left_plate(), "Pedestrian")), left_plate().size());
     // The rear half of the right side was seen too, 0.4 m nearer to the centre.
-    Surfels lopsided = left_plate(), right = mirror_left_right(left_plate());
+    Surfels lopsided = left_plate(), right = mirror_surfels(left_plate());
     std::vector<std::uint32_t> rear;
     for (std::uint32_t i = 0; i < right.size(); ++i) {
         if (right.mean[i].x < -0.1f) rear.push_back(i);

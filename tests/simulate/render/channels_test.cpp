@@ -22,13 +22,13 @@ constexpr int kStep = 14;
 constexpr const char *kLabel = "my_label", *kShare = "my_share", *kVector = "my_way";
 
 const std::vector<std::int32_t>& get_labels(const RenderedScan& scan) {
-    return *find_channel_values<std::int32_t>(scan.channels, kLabel);
+    return *find_values<std::int32_t>(scan.channels, kLabel);
 }
 const std::vector<float>& get_shares(const RenderedScan& scan) {
-    return *find_channel_values<float>(scan.channels, kShare);
+    return *find_values<float>(scan.channels, kShare);
 }
 const std::vector<glm::vec3>& list_ways(const RenderedScan& scan) {
-    return *find_channel_values<glm::vec3>(scan.channels, kVector);
+    return *find_values<glm::vec3>(scan.channels, kVector);
 }
 
 /// Values are 14 ray + channel. All rays have a return and almost the same origin.
@@ -102,12 +102,12 @@ TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
 }
 
 TEST(Channels, ACellHasThemOfItsRay) {
-    const RangeImageGrid grid = make_kitti360_grid();
-    const RenderedScan scan = make_marked_scan(5), binned = project_points_into_grid_image(scan, grid);
+    const RangeImageGrid grid = kitti360_grid();
+    const RenderedScan scan = make_marked_scan(5), binned = project_scan(scan, grid);
     std::set<std::size_t> filled_cells;
     for (std::size_t ray = 0; ray < 5; ++ray) {
         const std::optional<int> cell =
-            project_to_pixel_index(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
+            project_to_pixel(grid, glm::dvec3(scan.median_range_m[ray] * scan.image.direction[ray]));
         ASSERT_TRUE(cell && filled_cells.insert(std::size_t(*cell)).second);
         expect_marks(binned, std::size_t(*cell), int(ray));
         EXPECT_EQ(binned.time_offset_s[std::size_t(*cell)], float(kStep * int(ray)) + 8.0f);
@@ -134,17 +134,17 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     config.sub_rays = 5;
     RayTable ray{1, 1, {{0, 0, 0}}, {{1, 0, 0}}, {0.0f}, {0}};
     const auto first_of = [](const RenderedScan& scan, const char* name) {
-        return find_channel_values<float>(scan.channels, name)->at(0);
+        return find_values<float>(scan.channels, name)->at(0);
     };
     for (const bool replaced : {false, true}) {
-        RenderedScan joined = join_sub_rays_to_beam_returns(parts, ray, config);
+        RenderedScan joined = join_sub_rays(parts, ray, config);
         if (replaced) {
-            RenderedScan old = join_sub_rays_to_beam_returns(parts, ray, config);
+            RenderedScan old = join_sub_rays(parts, ray, config);
             for (auto& [info, values, second] : old.channels)
                 std::visit([](auto& v) { v.assign(1, {}); }, values);
             old.weight = {0.0f};
             old.instance = {-1};
-            replace_scan_rays(old, {0}, joined);
+            replace_rays(old, {0}, joined);
             joined = old;
         }
         EXPECT_EQ(joined.weight[0], 6.0f);
@@ -165,20 +165,20 @@ class RenderedChannels : public test::DeviceTest {
 protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
-        SyntheticOptions options;
+        StreetOptions options;
         options.n_frames = 4;
-        log = make_synthetic_street(options);
-        scene = initialise_scene(log, {0, 1, 2, 3}, {});
-        for (const std::string& name : list_optional_channel_names())
+        log = make_street_log(options);
+        scene = init_scene(log, {0, 1, 2, 3}, {});
+        for (const std::string& name : optional_names())
             config.render.channels += (config.render.channels.empty() ? "" : ",") + name;
     }
     RenderedScan scan(const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, config, log);
-        renderer.set_observed_voxels(
-            compute_observed_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
-        return renderer.render(find_or_load_sensor(sensor, config, log), log.frames[1].time_s);
+        renderer.use_observed(
+            observe_coverage(log, log.world_from_vehicle, {0, 1, 2, 3}, config.dataset.max_range_m));
+        return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s);
     }
-    LidarSequence log;
+    Log log;
     Scene scene;
     Config config;
 };
@@ -189,10 +189,10 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
         config.sensor.divergence_mrad = 3.0;
         for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
             const RenderedScan rendered_scan = scan(sensor);
-            std::vector<std::string> names, expected = list_optional_channel_names();
+            std::vector<std::string> names, expected = optional_names();
             for (const ScanChannel& channel : rendered_scan.channels) {
                 names.push_back(channel.info.name);
-                EXPECT_EQ(count_channel_values(channel.values), rendered_scan.image.range_m.size())
+                EXPECT_EQ(count_values(channel.values), rendered_scan.image.range_m.size())
                     << channel.info.name;
                 EXPECT_FALSE(channel.info.meaning.empty());
             }
@@ -206,19 +206,18 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
 /// The head does not tilt, so the velocity is that of the sensor along the ray.
 TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
     const RenderedScan rendered_scan = scan();
-    const std::vector<float>& velocity = *find_channel_values<float>(rendered_scan.channels, "velocity");
+    const std::vector<float>& velocity = *find_values<float>(rendered_scan.channels, "velocity");
     const glm::dvec3 driven_length_m =
         log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
     ASSERT_NEAR(glm::length(driven_length_m) / (log.frames[2].time_s - log.frames[0].time_s),
-                SyntheticOptions{}.speed_mps, 0.01);
+                StreetOptions{}.speed_mps, 0.01);
     std::size_t n_standing = 0;
     for (std::size_t i = 0; i < velocity.size(); ++i) {
         if (rendered_scan.instance[i] != 0) continue;
         const glm::dvec3 direction =
-            rendered_scan.get_firing_pose(i).rotation * glm::dvec3(rendered_scan.image.direction[i]);
+            rendered_scan.firing_pose(i).rotation * glm::dvec3(rendered_scan.image.direction[i]);
         ASSERT_NEAR(velocity[i],
-                    -SyntheticOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_length_m)),
-                    0.01);
+                    -StreetOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_length_m)), 0.01);
         ++n_standing;
     }
     EXPECT_GT(n_standing, velocity.size() / 4);
@@ -229,12 +228,12 @@ TEST_F(RenderedChannels, AreWantedByName) {
     EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);
     config.render.channels.clear();
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.enable_optional_channels("spread");
-    renderer.enable_optional_channels("spread");
-    EXPECT_EQ(renderer.render(make_sensor_from_config(config, log), 0.1).channels.size(), 1u);
+    renderer.add_channels("spread");
+    renderer.add_channels("spread");
+    EXPECT_EQ(renderer.render(make_sensor(config, log), 0.1).channels.size(), 1u);
     config.image.primitive = PrimitiveType::gaussian;
     scene.surfels.resize(scene.surfels.size(), PrimitiveType::gaussian);
-    EXPECT_THROW(ScanRenderer(device(), scene, config, log).enable_optional_channels("normal"), UsageError)
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).add_channels("normal"), UsageError)
         << "3D Gaussians have none";
 }
 

@@ -9,8 +9,8 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/images.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
@@ -29,12 +29,12 @@ constexpr double kTolerance_m = 2e-3;  // errors of a surfel's plane and of floa
 constexpr int kScans = 3;
 
 /// A wall across x, and a sensor that drives along x and passes the origin at kFirst_s.
-TrainedRun make_run_towards_wall() {
-    TrainedRun run;
+Run make_run_towards_wall() {
+    Run run;
     run.scene.surfels = test::make_plate({kWall_m, 0.0f, 0.0f}, glm::vec2(8.0f));
     run.scene.models = {{"background", 0, 1}};
     run.scene.instances = {{0, ""}};
-    LidarSequence& log = run.sequence;
+    Log& log = run.sequence;
     log.lidars[0].sensor = {"own", {{0.2}, {0.0}, {-0.2}}, 96};
     log.lidars[0].sensor.first_azimuth_rad = kPi;
     log.rolling_shutter = false;
@@ -57,7 +57,7 @@ struct TimedPoint {
 
 class CompensatedLog : public test::DeviceTest {
 protected:
-    relidar::TrainedRun run = make_run_towards_wall();
+    relidar::Run run = make_run_towards_wall();
     std::filesystem::path folder = std::filesystem::temp_directory_path() / "relidar-compensated-log";
 
     void TearDown() override {
@@ -68,20 +68,20 @@ protected:
     void write(const SimulatedSensor& sensor, bool deskew) {
         std::filesystem::remove_all(folder);
         std::filesystem::create_directories(folder);
-        ScanOutputOptions format = make_default_output_options(run, sensor);
+        ScanOutputOptions format = default_options(run, sensor);
         format.formats = {"npz", "exr", "ply", "pcd", "mcap", "rosbag"};
         format.deskew = deskew;
         ScanRenderer renderer(device(), run);
         ScanFolderWriter scans(folder, format);
-        for (const LidarFrame& frame : run.sequence.frames)
+        for (const Frame& frame : run.sequence.frames)
             scans.write_scan(frame.index, renderer.render(sensor, frame.time_s));
-        scans.finish_scan_folder();
+        scans.finish();
     }
     std::string text(const char* name) const { return read_contents(folder / name); }
 
     std::vector<TimedPoint> points() const {
         const auto arrays = read_npz(folder / "frame_000000.npz");
-        const auto values = [&](const char* name) { return find_array(arrays, name)->convert_to_floats(); };
+        const auto values = [&](const char* name) { return find_array(arrays, name)->to_floats(); };
         const std::vector<float> range_m = values("median_range"), drop = values("drop_prob"),
                                  time_s = values("time"), origin_m = values("origin"),
                                  direction = values("directions");
@@ -115,7 +115,7 @@ protected:
         EXPECT_THAT(text("frame_000000.ply"), HasSubstr(frame));
         EXPECT_THAT(text("frame_000000.pcd"), HasSubstr(frame));
         EXPECT_THAT(read_exr(folder / "frame_000000.exr").notes.at("points_in"), HasSubstr(frame));
-        EXPECT_EQ(find_array(read_npz(folder / "frame_000000.npz"), "deskewed")->convert_to_floats()[0],
+        EXPECT_EQ(find_array(read_npz(folder / "frame_000000.npz"), "deskewed")->to_floats()[0],
                   deskewed ? 1.0f : 0.0f);
         EXPECT_THAT(text("scans.json"), HasSubstr(deskewed ? "\"deskewed\": true" : "\"deskewed\": false"));
         for (const char* recording : {"scans.mcap", "rosbag.mcap"})
@@ -126,20 +126,17 @@ protected:
     /// Every point must lie on the wall.
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
-            const LidarSequence log = load_sequence((folder / recording).string(), {});
+            const Log log = load_sequence((folder / recording).string(), {});
             EXPECT_EQ(log.rolling_shutter, rolls) << recording;
-            const PoseTrack track =
-                add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
+            const PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
             std::size_t n = 0;
-            for (const LidarFrame& frame : log.frames)
+            for (const Frame& frame : log.frames)
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
                     if (frame.scan.range_m[i] == 0.0f) continue;
                     const double fired_s =
                         frame.time_s + (rolls ? double(frame.scan.rays.time_offset_s[i]) : 0.0);
-                    ASSERT_NEAR((track.interpolate_pose(fired_s) *
-                                 glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(i)))
-                                    .x,
-                                kWall_m, 2.0 * kTolerance_m)
+                    ASSERT_NEAR((track.pose_at(fired_s) * glm::dvec3(frame.scan.return_point(i))).x, kWall_m,
+                                2.0 * kTolerance_m)
                         << recording;
                     ++n;
                 }
@@ -149,7 +146,7 @@ protected:
 };
 
 TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
-    const SimulatedSensor sensor = find_or_load_sensor("VLP-16:96x10", run.config, run.sequence);
+    const SimulatedSensor sensor = choose_sensor("VLP-16:96x10", run.config, run.sequence);
     write(sensor, false);
     expect_statements(false);
     expect_recordings(true);
@@ -191,7 +188,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
 }
 
 TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
-    write(find_or_load_sensor("native", run.config, run.sequence), false);
+    write(choose_sensor("native", run.config, run.sequence), false);
     expect_statements(true);
     expect_recordings(false);
     const std::vector<TimedPoint> native_points = points();
@@ -204,14 +201,14 @@ TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
 
 TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     run.config.sensor.rolling_shutter = RollingShutter::yes;
-    write(find_or_load_sensor("native", run.config, run.sequence), false);
+    write(choose_sensor("native", run.config, run.sequence), false);
     expect_statements(false);
     expect_recordings(true);
     for (const auto& [position_m, time_s] : points())
         EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
 
     run.config.sensor.rolling_shutter = RollingShutter::no;
-    write(find_or_load_sensor("VLP-16:96x10", run.config, run.sequence), false);
+    write(choose_sensor("VLP-16:96x10", run.config, run.sequence), false);
     expect_statements(true);
     for (const auto& [position_m, time_s] : points()) EXPECT_EQ(time_s, kFirst_s);
 }
@@ -220,7 +217,7 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {
         const bool rolls = name != std::string("native");
-        renderer.submit_points(find_or_load_sensor(name, run.config, run.sequence),
+        renderer.submit_points(choose_sensor(name, run.config, run.sequence),
                                {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
         const LidarPoints points = renderer.wait_for_points().points;
         ASSERT_GT(points.size(), 20u);

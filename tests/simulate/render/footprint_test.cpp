@@ -53,8 +53,7 @@ double spread(const RayTable& rays, const RayTable& parts, std::size_t index, st
 TEST(Footprint, EachRayHasItsOwnCone) {
     const RayTable rays = make_fan(8);
     for (const std::size_t n : {std::size_t(5), std::size_t(9), std::size_t(40)}) {
-        const RayTable per_ray_cones = split_rays_into_sub_rays(rays, int(n), 0.0),
-                       same = split_rays_into_sub_rays(rays, int(n), 4e-3);
+        const RayTable per_ray_cones = split_rays(rays, int(n), 0.0), same = split_rays(rays, int(n), 4e-3);
         ASSERT_EQ(per_ray_cones.size(), 8 * n);
         for (std::size_t i = 0; i < 8; ++i) {
             EXPECT_NEAR(std::sqrt(spread(rays, per_ray_cones, i, n)), 1e-3 * double(i), 2e-6)
@@ -63,8 +62,8 @@ TEST(Footprint, EachRayHasItsOwnCone) {
                 << "what is asked for stands for all";
         }
     }
-    EXPECT_FLOAT_EQ(float(rays.find_max_divergence_rad()), 7e-3f);
-    EXPECT_EQ(make_one_ray({1, 0, 0}).find_max_divergence_rad(), 0.0);
+    EXPECT_FLOAT_EQ(float(rays.max_divergence_rad()), 7e-3f);
+    EXPECT_EQ(make_one_ray({1, 0, 0}).max_divergence_rad(), 0.0);
 }
 
 TEST(Footprint, SomeRaysKeepTheirOwnCones) {
@@ -86,8 +85,7 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     for (const int n : {5, 9}) {
         for (const glm::vec3& direction :
              {glm::vec3(1, 0, 0), glm::vec3(0, 0, 1), glm::vec3(-0.3f, 0.5f, -0.7f)}) {
-            const RayTable rays = make_one_ray(direction),
-                           parts = split_rays_into_sub_rays(rays, n, divergence);
+            const RayTable rays = make_one_ray(direction), parts = split_rays(rays, n, divergence);
             ASSERT_EQ(parts.size(), std::size_t(n));
             EXPECT_EQ(parts.direction[0], rays.direction[0]);
             double squares = 0.0;
@@ -131,7 +129,7 @@ RenderedScan scan_of(const std::vector<Part>& parts) {
 RenderedScan joined(const std::vector<Part>& parts, SensorConfig config = {}) {
     config.sub_rays = static_cast<int>(parts.size());
     config.returns = 2;
-    return join_sub_rays_to_beam_returns(scan_of(parts), make_one_ray({1, 0, 0}), config);
+    return join_sub_rays(scan_of(parts), make_one_ray({1, 0, 0}), config);
 }
 
 constexpr float kTolerance = 1e-6f;
@@ -157,7 +155,7 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
                                       {30.0f, 0.3f, 0.0f, 0.25f},
                                       {10.0f, 0.2f, 0.0f, 4.0f},
                                       {30.0f, 0.3f, 0.0f, 0.0f}});
-    EXPECT_NEAR(compute_range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
+    EXPECT_NEAR(range_spread(scan)[0], 0.25f, 1e-5f) << "of the return's own parts";
     EXPECT_NEAR(scan.median_range_m[0], 30.0f, 1e-5f);
     EXPECT_NEAR(scan.image.intensity[0], 3 * 0.3f / 5, kTolerance);
     EXPECT_EQ(scan.instance[0], 0) << "of the part nearest to the middle";
@@ -169,7 +167,7 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
 /// Ranges differ by metres within a footprint.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
-                   parts = split_rays_into_sub_rays(ray, 9, 4e-3);
+                   parts = split_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {
         std::vector<Part> cone;
         for (const glm::vec3& d : parts.direction)

@@ -50,13 +50,13 @@ std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std
 /// The sensor detects any power. Empty if no ray has stray light.
 std::vector<LidarEcho> compute_stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
     const WeatherSensorProperties sensor{.darkest = 0.0};
-    const auto effect = kBlooming.prepare(
+    const auto effect = kBloomingEffect.prepare(
         {.weather = {.bloom = bloom}, .sensor = sensor, .scan = scan, .response = {}, .seed = seed});
     std::vector<LidarEcho> stray(effect ? scan.ring.size() : 0);
     Random random(0);
     for (std::size_t i = 0; i < stray.size(); ++i) {
         EchoCandidates candidates;
-        effect->append_effect_returns(candidates, {.index = i, .free_m = 1.0}, random);
+        effect->append_returns(candidates, {.index = i, .free_m = 1.0}, random);
         if (!candidates.empty()) stray[i] = candidates[0].echo;
     }
     return stray;
@@ -123,9 +123,8 @@ TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
     RenderedScan scan = make_wall_with({{0.0, 0.0, 4.0}});
     const RenderedScan before = scan;
     const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-3, 1);
-    add_weather_to_scan(scan,
-                        {.weather = {.bloom = 1e-3}, .sensor = {}, .scan = scan, .response = {}, .seed = 1});
-    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
+    add_weather(scan, {.weather = {.bloom = 1e-3}, .sensor = {}, .scan = scan, .response = {}, .seed = 1});
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
     int bloomed = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         const double surface_power =
@@ -149,22 +148,22 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
     std::vector<double> elevations_rad;
     for (int beam = 0; beam < 8; ++beam) elevations_rad.push_back(kDegree * (2.5 - 0.5 * beam));
-    const LidarSequence sequence = test::make_static_log(elevations_rad, 720);
+    const Log sequence = test::make_static_log(elevations_rad, 720);
     const Surfels disc = test::make_plate({12.0f, 0.0f, 0.0f}, glm::vec2(2.0f));
-    ScanRenderer renderer(device(), make_background_scene(disc), config, sequence);
-    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+    ScanRenderer renderer(device(), wrap_background(disc), config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, sequence);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {
         renderer.set_weather({.sun = sun});
         const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
-        return std::ranges::count(*find_channel_values<std::int32_t>(scan.channels, "source"),
+        return std::ranges::count(*find_values<std::int32_t>(scan.channels, "source"),
                                   std::int32_t(ReturnCause::noise));
     };
     EXPECT_EQ(noise_in({0.0, 0.5, 100.0}), 0) << "behind the wall";
     EXPECT_EQ(noise_in({0.0, 60.0, 100.0}), 0) << "far above the beams";
     renderer.set_weather({.sun = {180.0, 0.5, 100.0}});
     const RenderedScan scan = renderer.render(sensor, 0.0, {}, 1);
-    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
     int n = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         const double off_deg =

@@ -27,21 +27,21 @@ RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     scan.weight = {1.0f, 0.9f};
     scan.instance = {0, 2};
     scan.channels = {
-        {get_optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
+        {optional_channels()[0], std::vector<glm::vec3>{{-1.0f, 0.0f, 0.0f}, {0.0f, 0.0f, -1.0f}}}};
     scan.time_offset_s = {-0.05f, 0.04f};
     scan.ring = {3, 1};
-    scan.track = compute_mounted_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
+    scan.track = mount_track({{0.0, 1.0}, {start, end}}, rig_from_sensor);
     scan.time_s = 0.5;
-    scan.world_from_sensor = scan.track.interpolate_pose(0.5);
+    scan.world_from_sensor = scan.track.pose_at(0.5);
     return scan;
 }
 
 const std::vector<glm::vec3>& get_normals(const RenderedScan& scan) {
-    return *find_channel_values<glm::vec3>(scan.channels, "normal");
+    return *find_values<glm::vec3>(scan.channels, "normal");
 }
 
 glm::dvec3 compute_world_point(const RenderedScan& scan, std::size_t index) {
-    return scan.get_firing_pose(index) *
+    return scan.firing_pose(index) *
            glm::dvec3(scan.image.origin[index] + scan.image.range_m[index] * scan.image.direction[index]);
 }
 
@@ -51,8 +51,8 @@ RenderedScan arrange_in_two_rows(RenderedScan scan) {
         const std::vector<T> once = values;
         values.insert(values.end(), once.begin(), once.end());
     };
-    for_each_basic_channel_pair(RenderedScan(scan), scan,
-                                [&](const ChannelInfo&, const auto&, auto& values) { twice(values); });
+    for_basic_channels(RenderedScan(scan), scan,
+                       [&](const ChannelInfo&, const auto&, auto& values) { twice(values); });
     twice(scan.image.origin);
     twice(scan.image.direction);
     twice(scan.time_offset_s);
@@ -99,15 +99,15 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
         const RenderedScan& source_scan = scans[i / 2];
         EXPECT_LT(glm::length(compute_world_point(merged, i) - compute_world_point(source_scan, i % 2)), 1e-4)
             << i;
-        const glm::dvec3 normal = merged.get_firing_pose(i).rotation * glm::dvec3(get_normals(merged)[i]);
-        EXPECT_LT(glm::length(normal - source_scan.get_firing_pose(i % 2).rotation *
+        const glm::dvec3 normal = merged.firing_pose(i).rotation * glm::dvec3(get_normals(merged)[i]);
+        EXPECT_LT(glm::length(normal - source_scan.firing_pose(i % 2).rotation *
                                            glm::dvec3(get_normals(source_scan)[i % 2])),
                   1e-6)
             << i;
         EXPECT_EQ(merged.image.intensity[i], source_scan.image.intensity[i % 2]);
         EXPECT_EQ(merged.instance[i], source_scan.instance[i % 2]);
     }
-    EXPECT_EQ(compute_range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
+    EXPECT_EQ(range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
     EXPECT_EQ(merged.ring, (std::vector<std::uint16_t>{3, 1, 7, 5}))
         << "of the second sensor behind the four of the first";
     EXPECT_THROW(merge_scans({}, {}), UsageError);

@@ -46,8 +46,8 @@ Scene make_one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
 
 /// Poses at 40 Hz, and a sensor with a single horizontal beam.
 template <class PoseAt>
-LidarSequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
-    LidarSequence log;
+Log drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
+    Log log;
     log.lidars[0].sensor.beams = {{0.0}};
     log.lidars[0].sensor.columns = columns;
     log.lidars[0].sensor.first_azimuth_rad = kPi - kPi / columns;
@@ -84,10 +84,10 @@ std::array<double, 2> measure_halves_behind(const RenderedScan& scan) {
 
 class MovingActors : public test::DeviceTest {
 protected:
-    RenderedScan render(const Scene& scene, const LidarSequence& log, double time_s) {
+    RenderedScan render(const Scene& scene, const Log& log, double time_s) {
         Config config;
         ScanRenderer renderer(device(), scene, config, log);
-        return renderer.render(make_sensor_from_config(config, log), time_s);
+        return renderer.render(make_sensor(config, log), time_s);
     }
 };
 
@@ -99,7 +99,7 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     for (const double speed_mps : {0.0, 20.0, 30.0}) {
         const PoseAt sensor = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s, 0.0, 0.0}}; };
         const PoseAt van = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s - 10.0, 0.0, 0.0}}; };
-        const LidarSequence log = drive(720, sensor, van, size_m);
+        const Log log = drive(720, sensor, van, size_m);
         for (const double time_s : {0.5, 0.51}) {  // at a label, and between two labels
             const auto [first_m, last_m] =
                 measure_halves_behind(render(make_one_actor(front, size_m), log, time_s));
@@ -165,7 +165,7 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     add_wall(front, {2.0f, 0.0f, 0.0f}, glm::quat(1, 0, 0, 0), glm::vec2(1.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double t_s) { return Pose{{1, 0, 0, 0}, {20.0 * (t_s - 0.5) - 10.0, 0.0, 0.0}}; };
-    LidarSequence log = drive(720, sensor, van, size_m);
+    Log log = drive(720, sensor, van, size_m);
     log.rolling_shutter = false;
     const auto [first_m, last_m] = measure_halves_behind(render(make_one_actor(front, size_m), log, 0.5));
     EXPECT_NEAR(first_m, 8.0, 1e-3);
@@ -180,7 +180,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
     add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    LidarSequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    Log log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
     log.boxes[0].category = "Pedestrian";
     const auto expect_share = [&](double wall_x_m, double share) {
         Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
@@ -194,9 +194,9 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         Config config;
         config.render.channels = "class";
         ScanRenderer renderer(device(), scene, config, log);
-        EXPECT_TRUE(renderer.render(make_sensor_from_config(config, log), 0.5).actor_views.empty());
-        renderer.enable_actor_visibility();
-        const RenderedScan scan = renderer.render(make_sensor_from_config(config, log), 0.5);
+        EXPECT_TRUE(renderer.render(make_sensor(config, log), 0.5).actor_views.empty());
+        renderer.count_actor_rays();
+        const RenderedScan scan = renderer.render(make_sensor(config, log), 0.5);
         ASSERT_EQ(scan.actor_views.size(), 1u);
         const ActorVisibility& view = scan.actor_views[0];
         EXPECT_EQ(view.track, "actor");
@@ -204,7 +204,7 @@ TEST_F(MovingActors, AWallHidesHalfOfTheVan) {
         EXPECT_NEAR(double(view.n_rays_alone), 2.0 * std::atan(edge / 10.0) / (2.0 * kPi) * 7200.0, 3.0);
         EXPECT_NEAR(double(view.n_rays) / double(view.n_rays_alone), share, 0.015);
         // 0 is the background, 3 is a person, and -1 means that the ray hits nothing.
-        const auto& classes = *find_channel_values<std::int32_t>(scan.channels, "class");
+        const auto& classes = *find_values<std::int32_t>(scan.channels, "class");
         for (std::size_t i = 0; i < classes.size(); ++i)
             EXPECT_EQ(classes[i], scan.instance[i] == 1 ? 3 : scan.instance[i]);
         EXPECT_GE(std::ranges::count(classes, 3), std::ptrdiff_t(view.n_rays));
@@ -221,7 +221,7 @@ TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
     add_wall(wall, {30.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(30.0f));
     const PoseAt sensor = [](double) { return Pose{}; };
     const PoseAt van = [](double) { return Pose{{1, 0, 0, 0}, {12.0, 0.0, 0.0}}; };
-    const LidarSequence log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
+    const Log log = drive(7200, sensor, van, {4.0, 2.0, 2.0});
     for (const bool has_wall : {true, false}) {
         Scene scene = make_one_actor(rear, {4.0, 2.0, 2.0});
         if (has_wall) {
@@ -229,8 +229,7 @@ TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
             scene.surfels.append_surfels(rear);
             scene.models[0].count = scene.models[1].first = 1;
         }
-        const RenderedScan scan =
-            ScanRenderer(device(), scene, {}, log).render(make_sensor_from_config({}, log), 0.5);
+        const RenderedScan scan = ScanRenderer(device(), scene, {}, log).render(make_sensor({}, log), 0.5);
         int n_returns = 0, n_touched = 0;
         for (std::size_t i = 0; i < scan.instance.size(); ++i) {
             n_touched += scan.instance[i] == 1;
@@ -244,19 +243,19 @@ TEST_F(MovingActors, TheOutlineDoesNotDependOnWhatIsBehind) {
 
 /// As many rays return as the log measured on them, up to 3 %.
 TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
-    const LidarSequence log = make_synthetic_street({.n_frames = 5, .rows = 48, .columns = 1024});
-    Config config = make_preset_config("quick");
+    const Log log = make_street_log({.n_frames = 5, .rows = 48, .columns = 1024});
+    Config config = make_preset("quick");
     config.init.opacity = 0.95;  // training makes surfels nearly opaque
-    const Scene scene = initialise_scene(log, {0, 1, 2, 3, 4}, config.init);
+    const Scene scene = init_scene(log, {0, 1, 2, 3, 4}, config.init);
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.set_visible_instances(mark_instances_with_names(scene, {"actors"}));
-    const LidarFrame& frame = log.frames[2];
-    const RenderedScan scan = renderer.render(make_sensor_from_config(config, log), frame.time_s);
+    renderer.show_instances(select_instances(scene, {"actors"}));
+    const Frame& frame = log.frames[2];
+    const RenderedScan scan = renderer.render(make_sensor(config, log), frame.time_s);
     double n_returns = 0.0, n_measured = 0.0;
     for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
         n_returns += is_ray_returned(scan.image.drop_prob[i], scan.median_range_m[i]);
         if (!(frame.scan.range_m[i] > 0.0f)) continue;
-        const WorldReturn w = compute_world_return(log, frame, i);
+        const WorldReturn w = locate_return(log, frame, i);
         n_measured += std::ranges::any_of(
             log.boxes, [&](const BoxTrack& box) { return box.contains_point(w.point_m, w.time_s, 0.0); });
     }
@@ -283,13 +282,13 @@ TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
                     {10.0 + 9.0 * (t_s - 0.5), 2.0 * (t_s - 0.5), 0.0}};
     };
     for (const bool rolls : {true, false}) {
-        LidarSequence log = drive(720, sensor, van, size_m);
+        Log log = drive(720, sensor, van, size_m);
         log.rolling_shutter = rolls;
         Config config;
         config.render.channels = "velocity";
         ScanRenderer renderer(device(), scene, config, log);
-        const RenderedScan scan = renderer.render(make_sensor_from_config(config, log), 0.5);
-        const std::vector<float>& velocity = *find_channel_values<float>(scan.channels, "velocity");
+        const RenderedScan scan = renderer.render(make_sensor(config, log), 0.5);
+        const std::vector<float>& velocity = *find_values<float>(scan.channels, "velocity");
         int n[2] = {};
         for (std::size_t i = 0; i < velocity.size(); ++i) {
             if (scan.instance[i] < 0) {

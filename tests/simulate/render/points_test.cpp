@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests points that are computed on the device and requested ahead
 // (simulate/render/mark_returns, simulate/render/gather_points). They must equal, bit by
-// bit, the result of convert_scan_to_points() for scans that are rendered in sequence.
-// Also compares convert_scan_to_points() with double precision.
+// bit, the result of place_points() for scans that are rendered in sequence.
+// Also compares place_points() with double precision.
 #include <cmath>
 #include <cstring>
 
@@ -33,23 +33,23 @@ protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        log = make_synthetic_street({.n_frames = 12});
+        log = make_street_log({.n_frames = 12});
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
-        scene = initialise_scene(log, split_frames_into_train_and_test(log, 5).train, {});
+        scene = init_scene(log, split_frames(log, 5).train, {});
     }
     PoseTrack bend() const {
-        PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
+        PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             track.pose[k].rotation =
                 make_rotation(0.4 * double(k), 0.01 * double(k), -0.02 * std::sin(double(k)));
         return track;
     }
     double middle_s() const { return log.frames[log.frames.size() / 2].time_s; }
-    SimulatedSensor sensor(const std::string& name) const { return find_or_load_sensor(name, config, log); }
+    SimulatedSensor sensor(const std::string& name) const { return choose_sensor(name, config, log); }
     void make_renderer() {
         renderer.emplace(device(), scene, config, log);
-        renderer->set_observed_voxels(
-            compute_observed_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
+        renderer->use_observed(
+            observe_coverage(log, log.world_from_vehicle, {0, 2, 4}, config.dataset.max_range_m));
     }
     void TearDown() override {
         renderer.reset();
@@ -57,8 +57,7 @@ protected:
     }
     RenderedPoints on_host(const PointRequest& request) {
         const RenderedScan scan = renderer->render(request.sensor, request.request, request.sample);
-        return {convert_scan_to_points(
-                    scan, config, request.request.dataset_from_sensor.interpolate_pose(request.points_at_s)),
+        return {place_points(scan, config, request.request.dataset_from_sensor.pose_at(request.points_at_s)),
                 scan.image.range_m.size(), scan.unseen_share};
     }
     void ask(const PointRequest& request,
@@ -90,12 +89,12 @@ protected:
     }
 
     void train_network(const RayDropImage& image, const RayDropNetworkOptions& options) {
-        renderer->set_drop_network(train_ray_drop_network(
+        renderer->use_network(train_drop_network(
             device(), {image}, options, 3,
             [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) { return true; }));
     }
 
-    LidarSequence log;
+    Log log;
     Scene scene;
     Config config;
     std::optional<ScanRenderer> renderer;
@@ -141,8 +140,7 @@ TEST(FiringPoses, AreThoseOfEachRay) {
             FiringPoseInterpolator poses(scan, target);
             for (std::size_t k = 0; k < 128; ++k) {
                 const std::size_t ray = k < 64 ? k : k * 37 % 64;
-                const Pose expected = target * scan.get_firing_pose(ray),
-                           actual = poses.compute_firing_pose(ray);
+                const Pose expected = target * scan.firing_pose(ray), actual = poses.pose_of(ray);
                 EXPECT_EQ(actual.translation, expected.translation) << ray;
                 EXPECT_EQ(actual.rotation, expected.rotation) << ray;
             }
@@ -159,34 +157,33 @@ TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
         scan.track.pose.push_back(
             {make_rotation(0.3 * k, 0.05, 0.1 * k), {455000.0 + k, 5428000.0 - k, 113.0}});
     }
-    scan.world_from_sensor = scan.track.interpolate_pose(scan.time_s);
+    scan.world_from_sensor = scan.track.pose_at(scan.time_s);
     Random random(7);
     const std::size_t n = 4000;
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::vec3 random_vector(random.sample_uniform_number() - 0.5,
-                                      random.sample_uniform_number() - 0.5,
-                                      random.sample_uniform_number() - 0.5);
+        const glm::vec3 random_vector(random.sample_uniform() - 0.5, random.sample_uniform() - 0.5,
+                                      random.sample_uniform() - 0.5);
         scan.image.direction.push_back(glm::normalize(random_vector));
         scan.image.origin.emplace_back(0.1f, 0.0f, -0.2f);
-        scan.image.range_m.push_back(float(1.0 + 79.0 * random.sample_uniform_number()));
-        scan.time_offset_s.push_back(float(0.14 * random.sample_uniform_number() - 0.07));
+        scan.image.range_m.push_back(float(1.0 + 79.0 * random.sample_uniform()));
+        scan.time_offset_s.push_back(float(0.14 * random.sample_uniform() - 0.07));
     }
     scan = test::complete(std::move(scan));
     for (const auto& [frame, tolerance_m] : {std::pair(scan.world_from_sensor, 3e-5), {Pose{}, 0.26}}) {
-        const LidarPoints points = convert_scan_to_points(scan, Config{}, frame);
+        const LidarPoints points = place_points(scan, Config{}, frame);
         ASSERT_EQ(points.size(), n);
         double farthest_m = 0.0;
         for (std::size_t i = 0; i < n; ++i) {
             const glm::dvec3 end = glm::dvec3(scan.image.origin[i]) +
                                    double(scan.image.range_m[i]) * glm::dvec3(scan.image.direction[i]);
-            const glm::dvec3 expected = inverse(frame) * (scan.get_firing_pose(i) * end);
+            const glm::dvec3 expected = inverse(frame) * (scan.firing_pose(i) * end);
             for (int axis = 0; axis < 3; ++axis)
                 farthest_m =
                     std::max(farthest_m, std::abs(double(points.position_m[i][axis]) - expected[axis]));
         }
         EXPECT_LT(farthest_m, tolerance_m);
     }
-    const LidarPoints unmoved = convert_scan_to_points(scan, Config{}, std::nullopt);
+    const LidarPoints unmoved = place_points(scan, Config{}, std::nullopt);
     for (std::size_t i = 0; i < n; ++i)
         EXPECT_EQ(unmoved.position_m[i],
                   scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
@@ -207,8 +204,7 @@ TEST_F(PointsOfScans, AreThoseOfTheScan) {
 
 TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     make_renderer();
-    const PointRequest stands{
-        sensor("native"), {middle_s(), {{0.0}, {bend().interpolate_pose(middle_s())}}}, 0.0};
+    const PointRequest stands{sensor("native"), {middle_s(), {{0.0}, {bend().pose_at(middle_s())}}}, 0.0};
     const PointRequest alone{sensor("native"), {middle_s(), bend(), ActorTracksByName{}}, middle_s()};
     const RenderedPoints standing = on_host(stands), empty = on_host(alone);
     ask(stands);
@@ -247,8 +243,8 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
         expect_equal(expected[2], on_host(wishes[2]), "without actors");
         for (const int n : {2, 3, 5, 1}) {
             const std::string what = std::to_string(n) + " side by side, scan ";
-            renderer->set_max_parallel_scans(n);
-            EXPECT_EQ(renderer->get_max_parallel_scans(), n);
+            renderer->set_parallel(n);
+            EXPECT_EQ(renderer->max_parallel(), n);
             ask_together(wishes);
             ask_together(wishes);
             ask(wishes[0], ScanRenderer::SubmissionTiming::with_next);
@@ -263,7 +259,7 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
 /// A rejected scan must not affect others.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
-    renderer->set_max_parallel_scans(3);
+    renderer->set_parallel(3);
     const std::vector<PointRequest> wishes = rig();
     PointRequest wrong = wishes[0], sampled = wishes[1];
     wrong.request.dataset_from_sensor.time_s.clear();
@@ -280,7 +276,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     EXPECT_THROW(ask(wrong), DataError);
     for (const RenderedPoints& of_one : expected)
         expect_equal(renderer->wait_for_points(), of_one, "one of four");
-    EXPECT_THAT([&] { renderer->set_max_parallel_scans(0); },
+    EXPECT_THAT([&] { renderer->set_parallel(0); },
                 testing::ThrowsMessage<UsageError>(test::Names("found 0 scans")));
     ask(wishes[0], ScanRenderer::SubmissionTiming::with_next);
     ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
@@ -295,8 +291,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
         {sensor("VLP-16:300x10"), {middle_s() + 0.1, bend()}, middle_s()}};
     const RenderedScan scan = renderer->render(wishes[0].sensor, wishes[0].request);
     const RayDropNetworkOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
-    RayDropImage image =
-        make_network_input_image(scan, list_network_input_channels(options), get_first_vehicle_position(log));
+    RayDropImage image = make_drop_image(scan, channel_names(options), first_position(log));
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         image.dropped.push_back(scan.median_range_m[i] > 12.0f ? 1.0f : 0.0f);
     const std::size_t before = on_host(wishes[0]).points.size();
@@ -311,13 +306,13 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<RenderedPoints> expected_points;
     for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
-    renderer->set_max_parallel_scans(3);
+    renderer->set_parallel(3);
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
         for (const RenderedPoints& scan_expected : expected_points)
             expect_equal(renderer->wait_for_points(), scan_expected, "refined side by side");
     }
-    renderer->set_max_parallel_scans(1);
+    renderer->set_parallel(1);
     std::vector<std::uint64_t> buffers;
     for (int round = 0; round < 3; ++round) {
         expect_equal(alone(beside[2]), expected_points[2], "by turns");
@@ -333,9 +328,8 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     make_renderer();
     PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     const RayDropNetworkOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
-    RayDropImage image =
-        make_network_input_image(renderer->render(wish.sensor, wish.request),
-                                 list_network_input_channels(options), get_first_vehicle_position(log));
+    RayDropImage image = make_drop_image(renderer->render(wish.sensor, wish.request), channel_names(options),
+                                         first_position(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
     image.dropped[0] = 1.0f;  // without a dropped ray, the loss of the network would have no gradient
     train_network(image, options);
@@ -363,7 +357,7 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
     const double step = 1.0 / 64.0;
     IntensityScatterModel scatter;
     scatter.step = step;
-    renderer->set_intensity_scatter_models({scatter});
+    renderer->use_scatter({scatter});
     const RenderedPoints actual = alone(wish);
     expect_equal(actual, on_host(wish), "steps");
     for (const float intensity : actual.points.intensity)

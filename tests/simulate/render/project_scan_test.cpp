@@ -33,11 +33,10 @@ RenderedScan scan_of(const std::vector<glm::vec3>& points, const std::vector<flo
 }
 
 TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
-    const RangeImageGrid grid = make_kitti360_grid();
+    const RangeImageGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
-    const RenderedScan projected =
-        project_points_into_grid_image(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
-    const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
+    const RenderedScan projected = project_scan(scan_of({a, 0.9f * a, 0.5f * a}, {0.1f, 0.2f, 0.9f}), grid);
+    const std::size_t cell = std::size_t(*project_to_pixel(grid, glm::dvec3(a)));
     EXPECT_NEAR(projected.image.range_m[cell], 0.9f * glm::length(a), 1e-4f);
     EXPECT_NEAR(projected.image.intensity[cell], 0.2f, 1e-6f);
     EXPECT_NEAR(projected.image.drop_prob[cell], 0.1f, 1e-6f);
@@ -53,17 +52,17 @@ TEST(ProjectScan, NearestReturnedPointWinsAndOneReturnIsEnough) {
 }
 
 TEST(ProjectScan, WhatHedgesBetweenTwoSurfacesIsBinnedByTheDominantOne) {
-    const RangeImageGrid grid = make_kitti360_grid();
+    const RangeImageGrid grid = kitti360_grid();
     const glm::vec3 a(10.0f, 0.0f, -0.5f);
     RenderedScan scan = scan_of({a, 0.8f * a}, {0.1f, 0.2f});
     scan.image.range_m[0] *= 0.6f;  // the mean range lies between the surface at `a` and a nearer surface
     scan.mean_range_m[0] = scan.image.range_m[0];
     scan.mean_range_m[1] -= 2.5f;
-    const RenderedScan binned = project_points_into_grid_image(scan, grid);
-    const std::size_t cell = std::size_t(*project_to_pixel_index(grid, glm::dvec3(a)));
+    const RenderedScan binned = project_scan(scan, grid);
+    const std::size_t cell = std::size_t(*project_to_pixel(grid, glm::dvec3(a)));
     EXPECT_EQ(binned.instance[cell], 1) << "0.8 a returns, 0.6 a is thin air";
     EXPECT_NEAR(binned.median_range_m[cell], 0.8f * glm::length(a), 1e-4f);
-    EXPECT_NEAR(compute_range_spread(binned)[cell], 2.5f, 1e-2f)
+    EXPECT_NEAR(range_spread(binned)[cell], 2.5f, 1e-2f)
         << "the winner's; the sensor is 0.2 m above the grid's origin";
     EXPECT_NEAR(binned.image.drop_prob[cell], 0.1f, 1e-6f);
 }
@@ -86,12 +85,12 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     const RangeNoiseTable noise{{80.0}, {0.8, 1.0}, {0.2, 0.05}};
     RenderedScan scan = likely, again = likely, other = likely;
     for (float& mean_m : scan.mean_range_m) mean_m += 0.5f;
-    replace_expected_returns_by_sample(scan, noise, {}, 7);
-    replace_expected_returns_by_sample(again, noise, {}, 7);
-    replace_expected_returns_by_sample(other, noise, {}, 8);
+    sample_returns(scan, noise, {}, 7);
+    sample_returns(again, noise, {}, 7);
+    sample_returns(other, noise, {}, 8);
     EXPECT_EQ(scan.image.range_m, again.image.range_m);
     EXPECT_NE(scan.image.drop_prob, other.image.drop_prob);
-    const std::vector<float> spread_m = compute_range_spread(scan);
+    const std::vector<float> spread_m = range_spread(scan);
     double n = 0.0, square[2] = {0.0, 0.0}, count[2] = {0.0, 0.0};
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         ASSERT_TRUE(scan.image.drop_prob[i] == 0.0f || scan.image.drop_prob[i] == 1.0f);
@@ -125,7 +124,7 @@ TEST(SampleReturns, NoiseDoesNotPassTheLimitOfTheSensor) {
     scan.median_range_m = scan.mean_range_m = scan.image.range_m;
     scan.image.drop_prob.assign(n, 0.0f);
     scan.second_returns = {{std::vector<float>(n, 9.97f), std::vector<float>(n, 0.5f)}};
-    replace_expected_returns_by_sample(scan, {{80.0}, {1.0}, {0.05}}, {}, 3, {0.5, 10.0});
+    sample_returns(scan, {{80.0}, {1.0}, {0.05}}, {}, 3, {0.5, 10.0});
     double returned = 0.0, second = 0.0;
     for (std::size_t i = 0; i < n; ++i) {
         ASSERT_TRUE(scan.image.drop_prob[i] == 1.0f || scan.image.range_m[i] <= 10.0f);
@@ -144,7 +143,7 @@ TEST(SampleReturns, WhatCannotReturnDoesNotAndWhatMustDoes) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         scan.image.drop_prob[i] = i % 2 ? 1.0f : 0.0f;
     const std::vector<float> before = scan.image.drop_prob, ranges_m = scan.image.range_m;
-    replace_expected_returns_by_sample(scan, {}, {}, 3);
+    sample_returns(scan, {}, {}, 3);
     EXPECT_EQ(scan.image.drop_prob, before);
     EXPECT_EQ(scan.image.range_m, ranges_m) << "no noise is known";
 }
@@ -163,8 +162,8 @@ TEST(ProjectScan, RealAndSimulatedPointsAreBinnedAlike) {
     real.intensity = to_scan_array(simulated.image.intensity);
     Config config;
     config.sensor.grid = "kitti360";
-    const RangeImage image = make_measured_image(config, real);
-    const RenderedScan projected = project_points_into_grid_image(simulated, make_kitti360_grid());
+    const RangeImage image = measured_image(config, real);
+    const RenderedScan projected = project_scan(simulated, kitti360_grid());
     for (std::size_t i = 0; i < image.range_m.size(); ++i) {
         EXPECT_NEAR(image.range_m[i], projected.image.range_m[i], 1e-5f);
         EXPECT_EQ(image.drop_prob[i], projected.image.drop_prob[i]);

@@ -23,27 +23,26 @@ protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
-        SceneInitialisationOptions options;
+        log = make_street_log({.n_frames = 6, .speed_mps = 5.0});
+        InitOptions options;
         options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
-        scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
+        scene = init_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
     /// Without cars, from the path of the log.
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
-        return scan_of(rays, network,
-                       add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m));
+        return scan_of(rays, network, shift_track(log.lidar_track(0), log.world_offset_m));
     }
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network,
                          const PoseTrack& dataset_from_sensor) {
-        SimulatedSensor sensor = find_or_load_sensor("VLP-16:300x10", config, log);
+        SimulatedSensor sensor = choose_sensor("VLP-16:300x10", config, log);
         sensor.rays = rays;
         ScanRenderer renderer(device(), scene, config, log);
-        renderer.set_drop_network(network);
+        renderer.use_network(network);
         return renderer.render(sensor, {log.frames[3].time_s, dataset_from_sensor, ActorTracksByName{}});
     }
-    RayTable rays() const { return find_or_load_sensor("VLP-16:300x10", config, log).rays; }
+    RayTable rays() const { return choose_sensor("VLP-16:300x10", config, log).rays; }
 
-    LidarSequence log;
+    Log log;
     Scene scene;
     Config config;
 };
@@ -95,7 +94,7 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
     const glm::dvec3 position_m =
-        log.get_world_from_sensor(0).interpolate_pose(log.frames[3].time_s).translation + log.world_offset_m;
+        log.lidar_track(0).pose_at(log.frames[3].time_s).translation + log.world_offset_m;
     std::vector<std::size_t> order;
     for (std::size_t row = 0; row < std::size_t(all.rows); ++row)
         for (std::size_t c = 0; c < std::size_t(all.columns); ++c)
@@ -126,11 +125,10 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 of_scan.sensor.divergence_mrad = 3.0;
                 of_scan.render.range = range;
                 ScanRenderer renderer(device(), scene, of_scan, log);
-                renderer.set_drop_network(test::make_network_that_never_drops());
-                const ScanRequest request{
-                    log.frames[3].time_s,
-                    add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m)};
-                SimulatedSensor sensor = find_or_load_sensor(name, of_scan, log);
+                renderer.use_network(test::make_network_that_never_drops());
+                const ScanRequest request{log.frames[3].time_s,
+                                          shift_track(log.lidar_track(0), log.world_offset_m)};
+                SimulatedSensor sensor = choose_sensor(name, of_scan, log);
                 sensor.limits.min_m = 0.0;
                 const RenderedScan scan = renderer.render(sensor, request);
                 std::size_t n_returns = 0, n_empty = 0;
@@ -146,7 +144,7 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 }
                 EXPECT_GT(n_returns, 100u) << name;
                 EXPECT_GT(n_empty, 100u) << name;
-                EXPECT_EQ(convert_scan_to_points(scan, of_scan, {}).size(), n_returns)
+                EXPECT_EQ(place_points(scan, of_scan, {}).size(), n_returns)
                     << name << ", README's recipe and points";
                 renderer.submit_points(sensor, request, request.time_s);
                 EXPECT_EQ(renderer.wait_for_points().points.size(), n_returns)
@@ -156,11 +154,11 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
 
 TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.set_drop_network(test::make_network_that_never_drops());
+    renderer.use_network(test::make_network_that_never_drops());
     renderer.set_weather({.fog_visibility_m = 20.0});
     const RenderedScan scan =
-        renderer.render(find_or_load_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
-    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(scan.channels, "source");
+        renderer.render(choose_sensor("VLP-16:300x10", config, log), log.frames[3].time_s);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(scan.channels, "source");
     std::size_t n_fog = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         EXPECT_EQ(scan.image.drop_prob[i] < 0.5f, source[i] >= 0) << i;
@@ -174,7 +172,7 @@ TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
     RayDropNetwork network = test::make_network_of_rays();
     network.inputs.back() = "direction_x";
     ScanRenderer renderer(device(), scene, config, log);
-    EXPECT_THAT([&] { renderer.set_drop_network(network); },
+    EXPECT_THAT([&] { renderer.use_network(network); },
                 testing::ThrowsMessage<DataError>(test::Names("\"direction_x\" ... relidar refine")));
 }
 

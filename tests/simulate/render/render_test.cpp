@@ -15,16 +15,16 @@ namespace {
 
 class Render : public test::DeviceTest {
 protected:
-    RenderedScan render(const Surfels& surfels, const Config& config, const LidarSequence& sequence,
+    RenderedScan render(const Surfels& surfels, const Config& config, const Log& sequence,
                         double time_s = 0.0) {
-        ScanRenderer renderer(device(), make_background_scene(surfels), config, sequence);
-        return renderer.render(make_sensor_from_config(config, sequence), time_s);
+        ScanRenderer renderer(device(), wrap_background(surfels), config, sequence);
+        return renderer.render(make_sensor(config, sequence), time_s);
     }
 };
 
 Surfels make_wall_ahead() { return test::make_plate({10.0f, 0.0f, 0.0f}, glm::vec2(5.0f)); }
 
-LidarSequence make_cross_sequence(int columns = 4) { return test::make_static_log({0.0}, columns); }
+Log make_cross_sequence(int columns = 4) { return test::make_static_log({0.0}, columns); }
 
 Surfels make_post_before_wall() {
     Surfels scene = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.02f});
@@ -47,7 +47,7 @@ double compute_strip_share(double value) {
 
 /// The edge of the post is where half of the light passes its Gaussian.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
-    LidarSequence sequence = make_cross_sequence(1);
+    Log sequence = make_cross_sequence(1);
     sequence.lidars[0].sensor.first_azimuth_rad = 0.0;
     sequence.lidars[0].sensor.divergence_rad = 0.02;
     sequence.rolling_shutter = true;
@@ -82,17 +82,16 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     Config config;
     config.sensor.sub_rays = 9;
     config.sensor.returns = 2;
-    ScanRenderer renderer(device(), make_background_scene(make_post_before_wall()), config,
-                          make_cross_sequence());
-    const RenderedScan scan = renderer.render(
-        make_simulated_sensor({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
+    ScanRenderer renderer(device(), wrap_background(make_post_before_wall()), config, make_cross_sequence());
+    const RenderedScan scan =
+        renderer.render(simulate_sensor({.name = "mixed", .limits = {0.0, 80.0}, .pattern = rays}), 0.0);
     EXPECT_THAT(scan.median_range_m, testing::Pointwise(testing::FloatNear(2e-3f), {10.0f, 14.0f, 10.0f}));
     EXPECT_THAT(scan.second_returns[0].range_m,
                 testing::Pointwise(testing::FloatNear(2e-3f), {0.0f, 10.0f, 0.0f}));
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
-    LidarSequence sequence = make_cross_sequence();
+    Log sequence = make_cross_sequence();
     Config config;
     config.sensor.sub_rays = 5;
     EXPECT_THROW(render(make_wall_ahead(), config, sequence), UsageError);
@@ -104,13 +103,13 @@ TEST_F(Render, SubRaysNeedADivergence) {
 }
 
 TEST_F(Render, WallIsWhereItStands) {
-    LidarSequence sequence = make_cross_sequence(8);
+    Log sequence = make_cross_sequence(8);
     sequence.rolling_shutter = true;
     // 2 m/s towards the wall
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}}};
     Config config;
-    ScanRenderer renderer(device(), make_background_scene(make_wall_ahead()), config, sequence);
-    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+    ScanRenderer renderer(device(), wrap_background(make_wall_ahead()), config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
     config.render.range = "normalised";
     const RenderedScan at_half = renderer.render(sensor, 0.5);
@@ -129,19 +128,19 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     // At the range of the post, columns are 1 m apart.
     const Surfels post = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.1f});
-    LidarSequence sequence = make_cross_sequence(kColumns);
+    Log sequence = make_cross_sequence(kColumns);
     sequence.lidars[0].sensor.max_range_m = 80.0;
     sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
     sequence.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
     Config config;
     config.render.follow_sweeps = true;
-    ScanRenderer renderer(device(), make_background_scene(post), config, sequence);
+    ScanRenderer renderer(device(), wrap_background(post), config, sequence);
     const auto column_of_post = [&](const RenderedScan& scan) {
         return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
                    scan.image.drop_prob.begin());
     };
-    const SimulatedSensor configured_sensor = make_sensor_from_config(config, sequence);
+    const SimulatedSensor configured_sensor = make_sensor(config, sequence);
     EXPECT_TRUE(configured_sensor.follows_sweeps);
     const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
     EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.0)), nominal) << "a sweep without a shift";
@@ -152,8 +151,8 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
               nominal)
         << "driven by somebody else";
     config.render.follow_sweeps = false;
-    EXPECT_EQ(column_of_post(renderer.render(make_sensor_from_config(config, sequence), 1.0)), nominal);
-    EXPECT_FALSE(find_or_load_sensor("HDL-32E", config, sequence).follows_sweeps);
+    EXPECT_EQ(column_of_post(renderer.render(make_sensor(config, sequence), 1.0)), nominal);
+    EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
 /// Half of the light is blocked at the second surface, but most returns from the wall.
@@ -164,13 +163,13 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         scene.append_surfels(test::make_plate({x[i], 0.0f, 0.0f}, glm::vec2(5.0f)));
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
     }
-    const LidarSequence sequence = make_cross_sequence();
+    const Log sequence = make_cross_sequence();
     const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
     for (const std::string range : {"median", "mode"}) {
         Config config;
         config.render.range = range;
-        ScanRenderer renderer(device(), make_background_scene(scene), config, sequence);
-        const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+        ScanRenderer renderer(device(), wrap_background(scene), config, sequence);
+        const SimulatedSensor sensor = make_sensor(config, sequence);
         const RenderedScan scan = renderer.render(sensor, 0.0);
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
@@ -185,7 +184,7 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
 /// Beams belong to the sensor of the log, and do not change a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = make_wall_ahead();
-    LidarSequence sequence = make_cross_sequence();
+    Log sequence = make_cross_sequence();
     sequence.lidars[0].sensor.beams = {
         {.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
     sequence.lidars[0].sensor.beams[1] = {
@@ -193,8 +192,8 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     sequence.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
     Config config;
     config.render.range = "normalised";
-    ScanRenderer renderer(device(), make_background_scene(wall), config, sequence);
-    const SimulatedSensor configured_sensor = make_sensor_from_config(config, sequence);
+    ScanRenderer renderer(device(), wrap_background(wall), config, sequence);
+    const SimulatedSensor configured_sensor = make_sensor(config, sequence);
     const std::size_t ahead = find_ray_towards(configured_sensor.rays, {1, 0, 0}) % 4;
     const RenderedScan scan = renderer.render(configured_sensor, 0.0);
     SimulatedSensor ideal = configured_sensor;
@@ -214,12 +213,12 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
 }
 
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
-    LidarSequence sequence = make_cross_sequence();
-    const Scene scene = make_background_scene(make_wall_ahead());
+    Log sequence = make_cross_sequence();
+    const Scene scene = wrap_background(make_wall_ahead());
     Config config;
     ScanRenderer renderer(device(), scene, config, sequence);
     const auto dropped = [&](double min_m, double max_m) {
-        SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+        SimulatedSensor sensor = make_sensor(config, sequence);
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
@@ -235,22 +234,21 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
 }
 
 TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
-    LidarSequence sequence = make_cross_sequence();
+    Log sequence = make_cross_sequence();
     sequence.lidars[0].sensor.min_range_m = 0.5;
     sequence.lidars[0].sensor.max_range_m = 60.0;
     Config config;
-    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.min_m, 0.5);
-    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 60.0);
+    EXPECT_EQ(make_sensor(config, sequence).limits.min_m, 0.5);
+    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 60.0);
     config.dataset.max_range_m = 30.0;
     config.dataset.min_range_m = 2.0;
-    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 30.0);
-    EXPECT_EQ(find_or_load_sensor("Native", config, sequence).limits.min_m, 2.0);
-    EXPECT_EQ(find_or_load_sensor("VLP-16", config, sequence).limits.max_m, 100.0)
-        << "another sensor has its own";
+    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(choose_sensor("Native", config, sequence).limits.min_m, 2.0);
+    EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
     config.sensor.grid = "kitti360";
-    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 30.0);
+    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 30.0);
     config.dataset.max_range_m = sequence.lidars[0].sensor.max_range_m = 200.0;
-    EXPECT_EQ(make_sensor_from_config(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
+    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
 Surfels make_faint_plate_before_wall() {
@@ -264,17 +262,17 @@ Surfels make_faint_plate_before_wall() {
 /// The mean range lies between plate and wall, but the point on the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = make_faint_plate_before_wall();
-    const LidarSequence sequence = make_cross_sequence();
+    const Log sequence = make_cross_sequence();
     Config config;
-    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, sequence);
     const RenderedScan scan = render(surfels, config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
-    EXPECT_NEAR(select_point_ranges(scan, config)[ahead], 10.0, 1e-4);
-    EXPECT_EQ(select_point_ranges(scan, config)[behind], 0.0f);
+    EXPECT_NEAR(point_ranges(scan, config)[ahead], 10.0, 1e-4);
+    EXPECT_EQ(point_ranges(scan, config)[behind], 0.0f);
     config.render.points = "range";
-    EXPECT_EQ(select_point_ranges(scan, config), scan.image.range_m);
+    EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
 
     surfels.opacity_logit.assign(2, -1.5f);  // T stays above 0.5
     const RenderedScan faint = render(surfels, config, sequence);
@@ -286,104 +284,100 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 /// For any range of the image, relative to the farther surface.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = make_faint_plate_before_wall();
-    const LidarSequence sequence = make_cross_sequence();
+    const Log sequence = make_cross_sequence();
     Config config;
-    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     const RenderedScan plane = render(make_wall_ahead(), config, sequence);
-    EXPECT_NEAR(compute_range_spread(plane)[ahead], 0.0f, 1e-4f);
+    EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
     // The share of the light is 0.3 for the plate. For the wall, it is the remainder
     // times the maximum opacity of a surfel.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
-    std::vector<std::string> channels = list_network_input_channels(config.refine);
+    std::vector<std::string> channels = channel_names(config.refine);
     std::vector<RayDropImage> drop_images;
     for (const char* range : {"normalised", "expected", "median", "mode"}) {
         config.render.range = range;
         const RenderedScan scan = render(surfels, config, sequence);
-        EXPECT_NEAR(compute_range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3)
-            << range;
-        EXPECT_EQ(compute_range_spread(scan)[behind], 0.0f) << range;
-        drop_images.push_back(make_network_input_image(scan, channels, glm::dvec3(0.0)));
+        EXPECT_NEAR(range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3) << range;
+        EXPECT_EQ(range_spread(scan)[behind], 0.0f) << range;
+        drop_images.push_back(make_drop_image(scan, channels, glm::dvec3(0.0)));
         EXPECT_EQ(drop_images.back().channels, drop_images.front().channels)
             << "a network sees the same with render.range=" << range;
         if (drop_images.size() > 1) continue;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            EXPECT_EQ(compute_range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
+            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
                 << "of the image, as it was trained";
     }
 }
 
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
-    LidarSequence sequence = make_cross_sequence(64);
+    Log sequence = make_cross_sequence(64);
     sequence.world_from_vehicle = {
         {0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
     sequence.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
         sequence.rolling_shutter = rolling;
-        const SimulatedSensor sensor = make_sensor_from_config({}, sequence);
-        const RenderedScan scan =
-            ScanRenderer(device(), make_background_scene(make_wall_ahead()), {}, sequence)
-                .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
+        const SimulatedSensor sensor = make_sensor({}, sequence);
+        const RenderedScan scan = ScanRenderer(device(), wrap_background(make_wall_ahead()), {}, sequence)
+                                      .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
         std::size_t met = 0;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
             if (!(scan.median_range_m[i] > 0.0f)) continue;
-            EXPECT_NEAR((scan.get_firing_pose(i) * glm::dvec3(scan.end_of(i))).x, 110.0, 1e-4);
+            EXPECT_NEAR((scan.firing_pose(i) * glm::dvec3(scan.end_of(i))).x, 110.0, 1e-4);
             ++met;
         }
         EXPECT_GT(met, 5u);
-        EXPECT_NEAR(
-            glm::length(scan.track.interpolate_pose(0.5).translation - scan.world_from_sensor.translation),
-            0.0, 1e-12);
+        EXPECT_NEAR(glm::length(scan.track.pose_at(0.5).translation - scan.world_from_sensor.translation),
+                    0.0, 1e-12);
     }
 }
 
 /// For any orientation, motion and binning of the sensor. The test computes the normal
 /// exactly.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
-    LidarSequence sequence = make_cross_sequence(64);
+    Log sequence = make_cross_sequence(64);
     sequence.rolling_shutter = true;
     sequence.world_from_vehicle = {
         {0.0, 1.0},
         {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
-    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, sequence);
     EXPECT_TRUE(render(make_wall_ahead(), config, sequence, 0.5).channels.empty());
     config.render.channels = "normal";
     const RenderedScan scan = render(make_wall_ahead(), config, sequence, 0.5);
-    const std::vector<glm::vec3>& normal = *find_channel_values<glm::vec3>(scan.channels, "normal");
+    const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
     ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
     for (std::size_t i = 0; i < normal.size(); ++i) {
         if (scan.instance[i] < 0) EXPECT_EQ(normal[i], glm::vec3(0.0f));
         else
-            EXPECT_LT(glm::length(scan.get_firing_pose(i).rotation * glm::dvec3(normal[i]) -
+            EXPECT_LT(glm::length(scan.firing_pose(i).rotation * glm::dvec3(normal[i]) -
                                   glm::dvec3(-1.0, 0.0, 0.0)),
                       1e-5)
                 << "ray " << i;
         met += scan.instance[i] >= 0;
     }
     EXPECT_GT(met, 5u);
-    const RenderedScan binned = project_points_into_grid_image(scan, make_kitti360_grid());
-    const std::vector<glm::vec3>& of_cells = *find_channel_values<glm::vec3>(binned.channels, "normal");
+    const RenderedScan binned = project_scan(scan, kitti360_grid());
+    const std::vector<glm::vec3>& of_cells = *find_values<glm::vec3>(binned.channels, "normal");
     ASSERT_EQ(of_cells.size(), binned.instance.size());
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.render.channels = "incidence";
     const RenderedScan again = render(make_wall_ahead(), config, sequence, 0.5);
-    const std::vector<float>& incidence = *find_channel_values<float>(again.channels, "incidence");
+    const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
     for (std::size_t i = 0; i < normal.size(); ++i) {
-        const glm::dvec3 in_world = again.get_firing_pose(i).rotation * glm::dvec3(again.image.direction[i]);
+        const glm::dvec3 in_world = again.firing_pose(i).rotation * glm::dvec3(again.image.direction[i]);
         EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
     }
     config.image.primitive = PrimitiveType::gaussian;
-    EXPECT_THROW(ScanRenderer(device(), make_background_scene(make_wall_ahead()), config, sequence),
-                 UsageError);
+    EXPECT_THROW(ScanRenderer(device(), wrap_background(make_wall_ahead()), config, sequence), UsageError);
 }
 
 /// A wall behind the sensor on its right, and a plate ahead and, turned, behind. Its
 /// brightness depends on the direction.
-Scene make_two_placements(LidarSequence& sequence) {
+Scene make_two_placements(Log& sequence) {
     Surfels surfels = test::make_plate({0.0f, -6.0f, 0.0f}, glm::vec2(1.0f));
     surfels.rotation[0] = {std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f};  // normal along y
     surfels.append_surfels(test::make_plate({0.5f, 0.0f, 0.0f}, glm::vec2(1.0f)));
@@ -400,12 +394,12 @@ Scene make_two_placements(LidarSequence& sequence) {
 }
 
 TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
-    LidarSequence sequence = make_cross_sequence();
+    Log sequence = make_cross_sequence();
     const Scene scene = make_two_placements(sequence);
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         Config config;
         config.image.sh_direction = direction;
-        const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+        const SimulatedSensor sensor = make_sensor(config, sequence);
         const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                           behind = find_ray_towards(sensor.rays, {-1, 0, 0});
@@ -418,15 +412,15 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
 }
 
 TEST_F(Render, OnlyVisibleActorsAreHit) {
-    LidarSequence sequence = make_cross_sequence();
+    Log sequence = make_cross_sequence();
     const Scene scene = make_two_placements(sequence);
-    const SimulatedSensor sensor = make_sensor_from_config({}, sequence);
+    const SimulatedSensor sensor = make_sensor({}, sequence);
     ScanRenderer renderer(device(), scene, {}, sequence);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0}),
                       right = find_ray_towards(sensor.rays, {0, -1, 0});
     const auto labels = [&](const std::vector<std::string>& names) {
-        renderer.set_visible_instances(mark_instances_with_names(scene, names));
+        renderer.show_instances(select_instances(scene, names));
         const RenderedScan scan = renderer.render(sensor, 0.0);
         return std::vector<int>{scan.instance[ahead], scan.instance[behind], scan.instance[right]};
     };
@@ -434,8 +428,8 @@ TEST_F(Render, OnlyVisibleActorsAreHit) {
     EXPECT_EQ(labels({"actors"}), (std::vector<int>{1, 2, -1}));
     EXPECT_EQ(labels({"behind"}), (std::vector<int>{-1, 2, -1}));
     EXPECT_EQ(labels({"behind", "background"}), (std::vector<int>{-1, 2, 0}));
-    EXPECT_THROW(mark_instances_with_names(scene, {"ahed"}), UsageError);
-    EXPECT_THROW(renderer.set_visible_instances({true}), UsageError);
+    EXPECT_THROW(select_instances(scene, {"ahed"}), UsageError);
+    EXPECT_THROW(renderer.show_instances({true}), UsageError);
 }
 
 }  // namespace

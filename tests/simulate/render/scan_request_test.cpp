@@ -26,8 +26,8 @@ Scene make_wall_and_car() {
     return scene;
 }
 
-LidarSequence make_standing_log() {
-    LidarSequence sequence = test::make_static_log({0.0}, 8);
+Log make_standing_log() {
+    Log sequence = test::make_static_log({0.0}, 8);
     sequence.rolling_shutter = true;
     sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
     sequence.world_offset_m = kDatasetOrigin_m;
@@ -42,8 +42,8 @@ Pose make_pose_at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::
 
 class ScanRequests : public test::DeviceTest {
 protected:
-    const LidarSequence log = make_standing_log();
-    const SimulatedSensor sensor = make_sensor_from_config({}, log);
+    const Log log = make_standing_log();
+    const SimulatedSensor sensor = make_sensor({}, log);
     std::optional<ScanRenderer> renderer;
 
     void SetUp() override {
@@ -92,7 +92,7 @@ TEST_F(ScanRequests, EachRayIsFiredFromWhereTheSensorIsThen) {
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f)) continue;
         const glm::dvec3 point =
-            scan.get_firing_pose(i) *
+            scan.firing_pose(i) *
             glm::dvec3(scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i]);
         EXPECT_NEAR(point.x, kDatasetOrigin_m.x + 10.0, 1e-4) << "ray " << i;
     }

@@ -17,29 +17,29 @@ class Seen : public test::DeviceTest {
 protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
-        SyntheticOptions options;
+        StreetOptions options;
         options.n_frames = 12;
-        log = make_synthetic_street(options);
-        split = split_frames_into_train_and_test(log, 5);
-        scene = initialise_scene(log, split.train, {});
+        log = make_street_log(options);
+        split = split_frames(log, 5);
+        scene = init_scene(log, split.train, {});
         config.render.channels = "seen";
     }
     RenderedScan scan(const Pose& offset, const Config& settings, const std::string& sensor = "native") {
         ScanRenderer renderer(device(), scene, settings, log);
-        renderer.set_observed_voxels(compute_observed_coverage(log, log.world_from_vehicle, split.train,
-                                                               settings.dataset.max_range_m));
-        return renderer.render(find_or_load_sensor(sensor, settings, log),
+        renderer.use_observed(
+            observe_coverage(log, log.world_from_vehicle, split.train, settings.dataset.max_range_m));
+        return renderer.render(choose_sensor(sensor, settings, log),
                                log.frames[std::size_t(split.test[0])].time_s, offset);
     }
     static const std::vector<float>& seen(const RenderedScan& scan) {
-        return *find_channel_values<float>(scan.channels, "seen");
+        return *find_values<float>(scan.channels, "seen");
     }
     double unseen(const glm::dvec3& offset_m) {
         return scan({{1, 0, 0, 0}, offset_m}, config).unseen_share.value();
     }
 
-    LidarSequence log;
-    TrainTestSplit split;
+    Log log;
+    Split split;
     Scene scene;
     Config config;
 };
@@ -82,29 +82,29 @@ TEST_F(Seen, BinnedAndMergedScansKeepIt) {
 }
 
 TEST_F(Seen, AScanWithoutBackgroundHasNoShare) {
-    const SimulatedSensor sensor = find_or_load_sensor("native", config, log);
+    const SimulatedSensor sensor = choose_sensor("native", config, log);
     const double time_s = log.frames[std::size_t(split.test[0])].time_s;
     const auto make_renderer = [&](const Scene& shown) {
         auto renderer = std::make_unique<ScanRenderer>(device(), shown, config, log);
-        renderer->set_observed_voxels(
-            compute_observed_coverage(log, log.world_from_vehicle, split.train, config.dataset.max_range_m));
+        renderer->use_observed(
+            observe_coverage(log, log.world_from_vehicle, split.train, config.dataset.max_range_m));
         return renderer;
     };
     const auto renderer = make_renderer(scene);
-    renderer->set_visible_instances(mark_instances_with_names(scene, {"actors"}));
+    renderer->show_instances(select_instances(scene, {"actors"}));
     EXPECT_FALSE(renderer->render(sensor, time_s).unseen_share.has_value());
     renderer->submit_points(sensor, {time_s, log.world_from_vehicle}, time_s);
     EXPECT_FALSE(renderer->wait_for_points().unseen_share.has_value());
     const Scene actors = remove_background({scene, log}).scene;
     EXPECT_FALSE(make_renderer(actors)->render(sensor, time_s).unseen_share.has_value());
-    renderer->set_visible_instances(mark_instances_with_names(scene, {"background"}));
+    renderer->show_instances(select_instances(scene, {"background"}));
     EXPECT_TRUE(renderer->render(sensor, time_s).unseen_share.has_value());
 }
 
 TEST_F(Seen, WithoutACoverageNothingIsClaimed) {
     ScanRenderer renderer(device(), scene, config, log);
     const RenderedScan native_scan =
-        renderer.render(find_or_load_sensor("native", config, log), log.frames[0].time_s);
+        renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
     EXPECT_FALSE(native_scan.unseen_share.has_value());
     EXPECT_TRUE(native_scan.channels.empty());
 }

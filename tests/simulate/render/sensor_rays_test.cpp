@@ -2,7 +2,7 @@
 // Tests the rays of a sensor on the device. Compares fired rays (kernel
 // simulate/render/fire_rays) with make_world_ray() in double precision. Compares measured
 // rays (measure_rays) with the beam model, range limits and drop probability (M6).
-// Compares network channels (drop_channels) with make_network_input_image().
+// Compares network channels (drop_channels) with make_drop_image().
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -42,10 +42,10 @@ PoseTrack bend(double rad_per_s, int count, double step_s = 0.03) {
 double measure_largest_error(Device& device, const RayTable& rays, const PoseTrack& track, double time_s) {
     DeviceSensorRays on_device(device);
     Stream stream(device);
-    on_device.upload_ray_table(rays, "test", [](std::size_t) { return 0.0f; });
-    on_device.record_ray_transform_to_world(stream, track, time_s);
+    on_device.upload(rays, "test", [](std::size_t) { return 0.0f; });
+    on_device.place(stream, track, time_s);
     stream.submit_and_wait();
-    const std::vector<DeviceRay> fired = on_device.get_world_ray_batch().rays->download();
+    const std::vector<DeviceRay> fired = on_device.world_batch().rays->download();
     double farthest = 0.0;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const WorldRay expected = make_world_ray(track, time_s, rays, i, true);
@@ -76,7 +76,7 @@ TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
 
 TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     const PoseTrack track = bend(1.0, 1000);
-    const auto poses = list_poses_between_time_offsets(track, 15.0, -0.05, 0.05);
+    const auto poses = poses_between(track, 15.0, -0.05, 0.05);
     EXPECT_LE(poses.front().time_offset_s, -0.05f);
     EXPECT_GE(poses.back().time_offset_s, 0.05f);
     EXPECT_LE(poses.size(), 6u);
@@ -114,12 +114,9 @@ Expected compute_expected(const shared::RenderedRay& ray, const Beam& beam, doub
     if (weight < double(options.min_weight)) chosen = 0.0;
     if (options.range == "expected") chosen = ray.depth;
     const double surface = median > 0.0 ? median : chosen;
-    Expected e{beam.convert_surface_to_measured_range_m(chosen),
-               beam.convert_surface_to_measured_range_m(surface),
-               beam.convert_surface_to_measured_range_m(median > 0.0 ? normalised : surface),
-               beam.convert_surface_to_measured_intensity(
-                   ray.intensity, options.response.compute_intensity_factor_at_range(surface)),
-               0.0};
+    Expected e{beam.to_measured_range_m(chosen), beam.to_measured_range_m(surface),
+               beam.to_measured_range_m(median > 0.0 ? normalised : surface),
+               beam.to_measured_intensity(ray.intensity, options.response.range_factor(surface)), 0.0};
     const double hit = std::exp(double(ray.hit_logit)), drop = std::exp(double(ray.drop_logit));
     // An actor needs half of the light, the background only the minimum weight.
     const bool is_met = weight >= (ray.instance == 0u ? double(options.min_weight) : 0.5) &&
@@ -149,22 +146,21 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
     const auto never = [](std::size_t index) { return index % 5 == 0 ? 0.75f : 0.0f; };
     DeviceSensorRays on_device(device());
-    on_device.upload_ray_table(rays, "test", never);
+    on_device.upload(rays, "test", never);
     Stream firing(device());
-    on_device.record_ray_transform_to_world(firing, bend(0.0, 1), 0.0);
+    on_device.place(firing, bend(0.0, 1), 0.0);
     firing.submit_and_wait();
-    const std::vector<DeviceRay> fired = on_device.get_world_ray_batch().rays->download();
+    const std::vector<DeviceRay> fired = on_device.world_batch().rays->download();
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
         const RayMeasurementOptions how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
-        on_device.record_measurement_of_rendered_rays(
-            stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered, .surfaces = &surfaces},
-            how);
-        const std::span<const shared::MeasuredRay> measured = on_device.wait_for_measurements(stream);
+        on_device.record_measure(
+            stream, {.rays = on_device.world_batch(), .rendered = &rendered, .surfaces = &surfaces}, how);
+        const std::span<const shared::MeasuredRay> measured = on_device.wait_measured(stream);
         ASSERT_EQ(measured.size(), rays.size());
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const shared::MeasuredRay& m = measured[i];
-            const Expected e = compute_expected(rendering[i], find_beam_of_channel(beams, rays.channel[i]),
+            const Expected e = compute_expected(rendering[i], find_beam(beams, rays.channel[i]),
                                                 1.0 - double(never(i)), of_rays[i].mode, how);
             EXPECT_NEAR(m.range_m, e.range_m, 2e-5) << range << i;
             EXPECT_NEAR(m.median_range_m, e.median_m, 2e-5) << range << i;
@@ -195,19 +191,18 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     DeviceSensorRays on_device(device());
     const auto drop_of_first = [&] {
         Stream stream(device());
-        on_device.record_measurement_of_rendered_rays(
-            stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered},
-            {"median", {}, {}, {0.0, 80.0}, 1e-3f});
-        return on_device.wait_for_measurements(stream)[0].drop_prob;
+        on_device.record_measure(stream, {.rays = on_device.world_batch(), .rendered = &rendered},
+                                 {"median", {}, {}, {0.0, 80.0}, 1e-3f});
+        return on_device.wait_measured(stream)[0].drop_prob;
     };
-    on_device.upload_ray_table(rays, "one", [](std::size_t) { return 0.0f; });
+    on_device.upload(rays, "one", [](std::size_t) { return 0.0f; });
     EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f);
-    on_device.upload_ray_table(rays, "one", [](std::size_t) { return 0.5f; });
+    on_device.upload(rays, "one", [](std::size_t) { return 0.5f; });
     EXPECT_NEAR(drop_of_first(), 0.0f, 1e-6f) << "the same rays of the same sensor stay";
-    on_device.upload_ray_table(rays, "another", [](std::size_t) { return 0.5f; });
+    on_device.upload(rays, "another", [](std::size_t) { return 0.5f; });
     EXPECT_NEAR(drop_of_first(), 0.5f, 1e-6f);
     rays.direction[5] = -rays.direction[5];
-    on_device.upload_ray_table(rays, "another", [](std::size_t) { return 0.25f; });
+    on_device.upload(rays, "another", [](std::size_t) { return 0.25f; });
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
 }
 
@@ -250,9 +245,9 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
     DeviceSensorRays on_device(device());
-    on_device.upload_ray_table(rays, "test", [](std::size_t) { return 0.0f; });
+    on_device.upload(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
-    on_device.record_ray_transform_to_world(stream, bend(0.0, 1), 0.0);
+    on_device.place(stream, bend(0.0, 1), 0.0);
     std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i)
         of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
@@ -260,30 +255,29 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
                                                   "surfaces");
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
-        on_device.record_measurement_of_rendered_rays(
-            stream, {.rays = on_device.get_world_ray_batch(), .rendered = &rendered, .surfaces = &surfaces},
+        on_device.record_measure(
+            stream, {.rays = on_device.world_batch(), .rendered = &rendered, .surfaces = &surfaces},
             {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };
     measure();
-    const RenderedScan scan = scan_of(rays, on_device.wait_for_measurements(stream));
+    const RenderedScan scan = scan_of(rays, on_device.wait_measured(stream));
     for (const std::string network : {"pixel", "small"}) {
         const RayDropNetworkOptions options{
             .network = network, .levels = 0, .rays = "origin,direction", .epochs = 100, .rate = 1e-2};
-        RayDropImage image =
-            make_network_input_image(scan, list_network_input_channels(options), first_origin_m);
+        RayDropImage image = make_drop_image(scan, channel_names(options), first_origin_m);
         for (std::size_t i = 0; i < rays.size(); ++i)
             image.dropped.push_back(image.channels[5 * rays.size() + i] > 0.8f ? 1.0f : 0.0f);
         const auto go_on = [](const RayDropTrainProgress&, const std::function<RayDropTrainState()>&) {
             return true;
         };
-        const RayDropNetwork trained = train_ray_drop_network(device(), {image}, options, 3, go_on);
+        const RayDropNetwork trained = train_drop_network(device(), {image}, options, 3, go_on);
         RayDropRefiner refiner(device(), trained);
-        const std::vector<float> expected = refiner.predict_drop_probabilities(image);
+        const std::vector<float> expected = refiner.predict_drops(image);
         measure();
-        on_device.record_ray_drop_inference(stream, refiner.get_ray_drop_inference(),
-                                            glm::vec3(scan.world_from_sensor.translation - first_origin_m));
-        on_device.wait_for_measurements(stream);
-        const std::span<const float> actual = on_device.wait_for_drop_probabilities(stream);
+        on_device.record_drop(stream, refiner.inference(),
+                              glm::vec3(scan.world_from_sensor.translation - first_origin_m));
+        on_device.wait_measured(stream);
+        const std::span<const float> actual = on_device.wait_drop(stream);
         double changed = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             EXPECT_NEAR(actual[i], expected[i], 2e-4) << network << i;

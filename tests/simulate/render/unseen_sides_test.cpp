@@ -19,18 +19,17 @@ Scene make_van_scene(double rear_y_m) {
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
     ObservedBoxSurface surface({4.0, 2.0, 1.6});
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        surface.try_parse_and_set_observed_patches(
-            BoxSide(s), std::string(surface.format_observed_patches(BoxSide(s)).size(), s == 1 ? '0' : '1'));
+        surface.parse_patches(BoxSide(s),
+                              std::string(surface.format_patches(BoxSide(s)).size(), s == 1 ? '0' : '1'));
     for (double y = rear_y_m + 0.05; y < 1.0; y += 0.1)
-        for (double z = -0.75; z < 0.8; z += 0.1)
-            surface.mark_patch_of_point_as_observed({-2.0, y, z}, {1.0, 0.0, 0.0});
+        for (double z = -0.75; z < 0.8; z += 0.1) surface.mark_observed({-2.0, y, z}, {1.0, 0.0, 0.0});
     scene.models[1].surface = surface;
     scene.instances = {{0, ""}, {1, "van"}};
     return scene;
 }
 
-LidarSequence make_van_sequence() {
-    LidarSequence sequence;
+Log make_van_sequence() {
+    Log sequence;
     sequence.world_offset_m = {kOffset_m, 0.0, 0.0};
     BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
     van.world_from_box.time_s = {0.0, 1.0};
@@ -59,7 +58,7 @@ RenderedScan make_grid_scan(float return_m) {
 TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
     for (const float return_m : {0.0f, 30.0f}) {  // no return, or a wall behind the van
         const std::vector<UnobservedActorSide> sides =
-            find_unobserved_actor_sides(make_grid_scan(return_m), make_van_scene(1.0), make_van_sequence());
+            find_unseen_sides(make_grid_scan(return_m), make_van_scene(1.0), make_van_sequence());
         ASSERT_EQ(sides.size(), 1u);
         EXPECT_EQ(sides[0].track, "van");
         EXPECT_EQ(sides[0].side, BoxSide::rear);
@@ -68,17 +67,15 @@ TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
 }
 
 TEST(UnseenSides, AreNotReportedIfSeenHiddenAbsentOrUnknown) {
-    EXPECT_TRUE(
-        find_unobserved_actor_sides(make_grid_scan(0.0f), make_van_scene(0.0), make_van_sequence()).empty());
-    EXPECT_TRUE(
-        find_unobserved_actor_sides(make_grid_scan(5.0f), make_van_scene(1.0), make_van_sequence()).empty())
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), make_van_scene(0.0), make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(5.0f), make_van_scene(1.0), make_van_sequence()).empty())
         << "a wall in front of the van hides it";
     RenderedScan late = make_grid_scan(0.0f);
     late.time_s = 9.0;
-    EXPECT_TRUE(find_unobserved_actor_sides(late, make_van_scene(1.0), make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(late, make_van_scene(1.0), make_van_sequence()).empty());
     Scene unknown = make_van_scene(1.0);
     unknown.models[1].surface = {};
-    EXPECT_TRUE(find_unobserved_actor_sides(make_grid_scan(0.0f), unknown, make_van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(make_grid_scan(0.0f), unknown, make_van_sequence()).empty());
 }
 
 TEST(UnseenSides, CountsTheRaysThatReturnFromACompletedHalf) {
@@ -87,11 +84,9 @@ TEST(UnseenSides, CountsTheRaysThatReturnFromACompletedHalf) {
     RenderedScan scan = make_grid_scan(0.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
         scan.median_range_m[i] = 8.0f / scan.image.direction[i].x;
-    EXPECT_TRUE(find_unobserved_actor_sides(scan, scene, make_van_sequence()).empty())
-        << "no ray hits an actor";
+    EXPECT_TRUE(find_unseen_sides(scan, scene, make_van_sequence()).empty()) << "no ray hits an actor";
     scan.instance.assign(scan.median_range_m.size(), 1);
-    const std::vector<UnobservedActorSide> sides =
-        find_unobserved_actor_sides(scan, scene, make_van_sequence());
+    const std::vector<UnobservedActorSide> sides = find_unseen_sides(scan, scene, make_van_sequence());
     ASSERT_EQ(sides.size(), 1u);
     EXPECT_TRUE(sides[0].is_completed);
     EXPECT_EQ(sides[0].side, BoxSide::rear);

@@ -19,7 +19,7 @@ namespace relidar {
 namespace {
 
 constexpr int kRays = 20'000;
-constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
+constexpr std::int32_t kNothing = -1, kSurface = 0, kFogEffect = 1;
 
 /// Every tenth ray has no return. Channels of the hits refer to actor 3. Two returns are
 /// from two panes.
@@ -51,16 +51,16 @@ struct Applied {
     std::uint64_t seed = 1;
 };
 void apply_weather(RenderedScan& scan, const Applied& applied) {
-    add_weather_to_scan(scan, {.weather = applied.weather,
-                               .sensor = applied.sensor,
-                               .scan = scan,
-                               .response = applied.response,
-                               .seed = applied.seed,
-                               .blind = applied.blind});
+    add_weather(scan, {.weather = applied.weather,
+                       .sensor = applied.sensor,
+                       .scan = scan,
+                       .response = applied.response,
+                       .seed = applied.seed,
+                       .blind = applied.blind});
 }
 
 const std::vector<std::int32_t>& get_sources(const RenderedScan& scan) {
-    return *find_channel_values<std::int32_t>(scan.channels, "source");
+    return *find_values<std::int32_t>(scan.channels, "source");
 }
 
 void expect_same(const RenderedScan& first, const RenderedScan& second) {
@@ -97,7 +97,7 @@ TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
             ASSERT_EQ(scan.image.range_m[i], 8.0f);
             ASSERT_EQ(scan.instance[i], 3);
             ASSERT_EQ(scan.image.drop_prob[i], 0.25f);
-            ASSERT_EQ(find_channel_values<float>(scan.channels, "of_surface")->at(i), 7.0f);
+            ASSERT_EQ(find_values<float>(scan.channels, "of_surface")->at(i), 7.0f);
         }
         EXPECT_GT(n, kRays / 2);
     }
@@ -111,20 +111,20 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     int fog = 0;
     for (std::size_t i = 0; i < kRays; ++i) {
         const std::int32_t source = get_sources(scan)[i];
-        EXPECT_EQ(find_channel_values<float>(scan.channels, "of_ray")->at(i), 7.0f);
+        EXPECT_EQ(find_values<float>(scan.channels, "of_ray")->at(i), 7.0f);
         if (blind[i] != 0) {
             ASSERT_EQ(source, i % 10 == 0 ? kNothing : kSurface);
             ASSERT_EQ(scan.image.range_m[i], 25.0f);
             ASSERT_NEAR(scan.image.intensity[i], source == kSurface ? 0.3 * 0.05 : 0.3, 1e-6)
                 << "darker all the same";
-        } else if (source == kFog) {
+        } else if (source == kFogEffect) {
             ++fog;
             ASSERT_LT(scan.image.range_m[i], 25.0f);
             ASSERT_EQ(scan.image.range_m[i], scan.median_range_m[i]);
             ASSERT_EQ(scan.image.range_m[i], scan.mean_range_m[i]);
             ASSERT_EQ(scan.image.drop_prob[i], 0.0f) << "of rays that had no return, too";
             ASSERT_EQ(scan.instance[i], -1);
-            ASSERT_EQ(find_channel_values<float>(scan.channels, "of_surface")->at(i), -2.0f);
+            ASSERT_EQ(find_values<float>(scan.channels, "of_surface")->at(i), -2.0f);
         }
     }
     EXPECT_GT(fog, kRays / 2);
@@ -154,9 +154,9 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
         const float range_m = scan.second_returns[0].range_m[i];
         ASSERT_EQ(second[i] == kNothing, range_m == 0.0f);
         ASSERT_TRUE(second[i] != kSurface || range_m == 20.0f || range_m == 22.0f);
-        behind_fog += get_sources(scan)[i] == kFog && second[i] == kSurface && range_m == 22.0f;
+        behind_fog += get_sources(scan)[i] == kFogEffect && second[i] == kSurface && range_m == 22.0f;
         ScanChannel of_points{scan.channels.back().info, std::vector<std::int32_t>{}};
-        append_value_of_one_return(of_points, scan.channels.back(), i, 2);
+        append_return(of_points, scan.channels.back(), i, 2);
         ASSERT_EQ(std::get<std::vector<std::int32_t>>(of_points.values)[0], second[i]);
     }
     EXPECT_GT(behind_fog, kRays / 2);
@@ -196,12 +196,12 @@ class RenderedWeather : public test::DeviceTest {
 protected:
     void SetUp() override {
         test::DeviceTest::SetUp();
-        SyntheticOptions options;
+        StreetOptions options;
         options.n_frames = 3;
-        log = make_synthetic_street(options);
-        scene = initialise_scene(log, {0, 1, 2}, {});
+        log = make_street_log(options);
+        scene = init_scene(log, {0, 1, 2}, {});
     }
-    LidarSequence log;
+    Log log;
     Scene scene;
     Config config;
 };
@@ -210,11 +210,11 @@ protected:
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatterModel scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};
-    renderer.set_intensity_scatter_models({scatter});
+    renderer.use_scatter({scatter});
     EXPECT_THROW(renderer.set_weather({.fog_visibility_m = 30.0}), UsageError);
     EXPECT_NO_THROW(renderer.set_weather({}));
     scatter.values.back() = 0.1f;
-    renderer.set_intensity_scatter_models({scatter});
+    renderer.use_scatter({scatter});
     EXPECT_NO_THROW(renderer.set_weather({.fog_visibility_m = 30.0}));
 }
 
@@ -222,19 +222,19 @@ TEST_F(RenderedWeather, NeedsALogWithIntensities) {
 TEST_F(RenderedWeather, DoesNotDependOnTheFormatOfIntensities) {
     std::vector<double> in_fog;
     for (const double step : {0.0, 1.0 / 255.0, 0.01}) {
-        LidarSequence rounded = log;
+        Log rounded = log;
         const IntensityScatterModel scatter{
             .nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.5f}, .step = step};
-        for (LidarFrame& frame : rounded.frames)
+        for (Frame& frame : rounded.frames)
             for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
-                frame.scan.intensity[i] = scatter.quantise_intensity(frame.scan.intensity[i]);
-        ScanRenderer renderer(device(), initialise_scene(rounded, {0, 1, 2}, {}), config, rounded);
-        renderer.set_intensity_scatter_models({scatter});
+                frame.scan.intensity[i] = scatter.quantise(frame.scan.intensity[i]);
+        ScanRenderer renderer(device(), init_scene(rounded, {0, 1, 2}, {}), config, rounded);
+        renderer.use_scatter({scatter});
         const auto find_share_of_fog = [&](double visibility_m) {
             renderer.set_weather({.fog_visibility_m = visibility_m});
-            const RenderedScan scan = renderer.render(find_or_load_sensor("VLP-16:900x10", config, rounded),
-                                                      rounded.frames[1].time_s);
-            return double(std::ranges::count(get_sources(scan), kFog)) / double(scan.ring.size());
+            const RenderedScan scan =
+                renderer.render(choose_sensor("VLP-16:900x10", config, rounded), rounded.frames[1].time_s);
+            return double(std::ranges::count(get_sources(scan), kFogEffect)) / double(scan.ring.size());
         };
         EXPECT_LT(find_share_of_fog(1000.0), 0.005) << step;
         in_fog.push_back(find_share_of_fog(200.0));
@@ -253,15 +253,14 @@ TEST_F(RenderedWeather, HasTheVelocityOfTheAir) {
     for (const Weather& weather :
          {Weather{.fog_visibility_m = 60.0}, Weather{.rain_mm_h = 500.0}, Weather{.snow_mm_h = 2.0}}) {
         renderer.set_weather(weather);
-        const RenderedScan scan =
-            renderer.render(find_or_load_sensor("native", config, log), log.frames[1].time_s);
-        const std::vector<float>& velocity = *find_channel_values<float>(scan.channels, "velocity");
+        const RenderedScan scan = renderer.render(choose_sensor("native", config, log), log.frames[1].time_s);
+        const std::vector<float>& velocity = *find_values<float>(scan.channels, "velocity");
         int n = 0;
         for (std::size_t i = 0; i < velocity.size(); ++i) {
             const auto source = ReturnCause(get_sources(scan)[i]);
             if (source == ReturnCause::surface || source == ReturnCause::nothing) continue;
             ++n;
-            const glm::dvec3 d = scan.get_firing_pose(i).rotation * glm::dvec3(scan.image.direction[i]);
+            const glm::dvec3 d = scan.firing_pose(i).rotation * glm::dvec3(scan.image.direction[i]);
             const double falls = -(double(velocity[i]) + glm::dot(d, sensor_mps));  // speed times d.z
             if (source == ReturnCause::rain) {
                 ASSERT_GT(falls * (d.z > 0.0 ? 1.0 : -1.0), -0.01);
@@ -277,10 +276,10 @@ TEST_F(RenderedWeather, HasTheVelocityOfTheAir) {
 TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     ScanRenderer renderer(device(), scene, config, log);
     const auto render = [&](const std::string& sensor, std::optional<std::uint64_t> sample = {}) {
-        return renderer.render(find_or_load_sensor(sensor, config, log), log.frames[1].time_s, {}, sample);
+        return renderer.render(choose_sensor(sensor, config, log), log.frames[1].time_s, {}, sample);
     };
     const RenderedScan clear = render("native"), clear_sample = render("native", 3);
-    EXPECT_EQ(find_channel_values<std::int32_t>(clear.channels, "source"), nullptr);
+    EXPECT_EQ(find_values<std::int32_t>(clear.channels, "source"), nullptr);
     renderer.set_weather({.fog_visibility_m = 30.0});
     EXPECT_THROW(renderer.set_weather({.snow_mm_h = -1.0}), UsageError);
     const RenderedScan fog = render("native"), again = render("native"), sample = render("native", 3),
@@ -288,7 +287,7 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     expect_same(fog, again);
     EXPECT_NE(fog.image.range_m, sample.image.range_m);
     for (const RenderedScan* scan : {&fog, &sample, &grid})
-        EXPECT_GT(std::ranges::count(get_sources(*scan), kFog), 100);
+        EXPECT_GT(std::ranges::count(get_sources(*scan), kFogEffect), 100);
     for (std::size_t i = 0; i < fog.image.range_m.size(); ++i) {
         ASSERT_EQ(get_sources(fog)[i] == kNothing,
                   !is_ray_returned(fog.image.drop_prob[i], fog.image.range_m[i]));
@@ -297,7 +296,7 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     renderer.set_weather({});
     expect_same(render("native"), clear);
     expect_same(render("native", 3), clear_sample);
-    renderer.enable_optional_channels("source");
+    renderer.add_channels("source");
     const RenderedScan said = render("native");
     expect_same(said, clear);
     for (std::size_t i = 0; i < said.image.range_m.size(); ++i)

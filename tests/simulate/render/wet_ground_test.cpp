@@ -31,7 +31,7 @@ Surfels make_ground_before_wall() {
 }
 
 /// Eight beams that point down by 3.6 to 5.7 degrees.
-LidarSequence make_sequence_looking_down() {
+Log make_sequence_looking_down() {
     std::vector<double> elevations_rad;
     for (int beam = 0; beam < 8; ++beam) elevations_rad.push_back(-kPi / 180.0 * (3.6 + 0.3 * beam));
     return test::make_static_log(elevations_rad, 360);
@@ -41,13 +41,13 @@ LidarSequence make_sequence_looking_down() {
 /// than the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
-    const LidarSequence sequence = make_sequence_looking_down();
-    ScanRenderer renderer(device(), make_background_scene(make_ground_before_wall()), config, sequence);
-    const SimulatedSensor sensor = make_sensor_from_config(config, sequence);
+    const Log sequence = make_sequence_looking_down();
+    ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, sequence);
     const RenderedScan dry = renderer.render(sensor, 0.0);
     renderer.set_weather({.wet_mm = 2.0});
     const RenderedScan wet = renderer.render(sensor, 0.0);
-    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(wet.channels, "source");
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(wet.channels, "source");
     int mirrored = 0, darker = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         const glm::vec3 d = wet.image.direction[i];
@@ -63,13 +63,12 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);
             const double wall =
                 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
-            ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(compute_water_reflectance(-double(d.z)), 2),
-                        0.02);
+            ASSERT_NEAR(wet.image.intensity[i], wall * std::pow(water_reflectance(-double(d.z)), 2), 0.02);
         } else if (source[i] == std::int32_t(ReturnCause::surface)) {
             ++darker;
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
             ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
-                        compute_wet_reflectance_ratio(-double(d.z), double(dry.image.intensity[i])),
+                        wet_ratio(-double(d.z), double(dry.image.intensity[i])),
                         // close to the foot of the wall, the tolerance is larger, because
                         // the estimated ground is tilted
                         ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)
@@ -86,18 +85,18 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
 TEST_F(WetGroundOnScans, MirrorImagesHaveTheVelocityOfTheirObjects) {
     Config config;
     config.render.channels = "velocity";
-    LidarSequence sequence = make_sequence_looking_down();
+    Log sequence = make_sequence_looking_down();
     sequence.world_from_vehicle = {
         {-1.0, 1.0}, {Pose{{1, 0, 0, 0}, {-8.0, 0.0, 0.0}}, Pose{{1, 0, 0, 0}, {8.0, 0.0, 0.0}}}};
-    ScanRenderer renderer(device(), make_background_scene(make_ground_before_wall()), config, sequence);
+    ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, sequence);
     renderer.set_weather({.wet_mm = 2.0});
-    const RenderedScan wet = renderer.render(make_sensor_from_config(config, sequence), 0.0);
-    const std::vector<std::int32_t>& source = *find_channel_values<std::int32_t>(wet.channels, "source");
+    const RenderedScan wet = renderer.render(make_sensor(config, sequence), 0.0);
+    const std::vector<std::int32_t>& source = *find_values<std::int32_t>(wet.channels, "source");
     int mirrored = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {
         if (source[i] != std::int32_t(ReturnCause::mirror)) continue;
         ++mirrored;
-        ASSERT_NEAR(find_channel_values<float>(wet.channels, "velocity")->at(i),
+        ASSERT_NEAR(find_values<float>(wet.channels, "velocity")->at(i),
                     -8.0 * double(wet.image.direction[i].x), 1e-3);
     }
     EXPECT_GT(mirrored, 20);

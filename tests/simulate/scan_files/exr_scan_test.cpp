@@ -41,7 +41,7 @@ TEST_F(ExrScans, AreReadAsScans) {
     const auto write = [&] {
         ScanFolderWriter scans(folder / "scans", format);
         scans.write_scan(5, truth);
-        scans.finish_scan_folder();
+        scans.finish();
     };
     std::filesystem::create_directories(folder / "scans");
     write();
@@ -60,7 +60,7 @@ TEST_F(ExrScans, AreReadAsScans) {
     EXPECT_EQ(scan.second_returns[0].intensity, truth.second_returns[0].intensity);
     EXPECT_EQ(read_exr(folder / "scans" / "frame_000005.exr").channels.count("spread"), 0u)
         << "not asked for";
-    truth.channels = {{{.name = "spread"}, compute_range_spread(truth)}};
+    truth.channels = {{{.name = "spread"}, range_spread(truth)}};
     write();
     EXPECT_THAT(read_exr(folder / "scans" / "frame_000005.exr").channels.at("spread"),
                 testing::ElementsAre(0.5f, 0.5f, 0.0f, 1.0f));

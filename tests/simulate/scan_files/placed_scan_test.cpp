@@ -37,10 +37,10 @@ RenderedScan make_lane_change() {
             {make_rotation(0.7 * (t_s - 3.0), 0.02, 0.01), {16.0 * (t_s - 3.0), 0.5 * (t_s - 3.0), 1.5}});
     }
     scan.time_s = 3.0;
-    scan.world_from_sensor = scan.track.interpolate_pose(scan.time_s);
+    scan.world_from_sensor = scan.track.pose_at(scan.time_s);
     scan.time_offset_s = {-0.05f, -0.0125f, 0.0075f, 0.05f};
     for (std::size_t i = 0; i < places().size(); ++i) {
-        const glm::dvec3 point_in_sensor_m = inverse(scan.get_firing_pose(i)) * places()[i];
+        const glm::dvec3 point_in_sensor_m = inverse(scan.firing_pose(i)) * places()[i];
         const glm::vec3 origin(0.1f, 0.0f, 0.05f);
         const glm::dvec3 ray_vector_m = point_in_sensor_m - glm::dvec3(origin);
         scan.image.origin.push_back(origin);
@@ -94,7 +94,7 @@ protected:
         format.deskew = deskew;
         ScanFolderWriter scans(folder, format);
         scans.write_scan(0, make_lane_change());
-        scans.finish_scan_folder();
+        scans.finish();
     }
     static void expect_places(const std::string& description, const Pose& world_from_points,
                               const std::vector<glm::dvec3>& points) {
@@ -105,10 +105,10 @@ protected:
     /// @param world_from_points transform of a file's points, from the pose in the file
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
-        const Pose of_npz = make_pose(find_array(arrays, "pose")->convert_to_doubles());
-        const std::vector<float> range_m = find_array(arrays, "range")->convert_to_floats(),
-                                 origin = find_array(arrays, "origin")->convert_to_floats(),
-                                 direction = find_array(arrays, "directions")->convert_to_floats();
+        const Pose of_npz = make_pose(find_array(arrays, "pose")->to_doubles());
+        const std::vector<float> range_m = find_array(arrays, "range")->to_floats(),
+                                 origin = find_array(arrays, "origin")->to_floats(),
+                                 direction = find_array(arrays, "directions")->to_floats();
         const ExrImage exr = read_exr(file("exr"));
         std::vector<glm::dvec3> in_npz, in_exr;
         for (std::size_t i = 0; i < places().size(); ++i) {
@@ -152,10 +152,10 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     format.formats = {"npz", "exr", "ply"};
     ScanFolderWriter scans(folder, format);
     scans.write_scan(0, scan);
-    scans.finish_scan_folder();
+    scans.finish();
     const auto arrays = read_npz(file("npz"));
-    EXPECT_EQ(find_array(arrays, "why")->convert_to_floats(), (std::vector<float>{1, 2, 0, 0}));
-    EXPECT_EQ(find_array(arrays, "why_2")->convert_to_floats(), (std::vector<float>{5, -1, -1, 7}));
+    EXPECT_EQ(find_array(arrays, "why")->to_floats(), (std::vector<float>{1, 2, 0, 0}));
+    EXPECT_EQ(find_array(arrays, "why_2")->to_floats(), (std::vector<float>{5, -1, -1, 7}));
     EXPECT_EQ(read_exr(file("exr")).channels.at("why_2"), (std::vector<float>{5, -1, -1, 7}));
     const std::string ply = read_contents(file("ply"));
     std::vector<std::int32_t> of_points;
@@ -196,7 +196,7 @@ TEST(ActorBoxes, ABoxBehindTheSensorHasTheTimeOfItsLargerPart) {
     format.actors = {{"car", "Car", {4.0, 2.0, 1.5}, {{-1.0, 1.0}, {}}}};
     for (const double t_s : {-1.0, 1.0})
         format.actors[0].world_from_box.pose.push_back({{1, 0, 0, 0}, {get_front_m(t_s) - 2.0, 0.3, 0.0}});
-    const std::vector<ActorBox> boxes = find_actor_boxes(scan, format);
+    const std::vector<ActorBox> boxes = actor_boxes_of(scan, format);
     ASSERT_EQ(boxes.size(), 1u);
     EXPECT_NEAR(boxes[0].time_s, 0.05, 0.002);
     EXPECT_NEAR(boxes[0].dataset_from_box.translation.x, get_front_m(boxes[0].time_s) - 2.0, 1e-9);

@@ -60,7 +60,7 @@ RenderedScan room(double time_s) {
     scan.time_s = time_s;
     scan.track = make_track();
     for (Pose& pose : scan.track.pose) pose = pose * kMounting;
-    scan.world_from_sensor = scan.track.interpolate_pose(time_s);
+    scan.world_from_sensor = scan.track.pose_at(time_s);
     return test::complete(std::move(scan));
 }
 
@@ -82,8 +82,7 @@ std::vector<SeenPoint> compute_truth() {
             if (scan.image.drop_prob[i] > 0.5f) continue;
             const double t_s = scan.time_s + double(scan.time_offset_s[i]);
             const auto at = [&](float range_m) {
-                return scan.track.interpolate_pose(t_s) *
-                       (double(range_m) * glm::dvec3(scan.image.direction[i]));
+                return scan.track.pose_at(t_s) * (double(range_m) * glm::dvec3(scan.image.direction[i]));
             };
             points.push_back({t_s, scan.ring[i], false, at(scan.image.range_m[i]), scan.image.intensity[i]});
             if (scan.second_returns[0].range_m[i] > 0.0f)
@@ -95,17 +94,17 @@ std::vector<SeenPoint> compute_truth() {
 }
 
 /// @param zero_s time in the recording at which the time of the log is zero
-std::vector<SeenPoint> read_again(const LidarSequence& log, double zero_s) {
+std::vector<SeenPoint> read_again(const Log& log, double zero_s) {
     std::vector<SeenPoint> points;
-    const PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
-    for (const LidarFrame& frame : log.frames)
+    const PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
+    for (const Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double t_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 direction(frame.scan.rays.direction[i]);
             const auto add = [&](float range_m, float intensity, bool second) {
                 points.push_back({t_s + zero_s, frame.scan.rays.channel[i], second,
-                                  track.interpolate_pose(t_s) *
+                                  track.pose_at(t_s) *
                                       (glm::dvec3(frame.scan.rays.origin[i]) + double(range_m) * direction),
                                   intensity});
             };
@@ -135,19 +134,19 @@ std::vector<BoxTrack> actors() {
 double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
-        const glm::dvec3 box_in_sensor_m = inverse(make_track().interpolate_pose(faced_s) * kMounting) *
-                                           box.world_from_box.interpolate_pose(faced_s).translation;
+        const glm::dvec3 box_in_sensor_m = inverse(make_track().pose_at(faced_s) * kMounting) *
+                                           box.world_from_box.pose_at(faced_s).translation;
         faced_s = time_s - std::atan2(box_in_sensor_m.y, box_in_sensor_m.x) / (2.0 * kPi) * kPeriod_s;
     }
     return faced_s;
 }
 
 /// @param moved_m offset of the read positions from the written positions
-void expect_actors(const LidarSequence& log, const glm::dvec3& moved_m) {
+void expect_actors(const Log& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
     for (const BoxTrack& expected_box : actors()) {
-        const BoxTrack* loaded_box = find_box_track_by_id(log, expected_box.id);
+        const BoxTrack* loaded_box = find_box(log, expected_box.id);
         ASSERT_NE(loaded_box, nullptr) << expected_box.id;
         EXPECT_EQ(loaded_box->category, expected_box.category);
         EXPECT_LT(glm::distance(loaded_box->size_m, expected_box.size_m), 1e-9);
@@ -161,7 +160,7 @@ void expect_actors(const LidarSequence& log, const glm::dvec3& moved_m) {
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
             EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
                 << expected_box.id << ": within a column";
-            const Pose pose = expected_box.world_from_box.interpolate_pose(at_s);
+            const Pose pose = expected_box.world_from_box.pose_at(at_s);
             EXPECT_LT(glm::distance(loaded_box->world_from_box.pose[k].translation + log.world_offset_m,
                                     pose.translation + moved_m),
                       1e-6);
@@ -173,7 +172,7 @@ void expect_actors(const LidarSequence& log, const glm::dvec3& moved_m) {
 
 class RecordedLog : public TemporaryFolder {};
 
-void expect_same(const LidarSequence& log, bool has_second) {
+void expect_same(const Log& log, bool has_second) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.frames.size(), std::size_t(kFrames)) << testing::PrintToString(log.notes);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), std::size_t(kRows));
@@ -202,9 +201,9 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     format.world_offset_m = {1.0, 2.0, 3.0};
     ScanFolderWriter scans(folder, format);
     for (int k = 0; k < kFrames; ++k) scans.write_scan(k, room(1.0 + kPeriod_s * k));
-    scans.finish_scan_folder();
+    scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const LidarSequence log = load_sequence((folder / name).string(), {});
+        const Log log = load_sequence((folder / name).string(), {});
         expect_same(log, true);
         expect_actors(log, format.world_offset_m);
     }
@@ -241,7 +240,7 @@ RenderedScan make_scan_of_car(double time_s) {
     const BoxTrack car = make_car_behind();
     for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
         const glm::dvec3 car_m =
-            car.world_from_box.interpolate_pose(time_s + double(scan.time_offset_s[i])).translation;
+            car.world_from_box.pose_at(time_s + double(scan.time_offset_s[i])).translation;
         const float range_m =
             float(compute_entry_m(-car_m, glm::dvec3(scan.image.direction[i]) + 1e-9, car.size_m));
         scan.image.range_m[i] = range_m > 0.0f ? range_m : 20.0f;
@@ -258,9 +257,9 @@ TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     format.actors = {make_car_behind()};
     ScanFolderWriter scans(folder, format);
     for (int k = 0; k < kFrames; ++k) scans.write_scan(k, make_scan_of_car(1.0 + kPeriod_s * k));
-    scans.finish_scan_folder();
+    scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
-        const LidarSequence log = load_sequence((folder / name).string(), {});
+        const Log log = load_sequence((folder / name).string(), {});
         ASSERT_EQ(log.boxes.size(), 1u) << testing::PrintToString(log.notes);
         const PoseTrack& boxes = log.boxes[0].world_from_box;
         ASSERT_EQ(boxes.pose.size(), std::size_t(kFrames));

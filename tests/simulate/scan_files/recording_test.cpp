@@ -77,7 +77,7 @@ TEST_F(Recordings, AppearWhenTheyAreFinished) {
     scans.write_scan(0, make_two_rays(1.0));
     for (const std::string& name : files())
         EXPECT_EQ(name.front(), '.') << name << ": nothing has a final name yet";
-    scans.finish_scan_folder();
+    scans.finish();
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
     EXPECT_THAT(read_contents(folder / "scans.json"),
                 testing::HasSubstr("\"recordings\": [\n  \"scans.mcap\",\n  \"rosbag.mcap\"\n ]"));
@@ -100,7 +100,7 @@ TEST_F(Recordings, ScansJsonHasTheBoxesAtTheTimeOfTheirRay) {
     scans.write_scan(0, scan);
     scan.actor_views.clear();
     scans.write_scan(1, scan);
-    scans.finish_scan_folder();
+    scans.finish();
     std::string text = read_contents(folder / "scans.json");
     std::erase_if(text, [](char character) { return character == ' ' || character == '\n'; });
     EXPECT_THAT(text,
@@ -122,7 +122,7 @@ TEST_F(Recordings, LeaveNothingWhereTheRenderingWasInterrupted) {
 TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
     ScanFolderWriter scans(folder, format);
     for (int i = 0; i < 3; ++i) scans.write_scan(i, make_two_rays(1.0 + 0.1 * i));
-    scans.finish_scan_folder();
+    scans.finish();
     for (const char* name : {"scans.mcap", "rosbag.mcap"}) {
         const std::string bytes = read_contents(folder / name);
         ASSERT_EQ(bytes.substr(0, 8), kMagic);
@@ -167,7 +167,7 @@ TEST_F(Recordings, AllTimesHaveTheShiftOfTheRun) {
         format.time_shift_ns = time_shift_ns;
         ScanFolderWriter scans(folder, format);
         scans.write_scan(0, make_two_rays(scan_s));  // its first ray is fired 0.05 s earlier
-        scans.finish_scan_folder();
+        scans.finish();
         const std::string bytes = read_contents(folder / "rosbag.mcap");
         const auto all = records(bytes, 8, bytes.size() - 8);
         return number<std::uint64_t>(bytes, all.find(8)->second.body);  // of the first chunk
@@ -188,7 +188,7 @@ TEST_F(Recordings, AllTimesHaveTheShiftOfTheRun) {
 /// Packets must have the times of the other files: the first ray of the scan is fired at
 /// 1.95 s of the log.
 TEST_F(Recordings, PacketsHaveTheSameTimes) {
-    const auto sensor = std::get<SpinningSensor>(find_built_in_sensor("VLP-16")->pattern);
+    const auto sensor = std::get<SpinningSensor>(find_built_in("VLP-16")->pattern);
     format.packets.sensor = sensor;
     RenderedScan scan;
     const RayTable rays = make_rays(sensor);
@@ -207,7 +207,7 @@ TEST_F(Recordings, PacketsHaveTheSameTimes) {
     for (const std::int64_t shift_ns : {std::int64_t(0), std::int64_t(1317042145594360375)}) {
         format.time_shift_ns = shift_ns;
         ScanPacketEncoder encoder({format});
-        const auto packets = encoder.encode_scans_as_packets({&scan, 1});
+        const auto packets = encoder.encode({&scan, 1});
         ASSERT_FALSE(packets[0].empty());
         // A packet begins up to 12 blocks before the first ray.
         EXPECT_NEAR(double(packets[0][0].time_ns - shift_ns), 1e9 * first_s, 1e9 * 12 * 110.592e-6);
@@ -215,7 +215,7 @@ TEST_F(Recordings, PacketsHaveTheSameTimes) {
     format.time_shift_ns = 0;
     scan.time_s = 0.0;
     EXPECT_THAT(get_data_error_message([&] {
-                    ScanPacketEncoder({format}).encode_scans_as_packets({&scan, 1});
+                    ScanPacketEncoder({format}).encode({&scan, 1});
                 }),
                 Names("0 s"));
 }
@@ -225,7 +225,7 @@ TEST_F(Recordings, FilesOfOthersStay) {
     for (const char* name : {"rosbag.mcap", "packets.csv", "frame_000007.npz", "scans.json"}) {
         put(folder / name, "of the user");
         EXPECT_THAT(list_scan_files(folder), ElementsAre()) << name;
-        EXPECT_EQ(find_foreign_scan_file(folder).filename(), name);
+        EXPECT_EQ(find_foreign_file(folder).filename(), name);
         EXPECT_THAT(error_message<UsageError>([&] { ScanFolderWriter(folder, format); }), Names(name));
         EXPECT_EQ(read_contents(folder / name), "of the user");
         std::filesystem::remove(folder / name);
@@ -238,11 +238,11 @@ TEST_F(Recordings, FilesOfOthersStay) {
     EXPECT_EQ(list_scan_files(folder).size(), 1u) << "files of an interrupted rendering are known";
     ScanFolderWriter scans(folder, format);
     scans.write_scan(4, make_two_rays(1.0));
-    scans.finish_scan_folder();
+    scans.finish();
     EXPECT_THAT(files(), UnorderedElementsAre("notes.txt", "frame_000004.npz", "rosbag.mcap", "scans.json"));
     put(folder / "frame_000005.npz", "of the user");
     EXPECT_EQ(list_scan_files(folder).size(), 3u);
-    EXPECT_EQ(find_foreign_scan_file(folder).filename(), "frame_000005.npz");
+    EXPECT_EQ(find_foreign_file(folder).filename(), "frame_000005.npz");
 }
 
 TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
@@ -255,14 +255,14 @@ TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
 
 TEST_F(Recordings, OfARigAreOne) {
     ScanOutputOptions left = format, right = format;
-    set_topic_and_frame_id_from_name(left, "left");
-    set_topic_and_frame_id_from_name(right, "2nd-right");
+    name_topics(left, "left");
+    name_topics(right, "2nd-right");
     ScanRecordingsWriter recordings(folder, {left, right});
     const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
     recordings.write_scans(scans);
     EXPECT_THAT(error_message<UsageError>([&] { recordings.write_scans(std::span(scans).first(1)); }),
                 Names("found 1 scans, expected 2"));
-    recordings.finish_recording_files();
+    recordings.finish();
     EXPECT_THAT(recordings.list_file_names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
     EXPECT_EQ(list_scan_files(folder).size(), 3u);

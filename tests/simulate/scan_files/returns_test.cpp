@@ -126,19 +126,19 @@ std::size_t count_shown_pixels(const std::filesystem::path& path) {
 class Returns : public test::DeviceTest {};
 
 TEST_F(Returns, AreAsManyInEveryFormat) {
-    LidarSequence log;
+    Log log;
     SpinningSensor& sensor = log.lidars[0].sensor;
     sensor = {"sixteen", {}, kSteps};
     for (int row = 0; row < kBeams; ++row) sensor.beams.push_back({.elevation_rad = 0.3 - 0.06 * row});
     log.world_from_vehicle = {{1.0}, {Pose{{1, 0, 0, 0}, {0.0, 0.0, kHeight_m}}}};
     log.rolling_shutter = false;
     const Config config;
-    const SimulatedSensor choice = make_sensor_from_config(config, log);
-    ScanRenderer renderer(device(), make_background_scene(test::make_plate({}, glm::vec2(4.0f), true)),
-                          config, log);
-    renderer.set_drop_network(test::make_network_that_never_drops());
+    const SimulatedSensor choice = make_sensor(config, log);
+    ScanRenderer renderer(device(), wrap_background(test::make_plate({}, glm::vec2(4.0f), true)), config,
+                          log);
+    renderer.use_network(test::make_network_that_never_drops());
     const RenderedScan scan = renderer.render(choice, 1.0);
-    const std::size_t n = convert_scan_to_points(scan, config, {}, PointSelection::first_returns).size();
+    const std::size_t n = place_points(scan, config, {}, PointSelection::first_returns).size();
     EXPECT_GT(n, count_rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
     EXPECT_LT(n, count_rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
 
@@ -152,11 +152,11 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     format.formats = {"npz", "exr", "png", "ply", "pcd", "bin", "mcap", "rosbag"};
     ScanFolderWriter scans(files.folder, format);
     scans.write_scan(0, scan);
-    scans.finish_scan_folder();
+    scans.finish();
     const auto file = [&](const char* extension) {
         return files.folder / (std::string("frame_000000.") + extension);
     };
-    EXPECT_EQ(count_below_half(find_array(read_npz(file("npz")), "drop_prob")->convert_to_floats()), n);
+    EXPECT_EQ(count_below_half(find_array(read_npz(file("npz")), "drop_prob")->to_floats()), n);
     EXPECT_EQ(count_below_half(read_exr(file("exr")).channels.at("drop_prob")), n);
     EXPECT_EQ(count_shown_pixels(file("png")), n);
     EXPECT_EQ(count_behind(read_contents(file("ply")), "element vertex "), n);
@@ -175,7 +175,7 @@ TEST(ScanPicture, RaysWithoutRowsAreDrawnInLines) {
     constexpr std::size_t kRays = 5000;
     RenderedScan scan;
     scan.image.range_m.assign(kRays, 10.0f);
-    const Image picture = draw_scan_picture(test::complete(scan));
+    const Image picture = draw_scan(test::complete(scan));
     EXPECT_EQ(picture.columns, 2048);
     EXPECT_LT(picture.rows, 1000);
     const auto pixel_of = [&](std::size_t ray) {

@@ -61,14 +61,14 @@ TEST(Weather, IsReadAsItIsWritten) {
 /// Each example of an effect in the table must be weather that has this effect.
 TEST(Weather, EachRowOfTheTableIsComplete) {
     for (const WeatherEffectEntry* effect : kWeatherEffects) {
-        EXPECT_NE(make_weather_help().find(effect->form), std::string::npos) << effect->form;
+        EXPECT_NE(weather_help().find(effect->form), std::string::npos) << effect->form;
         EXPECT_TRUE(effect->form.starts_with(effect->name)) << effect->form;
         EXPECT_NE(effect->prepare, nullptr) << effect->name;
-        EXPECT_FALSE(effect->is_effect_active_in_weather({})) << effect->name;
+        EXPECT_FALSE(effect->is_active({})) << effect->name;
         std::istringstream examples{std::string(effect->examples)};
         int n = 0;
         for (std::string example; examples >> example; ++n)
-            EXPECT_TRUE(effect->is_effect_active_in_weather(parse_weather(example))) << example;
+            EXPECT_TRUE(effect->is_active(parse_weather(example))) << example;
         EXPECT_GT(n, 0) << effect->name;
     }
 }
@@ -88,8 +88,8 @@ TEST(Weather, WhatIsNoneIsRefused) {
 }
 
 TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
-    EXPECT_NEAR(std::exp(-compute_extinction_coefficient({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
-    EXPECT_EQ(compute_extinction_coefficient({}), 0.0);
+    EXPECT_NEAR(std::exp(-extinction_per_m({.fog_visibility_m = 70.0}) * 70.0), 0.05, 1e-12);
+    EXPECT_EQ(extinction_per_m({}), 0.0);
 }
 
 /// The extinction must be twice the total cross-section area of all particles. The test
@@ -105,9 +105,9 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
         const double rain = shadows(8000.0, 4.1 * std::pow(rate, -0.21), 1.0),
                      snow = shadows(3.8e3 * std::pow(rate, -0.87), 2.55 * std::pow(rate, -0.48),
                                     std::pow(10.0, 1.0 / 3.0));
-        EXPECT_NEAR(compute_extinction_coefficient({.rain_mm_h = rate}), rain, 1e-4 * rain);
-        EXPECT_NEAR(compute_extinction_coefficient({.snow_mm_h = rate}), snow, 1e-4 * snow);
-        EXPECT_NEAR(compute_extinction_coefficient({.fog_visibility_m = 100.0, .rain_mm_h = rate}),
+        EXPECT_NEAR(extinction_per_m({.rain_mm_h = rate}), rain, 1e-4 * rain);
+        EXPECT_NEAR(extinction_per_m({.snow_mm_h = rate}), snow, 1e-4 * snow);
+        EXPECT_NEAR(extinction_per_m({.fog_visibility_m = 100.0, .rain_mm_h = rate}),
                     std::log(20.0) / 100.0 + rain, 1e-4 * rain);
     }
 }
@@ -117,7 +117,7 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
 TEST(Weather, RainIsAsThickAsMeasured) {
     for (const double rate : {5.0, 25.0, 80.0}) {
         const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
-        EXPECT_NEAR(compute_extinction_coefficient({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
+        EXPECT_NEAR(extinction_per_m({.rain_mm_h = rate}) / measured, 1.0, 0.4) << rate;
     }
 }
 
@@ -131,8 +131,8 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
             if (strongest_echo.source != ReturnCause::surface) continue;
             ++n;
             EXPECT_EQ(strongest_echo.range_m, 12.0);
-            EXPECT_NEAR(strongest_echo.reflectivity,
-                        0.8 * std::exp(-2.0 * compute_extinction_coefficient(weather) * 12.0), 1e-12);
+            EXPECT_NEAR(strongest_echo.reflectivity, 0.8 * std::exp(-2.0 * extinction_per_m(weather) * 12.0),
+                        1e-12);
         }
         EXPECT_GT(n, 50) << format_weather(weather);
     }
@@ -162,7 +162,7 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
 class FreeAir {
 public:
     FreeAir(const Weather& weather, const WeatherSensorProperties& sensor)
-        : sensor_(sensor), alpha_(compute_extinction_coefficient(weather)) {
+        : sensor_(sensor), alpha_(extinction_per_m(weather)) {
         for (double r = kNearest_m + 0.5 * kCell_m; r < sensor.max_range_m; r += kCell_m)
             ranges_m_.push_back(r);
         for (int i = 0; i <= kLevels; ++i)
@@ -214,7 +214,7 @@ public:
         }
     }
     double alpha() const { return alpha_; }
-    double compute_beam_diameter_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
+    double beam_width_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
     void expect_as(const WeatherRaySimulator& air, ReturnCause source) const;
 
 private:
@@ -281,9 +281,8 @@ TEST(Weather, RainReturnsAsItsIntegral) {
             // share of the beam's area
             const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;
             if (share > 1.0) return 0.0;
-            const double mm = 1000.0 * model.compute_beam_diameter_m(r) * std::sqrt(share);
-            return kPi / 4.0 * std::pow(model.compute_beam_diameter_m(r), 2) * 8000.0 / slope *
-                   std::exp(-slope * mm);
+            const double mm = 1000.0 * model.beam_width_m(r) * std::sqrt(share);
+            return kPi / 4.0 * std::pow(model.beam_width_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
         });
         model.expect_as(make_air_of({.rain_mm_h = rate}, sensor), ReturnCause::rain);
     }
@@ -298,9 +297,8 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
         const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.25;
         if (share > 1.0) return 0.0;
         const double melted_mm =
-            1000.0 * model.compute_beam_diameter_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
-        return kPi / 4.0 * std::pow(model.compute_beam_diameter_m(r), 2) * 3800.0 / 2.55 *
-               std::exp(-2.55 * melted_mm);
+            1000.0 * model.beam_width_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
+        return kPi / 4.0 * std::pow(model.beam_width_m(r), 2) * 3800.0 / 2.55 * std::exp(-2.55 * melted_mm);
     });
     model.expect_as(make_air_of({.snow_mm_h = rate}, sensor), ReturnCause::snow);
 }
@@ -343,8 +341,8 @@ WeatherSensorProperties make_sensor_with_time_control() {
 /// divided into sections of half a pulse. The power of each section is log-normal with
 /// mean 1. For rain, the drops that are bright enough form a Poisson process.
 double count_expected_false_returns(const Weather& weather, double reflectivity) {
-    const double alpha = compute_extinction_coefficient(weather),
-                 slope = 4.1 * std::pow(weather.rain_mm_h, -0.21), half_pulse_m = 0.5 * 299792458.0 * 6e-9;
+    const double alpha = extinction_per_m(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
+                 half_pulse_m = 0.5 * 299792458.0 * 6e-9;
     double none = 1.0;
     if (std::isfinite(weather.fog_visibility_m))
         for (double r = 1.0 + 0.5 * half_pulse_m; r < 80.0; r += half_pulse_m) {
@@ -400,7 +398,7 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {
             const Weather weather{.rain_mm_h = rain_mm_h};
-            const double left = std::exp(-2.0 * compute_extinction_coefficient(weather) * range_m);
+            const double left = std::exp(-2.0 * extinction_per_m(weather) * range_m);
             const double expected = std::min(0.0025 * (1.0 / left - 1.0) / (0.01 - 0.0025), 1.0);
             const WeatherRaySimulator air = make_air_of(weather, make_sensor_with_time_control());
             int n_hidden = 0;

@@ -25,13 +25,13 @@ double average_over_dull_surface(const std::function<double(double)>& function) 
 
 TEST(WetGround, WaterMirrorsAsFresnelSays) {
     constexpr double n = 1.33;
-    EXPECT_NEAR(compute_water_reflectance(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(compute_water_reflectance(0.0), 1.0, 1e-12);
+    EXPECT_NEAR(water_reflectance(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(water_reflectance(0.0), 1.0, 1e-12);
     // At Brewster's angle, only light that is polarised perpendicular to the plane of
     // incidence is reflected.
     const double brewster = std::cos(std::atan(n));
-    EXPECT_NEAR(compute_water_reflectance(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(average_over_dull_surface(compute_water_reflectance), 0.066, 0.001)
+    EXPECT_NEAR(water_reflectance(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
+    EXPECT_NEAR(average_over_dull_surface(water_reflectance), 0.066, 0.001)
         << "the diffuse reflectance of water in tables";
 }
 
@@ -42,24 +42,24 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     constexpr double n = 1.33;
     const auto compute_internal_reflectance = [](double in_water) {
         const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
-        return squared <= 0.0 ? 1.0 : compute_water_reflectance(std::sqrt(squared));
+        return squared <= 0.0 ? 1.0 : water_reflectance(std::sqrt(squared));
     };
     const double internal_reflectance = average_over_dull_surface(compute_internal_reflectance);
     for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
         for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
-            const double passes = 1.0 - compute_water_reflectance(cosine);
+            const double passes = 1.0 - water_reflectance(cosine);
             double light = passes, returned = 0.0;  // per albedo
             for (int bounce = 0; bounce < 2000; ++bounce) {
                 returned += light;
                 light *= albedo * internal_reflectance;
             }
-            EXPECT_NEAR(compute_wet_reflectance_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
+            EXPECT_NEAR(wet_ratio(cosine, albedo), returned * passes / (n * n), 1e-3)
                 << cosine << ' ' << albedo;
         }
     }
-    EXPECT_EQ(compute_water_film_fraction(0.0), 0.0);
-    EXPECT_EQ(compute_water_film_fraction(0.25), 0.25);
-    EXPECT_EQ(compute_water_film_fraction(3.0), 1.0);
+    EXPECT_EQ(film_fraction(0.0), 0.0);
+    EXPECT_EQ(film_fraction(0.25), 0.25);
+    EXPECT_EQ(film_fraction(3.0), 1.0);
 }
 
 /// The sensor detects a reflectivity of at least 0.005 at 80 m.

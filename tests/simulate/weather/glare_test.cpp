@@ -60,7 +60,7 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
     const Sun sun{0.0, 0.0, 100.0}, half{0.0, 0.0, 50.0};
     const double disc_sr = kPi * 4.65e-3 * 4.65e-3, glare = 5.0 * std::pow(kDegree / 4.65e-3, 2);
     const auto relative = [&](const Sun& from, double off_rad, double albedo, bool sees_sky, double light) {
-        return compute_sunlight_noise_power(from, sensor, off_rad, albedo, sees_sky) / expected(light);
+        return sun_noise(from, sensor, off_rad, albedo, sees_sky) / expected(light);
     };
     EXPECT_NEAR(relative(sun, 2.0 * kDegree, 0.0, true, 0.65 * 1.25), 1.0, 1e-3);
     EXPECT_NEAR(relative(half, 2.0 * kDegree, 0.0, true, 0.325 * 1.25), 1.0, 1e-3);
@@ -77,8 +77,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
         const double level =
-            sensor.compute_min_detectable_power() /
-            compute_sunlight_noise_power({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
+            sensor.floor_power() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
         const WeatherRaySimulator air = make_air_beside_sun(off_deg, 100.0, sensor);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
@@ -88,8 +87,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
             if (echo.source == ReturnCause::nothing) ++counts.back();
             else {
                 ASSERT_EQ(echo.source, ReturnCause::noise);
-                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m),
-                          sensor.compute_min_detectable_power());
+                ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.floor_power());
                 ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // uniform over the range
             }
         }
@@ -107,7 +105,7 @@ TEST(Sunlight, HidesWeakTargets) {
     const Sun sun{0.0, 0.0, 100.0};
     const WeatherRaySimulator air = make_air_beside_sun(0.3, 100.0, sensor);
     for (const double reflectivity : {0.002, 0.004}) {
-        const double sigma = compute_sunlight_noise_power(sun, sensor, 0.3 * kDegree, reflectivity, false);
+        const double sigma = sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
         const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
         const double half_m =
             std::sqrt(reflectivity / (sigma * std::sqrt(2.0 * std::log(crests / std::log(2.0)))));

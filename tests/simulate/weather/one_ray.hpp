@@ -16,9 +16,9 @@ public:
     GivenEcho(const WeatherSensorProperties& sensor, const LidarEcho& echo, double transmission,
               double through_water)
         : sensor_(sensor), echo_(echo), transmission_(transmission), through_water_(through_water) {}
-    void modify_surface_return(RayWeatherState& ray) const override { ray.through_water = through_water_; }
-    void append_effect_returns(EchoCandidates& candidates, const RayWeatherState&, Random&) const override {
-        append_echo_if_detectable(candidates, echo_, sensor_, transmission_);
+    void modify_surface(RayWeatherState& ray) const override { ray.through_water = through_water_; }
+    void append_returns(EchoCandidates& candidates, const RayWeatherState&, Random&) const override {
+        append_detectable(candidates, echo_, sensor_, transmission_);
     }
 
 private:
@@ -69,7 +69,7 @@ inline LidarEcho surface_at(double range_m, double reflectivity) {
 /// Echoes of a ray that ends after `free_m` in air.
 inline EchoPair echoes(const WeatherRaySimulator& air, double free_m, std::uint64_t seed,
                        const LidarEcho& strongest = {}, const LidarEcho& second = {}) {
-    return air.compute_echoes_in_weather({.strongest = strongest, .second = second, .free_m = free_m}, seed);
+    return air.echoes_of_ray({.strongest = strongest, .second = second, .free_m = free_m}, seed);
 }
 /// Echoes of a ray that hits a surface.
 inline EchoPair echoes_of(const WeatherRaySimulator& air, const LidarEcho& surface, std::uint64_t seed) {

@@ -27,8 +27,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr int kLeast = 3, kMost = 10, kScans = 30;
-constexpr double kEnough_ms = 5000.0;
+constexpr int kMinRepeats = 3, kMaxRepeats = 10, kTimedScans = 30;
+constexpr double kEnoughTime_ms = 5000.0;
 
 /// Median wall times. Each includes waiting until the device has finished.
 struct BenchTimes {
@@ -42,7 +42,7 @@ struct BenchTimes {
     std::optional<double> separate_scans_per_s = {};
 };
 
-double measure_ms_since(Clock::time_point start) {
+double ms_since(Clock::time_point start) {
     return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
@@ -51,19 +51,19 @@ double median(std::vector<double> samples) {
     return samples[samples.size() / 2];
 }
 
-BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) {
+BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
     const auto n_rays = static_cast<std::uint32_t>(bench_case.rays.size());
-    const RendererOptions options{.trace = make_training_trace_options(bench_case.config),
+    const RendererOptions options{.trace = training_options(bench_case.config),
                                   .n_rays = n_rays,
                                   .keep_hits = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits)};
     const auto rendered = [&] {
         Renderer image(device, bench_case.scene, bench_case.config.image,
-                       {.trace = make_common_trace_options(bench_case.config), .n_rays = n_rays});
-        image.record_scene_update_for_view(bench_case.placed, bench_case.view_origin_m);
+                       {.trace = common_options(bench_case.config), .n_rays = n_rays});
+        image.update(bench_case.placed, bench_case.view_origin_m);
         return image.render_rays(bench_case.rays);
     };
     TrainingStep step(device, bench_case, options,
-                      make_noisy_loss_targets(rendered(), bench_case.config.loss.normalised_depth));
+                      noisy_targets(rendered(), bench_case.config.loss.normalised_depth));
     Renderer& renderer = step.renderer;
     Stream& stream = renderer.stream();
     const Array<DeviceRay> rays(device, std::span<const DeviceRay>(to_device_rays(bench_case.rays)), "rays");
@@ -73,49 +73,47 @@ BenchTimes measure_benchmark_times(Device& device, const BenchCase& bench_case) 
         const Clock::time_point start = Clock::now();
         record();
         stream.submit_and_wait();
-        samples.push_back(measure_ms_since(start));
+        samples.push_back(ms_since(start));
     };
     const auto repeat = [&] {
-        throw_if_interrupted();
+        check_interrupt();
         time(iteration, [&] {
-            renderer.record_scene_update_for_view(bench_case.placed, bench_case.view_origin_m);
-            renderer.record_forward_pass(batch);
-            step.record_loss_kernels(batch);
-            step.differentiable.record_backward_pass();
-            step.record_optimizer_kernels();
+            renderer.update(bench_case.placed, bench_case.view_origin_m);
+            renderer.record_forward(batch);
+            step.record_losses(batch);
+            step.differentiable.record_backward();
+            step.record_optimizer();
         });
-        time(build, [&] { renderer.accel().record_bvh_refit_or_build(stream, renderer.scene(), true); });
-        time(refit, [&] { renderer.accel().record_bvh_refit_or_build(stream, renderer.scene()); });
-        time(forward, [&] { renderer.record_forward_pass(batch); });
-        step.record_loss_kernels(batch);
+        time(build, [&] { renderer.accel().record_refit(stream, renderer.scene(), true); });
+        time(refit, [&] { renderer.accel().record_refit(stream, renderer.scene()); });
+        time(forward, [&] { renderer.record_forward(batch); });
+        step.record_losses(batch);
         stream.submit_and_wait();
-        time(backward, [&] { step.differentiable.record_backward_pass(); });
+        time(backward, [&] { step.differentiable.record_backward(); });
     };
     // The first launches compile kernels, and a GPU raises its clock rate only under
     // load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
-    while (measure_ms_since(start) < warm_up_ms);
+    while (ms_since(start) < warm_up_ms);
     for (std::vector<double>* samples : {&build, &refit, &forward, &backward, &iteration}) samples->clear();
     start = Clock::now();
-    for (int i = 0; i < kLeast || (i < kMost && measure_ms_since(start) < kEnough_ms); ++i) repeat();
+    for (int i = 0; i < kMinRepeats || (i < kMaxRepeats && ms_since(start) < kEnoughTime_ms); ++i) repeat();
     return {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
 /// At evenly spaced times of the recorded path. The scans of all sensors at the same time
 /// are submitted together. While they are read, the device renders the next scans.
-double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
-                                std::span<const MountedSimulatedSensor> sensors) {
-    const PoseTrack path =
-        add_offset_to_track_positions(run.sequence.get_world_from_sensor(0), run.sequence.world_offset_m);
+double scans_per_second(ScanRenderer& renderer, const Run& run,
+                        std::span<const MountedSimulatedSensor> sensors) {
+    const PoseTrack path = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto submit = [&](int scan) {
-        const double time_s = first_s + length_s * (scan + 0.5) / kScans;
+        const double time_s = first_s + length_s * (scan + 0.5) / kTimedScans;
         for (const MountedSimulatedSensor& target : sensors)
-            renderer.submit_points(target.sensor, {time_s, compute_mounted_track(path, target.mounting)},
-                                   time_s, {},
+            renderer.submit_points(target.sensor, {time_s, mount_track(path, target.mounting)}, time_s, {},
                                    &target == &sensors.back() ? ScanRenderer::SubmissionTiming::now
                                                               : ScanRenderer::SubmissionTiming::with_next);
     };
@@ -127,38 +125,37 @@ double measure_scans_per_second(ScanRenderer& renderer, const TrainedRun& run,
     collect();
     const Clock::time_point start = Clock::now();
     submit(0);
-    for (int scan = 1; scan <= kScans; ++scan) {
-        throw_if_interrupted();
-        if (scan < kScans) submit(scan);
+    for (int scan = 1; scan <= kTimedScans; ++scan) {
+        check_interrupt();
+        if (scan < kTimedScans) submit(scan);
         collect();
     }
-    return 1e3 * double(sensors.size()) * kScans / measure_ms_since(start);
+    return 1e3 * double(sensors.size()) * kTimedScans / ms_since(start);
 }
 
-void measure_scan_rates(Device& device, const TrainedRun& run, const std::string& sensor_or_rig_name,
-                        BenchTimes& bench_times) {
+void measure_rates(Device& device, const Run& run, const std::string& sensor_or_rig_name,
+                   BenchTimes& bench_times) {
     ScanRenderer renderer(device, run);
     const std::vector<MountedSimulatedSensor> sensors =
-        list_sensors_of_rig_or_single_sensor(sensor_or_rig_name.empty() ? "native" : sensor_or_rig_name,
-                                             read_sensor_rig(sensor_or_rig_name), run, 0);
-    bench_times.scans_per_s = measure_scans_per_second(renderer, run, sensors);
+        list_sensors(sensor_or_rig_name.empty() ? "native" : sensor_or_rig_name,
+                     read_sensor_rig(sensor_or_rig_name), run, 0);
+    bench_times.scans_per_s = scans_per_second(renderer, run, sensors);
     if (sensors.size() == 1) return;
     double seconds = 0.0;
     for (const MountedSimulatedSensor& target : sensors)
-        seconds += 1.0 / measure_scans_per_second(renderer, run, {&target, 1});
+        seconds += 1.0 / scans_per_second(renderer, run, {&target, 1});
     bench_times.separate_scans_per_s = double(sensors.size()) / seconds;
 }
 
-const char* get_ray_tracing_backend_name(const Device& device) {
-    return device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray_query";
+const char* backend_name(const Device& device) {
+    return device.backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
 
-std::string format_benchmark_report(const BenchCase& bench_case, const BenchTimes& bench_times,
-                                    const Device& device) {
+std::string format_report(const BenchCase& bench_case, const BenchTimes& bench_times, const Device& device) {
     const double krays = double(bench_case.rays.size()) / 1000.0;
     std::string text = fmt::format(
         "device      {}\ndriver      {}\ntraversal   {}\nscene       {}, {} surfels, {} rays ({} x {})\n",
-        device.info().name, device.info().driver, get_ray_tracing_backend_name(device), bench_case.name,
+        device.info().name, device.info().driver, backend_name(device), bench_case.name,
         bench_case.scene.surfels.size(), bench_case.rays.size(), bench_case.rows, bench_case.columns);
     text += fmt::format(
         "tree        build {:.2f} ms, refit {:.2f} ms\nforward     {:.2f} ms, {:.3f} Mrays/s\n"
@@ -174,15 +171,14 @@ std::string format_benchmark_report(const BenchCase& bench_case, const BenchTime
                               bench_times.repetitions);
 }
 
-std::string make_benchmark_report_json(const BenchCase& bench_case, const BenchTimes& bench_times,
-                                       const Device& device) {
+std::string report_json(const BenchCase& bench_case, const BenchTimes& bench_times, const Device& device) {
     const double krays = double(bench_case.rays.size()) / 1000.0;
     nlohmann::ordered_json json = {{"format", "relidar check --speed"},
                                    {"version", 2},
                                    {"relidar", RELIDAR_VERSION},
                                    {"device", device.info().name},
                                    {"driver", device.info().driver},
-                                   {"traversal", get_ray_tracing_backend_name(device)},
+                                   {"traversal", backend_name(device)},
                                    {"scene", bench_case.name},
                                    {"surfels", bench_case.scene.surfels.size()},
                                    {"rays", bench_case.rays.size()},
@@ -201,18 +197,16 @@ std::string make_benchmark_report_json(const BenchCase& bench_case, const BenchT
 
 }  // namespace
 
-void run_speed_benchmark(const BenchOptions& options) {
-    std::optional<TrainedRun> run;
+void run_bench(const BenchOptions& options) {
+    std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
-    Device device(convert_to_device_options(options.device));
+    Device device(to_device_options(options.device));
     const BenchCase bench =
-        run ? make_benchmark_from_run(*run)
-            : make_synthetic_street_benchmark(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
-    BenchTimes times = measure_benchmark_times(device, bench);
-    if (run) measure_scan_rates(device, *run, options.sensor, times);
-    if (!options.json.empty())
-        write_text_file(options.json, make_benchmark_report_json(bench, times, device));
-    print(format_benchmark_report(bench, times, device));
+        run ? case_of_run(*run) : street_case(100000, false, make_street_rays(64, 1024, 2.0, -24.9));
+    BenchTimes times = measure_times(device, bench);
+    if (run) measure_rates(device, *run, options.sensor, times);
+    if (!options.json.empty()) write_text_file(options.json, report_json(bench, times, device));
+    print(format_report(bench, times, device));
 }
 
 }  // namespace relidar::cli

@@ -15,6 +15,6 @@ struct BenchOptions {
     DeviceCommandOptions device;
 };
 
-void run_speed_benchmark(const BenchOptions& options);
+void run_bench(const BenchOptions& options);
 
 }  // namespace relidar::cli

@@ -23,11 +23,10 @@ struct BenchCase {
 };
 
 /// Settings of the LiDAR-RT paper.
-BenchCase make_synthetic_street_benchmark(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels,
-                                          const RayTable& rays);
+BenchCase street_case(std::uint32_t n_surfels, bool smaller_scales_for_more_surfels, const RayTable& rays);
 
 /// Rays of the run's sensor at the first held-out frame.
 /// @throws DataError if the run has no frames or no surfels
-BenchCase make_benchmark_from_run(const TrainedRun& run);
+BenchCase case_of_run(const Run& run);
 
 }  // namespace relidar::cli

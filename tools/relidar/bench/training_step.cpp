@@ -10,8 +10,7 @@
 
 namespace relidar::cli {
 
-std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
-                                                  bool is_depth_divided_by_weight) {
+std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool is_depth_divided_by_weight) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
     const auto noise = [&] { return static_cast<float>(random()) / 2147483648.0f - 1.0f; };
@@ -29,33 +28,32 @@ TrainingStep::TrainingStep(Device& device, const BenchCase& bench_case, const Re
                            const std::vector<DeviceTarget>& target_values)
     : differentiable(device, bench_case.scene, bench_case.config.image, options,
                      // Adam skips surfels without hits.
-                     {.sums = make_backward_options(bench_case.config), .zero_untouched = false}),
+                     {.sums = backward_options(bench_case.config), .zero_untouched = false}),
       renderer(differentiable.renderer()),
       targets(device, std::span<const DeviceTarget>(target_values), "targets"),
       loss_(device, bench_case.config.loss),
       adam_(device, renderer.scene().size(), {.only_touched = bench_case.config.train.only_touched},
-            renderer.scene().get_surfel_parameters().get_parameter_set()),
+            renderer.scene().surfel_parameters().parameters_used()),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
     for (const DeviceTarget& target : target_values) n_returned_ += target.range_m > 0.0f;
     if (bench_case.config.loss.likelihood > 0.0f) likelihood_loss_.emplace(device, bench_case.config.loss);
 }
 
-void TrainingStep::record_loss_kernels(const RayBatch& rays) {
+void TrainingStep::record_losses(const RayBatch& rays) {
     const std::uint32_t columns = std::max(rays.columns, 1u);
     const ImageShape image{rays.n_rays / columns, columns, false};
     const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays),
                                image};
-    loss_.record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(), measured, terms_);
+    loss_.add_ray_losses(renderer.stream(), differentiable.last_batch(), measured, terms_);
     if (likelihood_loss_)
-        likelihood_loss_->record_ray_losses(renderer.stream(), differentiable.get_last_rendered_batch(),
-                                            measured, terms_);
+        likelihood_loss_->add_ray_losses(renderer.stream(), differentiable.last_batch(), measured, terms_);
 }
 
-void TrainingStep::record_optimizer_kernels() {
-    constexpr LearningRates kNone{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
+void TrainingStep::record_optimizer() {
+    constexpr LearningRates kFrozenRates{0.0, 0.0, 0.0, 0.0, 0.0, 0.05};
     const DeviceGradients& gradients = differentiable.gradients();
-    adam_.record_adam_step(renderer.stream(), renderer.scene().get_surfel_parameters(), gradients.surfels,
-                           &gradients.touched, kNone, ++step_, renderer.model().sh_degree);
+    adam_.record_step(renderer.stream(), renderer.scene().surfel_parameters(), gradients.surfels,
+                      &gradients.touched, kFrozenRates, ++step_, renderer.model().sh_degree);
 }
 
 }  // namespace relidar::cli

@@ -15,8 +15,7 @@ struct BenchCase;
 
 /// A rendered image plus noise, so that the gradient of an L1 loss is not zero. Rays with
 /// a low sum of blending weights become rays without a return.
-std::vector<DeviceTarget> make_noisy_loss_targets(const RenderedRayValues& rendering,
-                                                  bool is_depth_divided_by_weight);
+std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool is_depth_divided_by_weight);
 
 /// All learning rates are 0, so that the step does not change the scene.
 class TrainingStep {
@@ -28,10 +27,10 @@ public:
     Renderer& renderer;  ///< The renderer of `differentiable`.
     Array<DeviceTarget> targets;
 
-    /// Must be called after record_forward_pass().
-    void record_loss_kernels(const RayBatch& rays);
-    /// Must be called after record_backward_pass().
-    void record_optimizer_kernels();
+    /// Must be called after record_forward().
+    void record_losses(const RayBatch& rays);
+    /// Must be called after record_backward().
+    void record_optimizer();
 
 private:
     ImageLoss loss_;

@@ -10,40 +10,40 @@
 
 namespace relidar::cli {
 
-CheckResult check_adam_optimizer(CheckedDevice& tested_device) {
-    constexpr std::size_t kValues = 1000;
-    constexpr double kRate = 1e-2;
+CheckResult check_adam(CheckedDevice& tested_device) {
+    constexpr std::size_t kAdamValues = 1000;
+    constexpr double kLearningRate = 1e-2;
     const AdamOptions options;
     std::mt19937 random(3);
     std::normal_distribution<float> normal;
-    std::vector<float> start(kValues), gradient(kValues);
+    std::vector<float> start(kAdamValues), gradient(kAdamValues);
     for (float& x : start) x = normal(random);
-    std::vector<double> expected(start.begin(), start.end()), m(kValues, 0.0), v(kValues, 0.0);
-    Device& device = tested_device.get_default_device();
-    ArrayAdam adam(device, kValues, options);
+    std::vector<double> expected(start.begin(), start.end()), m(kAdamValues, 0.0), v(kAdamValues, 0.0);
+    Device& device = tested_device.default_device();
+    ArrayAdam adam(device, kAdamValues, options);
     const Array<float> values(device, std::span<const float>(start), "values");
-    Array<float> gradients(device, kValues, "gradients");
+    Array<float> gradients(device, kAdamValues, "gradients");
     Stream stream(device);
     for (int step = 1; step <= 3; ++step) {
         for (float& x : gradient) x = normal(random);
         gradients.upload(gradient);
-        adam.record_adam_step(stream, values, gradients, kRate, step);
+        adam.record_step(stream, values, gradients, kLearningRate, step);
         stream.submit_and_wait();
-        for (std::size_t i = 0; i < kValues; ++i) {
+        for (std::size_t i = 0; i < kAdamValues; ++i) {
             const double g = gradient[i];
             m[i] = options.beta1 * m[i] + (1.0 - options.beta1) * g;
             v[i] = options.beta2 * v[i] + (1.0 - options.beta2) * g * g;
-            expected[i] -= kRate * (m[i] / (1.0 - std::pow(options.beta1, step))) /
+            expected[i] -= kLearningRate * (m[i] / (1.0 - std::pow(options.beta1, step))) /
                            (std::sqrt(v[i] / (1.0 - std::pow(options.beta2, step))) + options.epsilon);
         }
     }
     const std::vector<float> actual = values.download();
     double error = 0.0;
-    for (std::size_t i = 0; i < kValues; ++i) {
+    for (std::size_t i = 0; i < kAdamValues; ++i) {
         const double difference = std::abs(actual[i] - expected[i]);
         error = std::isfinite(difference) ? std::max(error, difference) : HUGE_VAL;
     }
-    return make_check_result_from_error(error, 1e-6);
+    return compare_error(error, 1e-6);
 }
 
 }  // namespace relidar::cli

@@ -41,7 +41,7 @@ struct NamedCheckResult {
     double seconds = 0.0;
 };
 
-const char* get_check_outcome_name(CheckResult::CheckOutcome outcome_kind) {
+const char* outcome_name(CheckResult::CheckOutcome outcome_kind) {
     switch (outcome_kind) {
         case CheckResult::CheckOutcome::right:
             return "right";
@@ -54,24 +54,22 @@ const char* get_check_outcome_name(CheckResult::CheckOutcome outcome_kind) {
 
 /// If the driver reports an error, the result is "wrong".
 /// @param is_device_lost output
-NamedCheckResult run_device_check(const DeviceCheck& check, CheckedDevice& tested_device,
-                                  bool& is_device_lost) {
+NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested_device, bool& is_device_lost) {
     NamedCheckResult row{check.name, {}, 0.0};
     const Clock::time_point start = Clock::now();
     try {
         row.finding = check.run(tested_device);
     } catch (const DeviceLost& error) {
         is_device_lost = true;
-        row.finding = make_failed_check_result(replace_control_characters(error.what()));
+        row.finding = failed_check(make_one_line(error.what()));
     } catch (const DeviceError& error) {
-        row.finding = make_failed_check_result(replace_control_characters(error.what()));
+        row.finding = failed_check(make_one_line(error.what()));
     }
     row.seconds = std::chrono::duration<double>(Clock::now() - start).count();
     return row;
 }
 
-std::string make_check_report_json(const DeviceInfo& device_info,
-                                   const std::vector<NamedCheckResult>& check_rows) {
+std::string report_json(const DeviceInfo& device_info, const std::vector<NamedCheckResult>& check_rows) {
     nlohmann::ordered_json json = {{"format", "relidar check"},
                                    {"version", 1},
                                    {"relidar", RELIDAR_VERSION},
@@ -85,51 +83,50 @@ std::string make_check_report_json(const DeviceInfo& device_info,
         json["checks"].push_back({{"name", row.name},
                                   {"result", row.finding.kind == CheckResult::CheckOutcome::wrong
                                                  ? "wrong"
-                                                 : get_check_outcome_name(row.finding.kind)},
+                                                 : outcome_name(row.finding.kind)},
                                   {"text", row.finding.text},
                                   {"seconds", row.seconds}});
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
-std::vector<DeviceCheck> list_checks_of_device_and_trained_run(const std::string& run_folder_or_empty) {
-    std::vector<DeviceCheck> checks(get_builtin_device_checks().begin(), get_builtin_device_checks().end());
+std::vector<DeviceCheck> list_checks(const std::string& run_folder_or_empty) {
+    std::vector<DeviceCheck> checks(builtin_checks().begin(), builtin_checks().end());
     if (run_folder_or_empty.empty()) return checks;
-    const auto bench =
-        std::make_shared<const BenchCase>(make_benchmark_from_run(load_run(run_folder_or_empty)));
+    const auto bench = std::make_shared<const BenchCase>(case_of_run(load_run(run_folder_or_empty)));
     for (const auto& [name, backend] : {std::pair("run, software", RayTracingBackend::software),
                                         {"run, ray query", RayTracingBackend::ray_query}})
         checks.push_back({name, [bench, backend = backend](CheckedDevice& c) {
-                              return check_rendering_of_trained_run(c, backend, *bench);
+                              return check_run_scene(c, backend, *bench);
                           }});
     return checks;
 }
 
-void run_device_checks(const CheckOptions& options) {
+void run_all_checks(const CheckOptions& options) {
     // The checks must use all methods, also those that failed a test on the device.
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
-    CheckedDevice checked(convert_to_device_options(options.device));
-    const DeviceInfo& info = checked.get_default_device().info();
+    CheckedDevice checked(to_device_options(options.device));
+    const DeviceInfo& info = checked.default_device().info();
     print(fmt::format("device   {}\ndriver   {}\nrelidar  {}\n\n", info.name, info.driver, RELIDAR_VERSION));
     std::vector<NamedCheckResult> rows;
     std::vector<std::string> wrong_names;
     bool is_lost = false;
-    for (const DeviceCheck& check : list_checks_of_device_and_trained_run(options.run)) {
-        throw_if_interrupted();
-        rows.push_back(run_device_check(check, checked, is_lost));
+    for (const DeviceCheck& check : list_checks(options.run)) {
+        check_interrupt();
+        rows.push_back(run_one_check(check, checked, is_lost));
         const NamedCheckResult& row = rows.back();
-        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, get_check_outcome_name(row.finding.kind),
+        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, outcome_name(row.finding.kind),
                           row.seconds, row.finding.text));
         if (row.finding.kind == CheckResult::CheckOutcome::wrong) wrong_names.push_back(row.name);
         if (is_lost) break;
     }
-    if (!options.json.empty()) write_text_file(options.json, make_check_report_json(info, rows));
+    if (!options.json.empty()) write_text_file(options.json, report_json(info, rows));
     if (wrong_names.empty()) return;
     fail<DeviceError>("{} of {} checks gave wrong results on the device {} ({}): {}{}", wrong_names.size(),
                       rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
                       is_lost ? "; the driver has lost the device, so the other checks did not run" : "");
 }
 
-void run_check_command(const CheckOptions& options) {
+void run_check(const CheckOptions& options) {
     if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
         fail("--json {}: this is a folder; expected the name of a file to write", options.json);
     if (!options.sensor.empty() && (options.run.empty() || !options.speed))
@@ -138,9 +135,9 @@ void run_check_command(const CheckOptions& options) {
     std::optional<OutputFolder> folder;
     if (const std::filesystem::path json = options.json; !json.empty())
         folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
-    install_interrupt_handlers();
-    if (options.speed) run_speed_benchmark({options.run, options.sensor, options.json, options.device});
-    else run_device_checks(options);
+    install_handlers();
+    if (options.speed) run_bench({options.run, options.sensor, options.json, options.device});
+    else run_all_checks(options);
 }
 
 constexpr const char* kCheckHelp =
@@ -158,7 +155,7 @@ Examples:
 
 }  // namespace
 
-void add_check_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_check(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("check", "check that a device computes correct results, or measure its speed");
     const auto options = std::make_shared<CheckOptions>();
@@ -178,7 +175,7 @@ void add_check_command(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_check_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_check(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -7,31 +7,29 @@
 
 namespace relidar::cli {
 
-std::span<const DeviceCheck> get_builtin_device_checks() {
+std::span<const DeviceCheck> builtin_checks() {
     using enum RayTracingBackend;
     static const std::array checks{
-        DeviceCheck{"float atomics", check_float_atomics},
-        DeviceCheck{"compare-and-swap sums", check_float_compare_and_swap},
-        DeviceCheck{"subgroups", check_subgroup_operations},
+        DeviceCheck{"float atomics", check_atomics},
+        DeviceCheck{"compare-and-swap sums", check_compare_swap},
+        DeviceCheck{"subgroups", check_subgroups},
         DeviceCheck{"prefix sum", check_prefix_sum},
         DeviceCheck{"sort", check_radix_sort},
-        DeviceCheck{"tree of software", [](CheckedDevice& c) { return check_bvh_ray_hits(c, software); }},
-        DeviceCheck{"tree of ray query", [](CheckedDevice& c) { return check_bvh_ray_hits(c, ray_query); }},
-        DeviceCheck{"gradients, software",
-                    [](CheckedDevice& c) { return check_images_and_gradients(c, software); }},
-        DeviceCheck{"gradients, ray query",
-                    [](CheckedDevice& c) { return check_images_and_gradients(c, ray_query); }},
-        DeviceCheck{"Adam", check_adam_optimizer},
-        DeviceCheck{"ray-drop network", check_network_convolutions},
-        DeviceCheck{"points on the device", check_points_computed_on_device},
-        DeviceCheck{"largest buffer", check_largest_buffer},
-        DeviceCheck{"memory", check_device_memory},
-        DeviceCheck{"longest dispatch", check_long_kernel_dispatch},
+        DeviceCheck{"tree of software", [](CheckedDevice& c) { return check_ray_hits(c, software); }},
+        DeviceCheck{"tree of ray query", [](CheckedDevice& c) { return check_ray_hits(c, ray_query); }},
+        DeviceCheck{"gradients, software", [](CheckedDevice& c) { return check_gradients(c, software); }},
+        DeviceCheck{"gradients, ray query", [](CheckedDevice& c) { return check_gradients(c, ray_query); }},
+        DeviceCheck{"Adam", check_adam},
+        DeviceCheck{"ray-drop network", check_network},
+        DeviceCheck{"points on the device", check_points},
+        DeviceCheck{"largest buffer", check_buffer},
+        DeviceCheck{"memory", check_memory},
+        DeviceCheck{"longest dispatch", check_dispatch},
     };
     return checks;
 }
 
-CheckResult make_check_result_from_error(double error, double tolerance) {
+CheckResult compare_error(double error, double tolerance) {
     // NaN counts as wrong
     const bool is_right = error <= tolerance;
     return {is_right ? CheckResult::CheckOutcome::right : CheckResult::CheckOutcome::wrong,
@@ -40,10 +38,8 @@ CheckResult make_check_result_from_error(double error, double tolerance) {
                 : fmt::format("found an error of {:.1e}, expected at most {:.0e}", error, tolerance)};
 }
 
-CheckResult make_failed_check_result(const std::string& reason) {
-    return {CheckResult::CheckOutcome::wrong, reason};
-}
-CheckResult make_unsupported_check_result(const std::string& reason) {
+CheckResult failed_check(const std::string& reason) { return {CheckResult::CheckOutcome::wrong, reason}; }
+CheckResult unsupported_check(const std::string& reason) {
     return {CheckResult::CheckOutcome::unsupported, reason};
 }
 
@@ -52,8 +48,8 @@ CheckedDevice::CheckedDevice(const DeviceOptions& options)
     options_.index = default_->info().index;
 }
 
-Device& CheckedDevice::get_or_open_device_with_backend(RayTracingBackend backend) {
-    if (default_->get_ray_tracing_backend() == backend) return *default_;
+Device& CheckedDevice::device_with(RayTracingBackend backend) {
+    if (default_->backend() == backend) return *default_;
     std::unique_ptr<Device>& device = others_[backend];
     if (!device) {
         DeviceOptions options = options_;

@@ -22,19 +22,19 @@ struct CheckResult {
     CheckOutcome kind = CheckOutcome::right;
     std::string text;  ///< Size of the error, or the reason why the check is wrong or unsupported.
 };
-CheckResult make_check_result_from_error(double error, double tolerance);
-CheckResult make_failed_check_result(const std::string& reason);
-CheckResult make_unsupported_check_result(const std::string& reason);
+CheckResult compare_error(double error, double tolerance);
+CheckResult failed_check(const std::string& reason);
+CheckResult unsupported_check(const std::string& reason);
 /// Empty if the device can use the method.
-std::string explain_unsupported_backend(const DeviceInfo& device_info, RayTracingBackend backend);
+std::string why_unsupported(const DeviceInfo& device_info, RayTracingBackend backend);
 
 /// Opened separately for each ray tracing method that the checks need.
 class CheckedDevice {
 public:
     explicit CheckedDevice(const DeviceOptions& options);
-    Device& get_default_device() { return *default_; }
-    Device& get_or_open_device_with_backend(RayTracingBackend backend);
-    const DeviceOptions& get_device_options() const { return options_; }
+    Device& default_device() { return *default_; }
+    Device& device_with(RayTracingBackend backend);
+    const DeviceOptions& device_options() const { return options_; }
 
 private:
     DeviceOptions options_;
@@ -46,23 +46,23 @@ struct DeviceCheck {
     const char* name;
     std::function<CheckResult(CheckedDevice&)> run;
 };
-std::span<const DeviceCheck> get_builtin_device_checks();
+std::span<const DeviceCheck> builtin_checks();
 
-CheckResult check_float_atomics(CheckedDevice& tested_device);
-CheckResult check_float_compare_and_swap(CheckedDevice& tested_device);
-CheckResult check_subgroup_operations(CheckedDevice& tested_device);
+CheckResult check_atomics(CheckedDevice& tested_device);
+CheckResult check_compare_swap(CheckedDevice& tested_device);
+CheckResult check_subgroups(CheckedDevice& tested_device);
 CheckResult check_prefix_sum(CheckedDevice& tested_device);
 CheckResult check_radix_sort(CheckedDevice& tested_device);
-CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend);
-CheckResult check_images_and_gradients(CheckedDevice& tested_device, RayTracingBackend backend);
-CheckResult check_adam_optimizer(CheckedDevice& tested_device);
-CheckResult check_network_convolutions(CheckedDevice& tested_device);
-CheckResult check_points_computed_on_device(CheckedDevice& tested_device);
-CheckResult check_largest_buffer(CheckedDevice& tested_device);
-CheckResult check_device_memory(CheckedDevice& tested_device);
-CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device);
+CheckResult check_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend);
+CheckResult check_gradients(CheckedDevice& tested_device, RayTracingBackend backend);
+CheckResult check_adam(CheckedDevice& tested_device);
+CheckResult check_network(CheckedDevice& tested_device);
+CheckResult check_points(CheckedDevice& tested_device);
+CheckResult check_buffer(CheckedDevice& tested_device);
+CheckResult check_memory(CheckedDevice& tested_device);
+CheckResult check_dispatch(CheckedDevice& tested_device);
 /// The reference renderer uses double precision.
-CheckResult check_rendering_of_trained_run(CheckedDevice& tested_device, RayTracingBackend backend,
-                                           const BenchCase& bench_case);
+CheckResult check_run_scene(CheckedDevice& tested_device, RayTracingBackend backend,
+                            const BenchCase& bench_case);
 
 }  // namespace relidar::cli

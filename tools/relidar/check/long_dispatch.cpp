@@ -8,21 +8,20 @@
 
 namespace relidar::cli {
 
-CheckResult check_long_kernel_dispatch(CheckedDevice& tested_device) {
-    constexpr double kLong_s = 0.25;
+CheckResult check_dispatch(CheckedDevice& tested_device) {
+    constexpr double kDispatchTime_s = 0.25;
     // Compiles the kernel.
-    test_atomic_adds_and_get_max_error(tested_device.get_default_device(), true);
+    test_atomic_adds(tested_device.default_device(), true);
     // Ends at a dispatch of 0.25 s, so the last one takes about one second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
-        const double error = test_compare_and_swap_adds_and_get_max_error(tested_device.get_default_device(),
-                                                                          n_threads, seconds);
+        const double error = test_swap_adds(tested_device.default_device(), n_threads, seconds);
         if (error != 0.0)
-            return make_failed_check_result(
+            return failed_check(
                 fmt::format("after a computation of {:.2f} s, found sums with a relative error of {:.1e}, "
                             "expected exact sums",
                             seconds, error));
-        if (seconds >= kLong_s)
+        if (seconds >= kDispatchTime_s)
             return {CheckResult::CheckOutcome::right,
                     fmt::format("exact sums after a computation of {:.2f} s", seconds)};
     }

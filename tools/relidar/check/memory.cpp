@@ -18,15 +18,15 @@ namespace {
 
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
-std::uint64_t compute_check_memory_limit_bytes(const Device& device) {
-    std::uint64_t n_free = gpu::query_memory_budget(device.impl().physical).get_free_device_memory_bytes();
+std::uint64_t memory_budget_bytes(const Device& device) {
+    std::uint64_t n_free = gpu::query_budget(device.impl().physical).free_bytes();
     if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)
         n_free = std::min(n_free, limit - std::min(limit, device.allocated_bytes()));
     return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
 }
 
 /// Looks only at the first and the last 16 words.
-bool is_buffer_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
+bool is_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
     for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - 64}) {
         std::uint32_t words[16];
         buffer.download(words, sizeof words, offset);
@@ -38,46 +38,45 @@ bool is_buffer_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
 
 }  // namespace
 
-CheckResult check_largest_buffer(CheckedDevice& tested_device) {
-    Device& device = tested_device.get_default_device();
+CheckResult check_buffer(CheckedDevice& tested_device) {
+    Device& device = tested_device.default_device();
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
-                        n_bytes = std::min(limit, compute_check_memory_limit_bytes(device)) / 64 * 64;
-    if (n_bytes < kMiB) return make_unsupported_check_result("less than 1 MiB of device memory is free");
+                        n_bytes = std::min(limit, memory_budget_bytes(device)) / 64 * 64;
+    if (n_bytes < kMiB) return unsupported_check("less than 1 MiB of device memory is free");
     const Buffer buffer(device, n_bytes, "the largest buffer");
     Stream stream(device);
     stream.fill(buffer, 0x5a5a1234u);
     stream.submit_and_wait();
-    if (!is_buffer_filled_with(buffer, 0x5a5a1234u))
-        return make_failed_check_result(fmt::format(
-            "a buffer of {} does not contain the values that were written to it", format_byte_size(n_bytes)));
+    if (!is_filled_with(buffer, 0x5a5a1234u))
+        return failed_check(fmt::format("a buffer of {} does not contain the values that were written to it",
+                                        format_bytes(n_bytes)));
     return {CheckResult::CheckOutcome::right,
-            fmt::format("{}{}", format_byte_size(n_bytes),
+            fmt::format("{}{}", format_bytes(n_bytes),
                         n_bytes < limit / 64 * 64
-                            ? fmt::format(" tested; the driver allows at most {}", format_byte_size(limit))
+                            ? fmt::format(" tested; the driver allows at most {}", format_bytes(limit))
                             : ", which is the limit of the device")};
 }
 
-CheckResult check_device_memory(CheckedDevice& tested_device) {
-    Device& device = tested_device.get_default_device();
-    constexpr std::uint64_t kPiece = 256 * kMiB;
-    const std::uint64_t allowed = compute_check_memory_limit_bytes(device);
+CheckResult check_memory(CheckedDevice& tested_device) {
+    Device& device = tested_device.default_device();
+    constexpr std::uint64_t kPieceBytes = 256 * kMiB;
+    const std::uint64_t allowed = memory_budget_bytes(device);
     std::vector<std::unique_ptr<Buffer>> pieces;
     Stream stream(device);
-    while ((pieces.size() + 1) * kPiece <= allowed) {
-        pieces.push_back(std::make_unique<Buffer>(device, kPiece, "memory of the check"));
+    while ((pieces.size() + 1) * kPieceBytes <= allowed) {
+        pieces.push_back(std::make_unique<Buffer>(device, kPieceBytes, "memory of the check"));
         stream.fill(*pieces.back(), static_cast<std::uint32_t>(pieces.size()));
     }
     stream.submit_and_wait();
-    if (pieces.empty())
-        return make_unsupported_check_result("the driver allows less than 256 MiB of device memory");
+    if (pieces.empty()) return unsupported_check("the driver allows less than 256 MiB of device memory");
     for (std::size_t i = 0; i < pieces.size(); ++i)
-        if (!is_buffer_filled_with(*pieces[i], static_cast<std::uint32_t>(i + 1)))
-            return make_failed_check_result(fmt::format(
+        if (!is_filled_with(*pieces[i], static_cast<std::uint32_t>(i + 1)))
+            return failed_check(fmt::format(
                 "buffer {} of {} does not contain the values that were written to it", i + 1, pieces.size()));
     return {CheckResult::CheckOutcome::right,
             fmt::format("{} of memory tested, of {} that the driver allows to use",
-                        format_byte_size(pieces.size() * kPiece),
-                        format_byte_size(gpu::query_memory_budget(device.impl().physical).n_bytes))};
+                        format_bytes(pieces.size() * kPieceBytes),
+                        format_bytes(gpu::query_budget(device.impl().physical).n_bytes))};
 }
 
 }  // namespace relidar::cli

@@ -18,7 +18,7 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
-Words sample_random_uint32s(std::size_t n_values) {
+Words random_words(std::size_t n_values) {
     std::mt19937 random(7);
     Words words(n_values);
     for (std::uint32_t& x : words) x = static_cast<std::uint32_t>(random());
@@ -26,8 +26,8 @@ Words sample_random_uint32s(std::size_t n_values) {
 }
 
 /// Compares with a stable sort on the host by the low 24 bits.
-bool is_radix_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
-    const Words keys = sample_random_uint32s(capacity);
+bool is_sorted_right(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
+    const Words keys = random_words(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");
     const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
         second(device, capacity, "sorted keys");
@@ -50,35 +50,34 @@ bool is_radix_sort_correct(Device& device, std::uint32_t n_keys, std::uint32_t c
 }  // namespace
 
 CheckResult check_prefix_sum(CheckedDevice& tested_device) {
-    Device& device = tested_device.get_default_device();
+    Device& device = tested_device.default_device();
     PrefixSum prefix_sum(device);
     Stream stream(device);
     for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
-        Words counts = sample_random_uint32s(n);
+        Words counts = random_words(n);
         for (std::uint32_t& x : counts) x %= 1000u;
         const Array<std::uint32_t, shared::ScanCounts> in(device, std::span<const std::uint32_t>(counts),
                                                           "counts");
         const Array<std::uint32_t, shared::ScanPrefix> out(device, n, "prefix sums");
-        prefix_sum.reserve_scratch_memory(device, n);
+        prefix_sum.reserve_scratch(device, n);
         prefix_sum.run(stream, {in.address()}, out.address(), n);
         stream.submit_and_wait();
         std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
         if (out.download() != counts)
-            return make_failed_check_result(
-                fmt::format("found wrong prefix sums of {} numbers, expected exact sums", n));
+            return failed_check(fmt::format("found wrong prefix sums of {} numbers, expected exact sums", n));
     }
     return {CheckResult::CheckOutcome::right, "exact"};
 }
 
 CheckResult check_radix_sort(CheckedDevice& tested_device) {
-    Device& device = tested_device.get_default_device();
+    Device& device = tested_device.default_device();
     if (!device.info().can_require_subgroup_size)
-        return make_unsupported_check_result("the device does not report its subgroup size");
+        return unsupported_check("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
     for (const auto& [n_keys, capacity] :
          {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
-        if (!is_radix_sort_correct(device, n_keys, capacity))
-            return make_failed_check_result(fmt::format("{} keys are not sorted correctly", n_keys));
+        if (!is_sorted_right(device, n_keys, capacity))
+            return failed_check(fmt::format("{} keys are not sorted correctly", n_keys));
     return {CheckResult::CheckOutcome::right,
             fmt::format("all arrays of up to {} keys are sorted correctly", most)};
 }

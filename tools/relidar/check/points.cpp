@@ -12,31 +12,30 @@
 
 namespace relidar::cli {
 
-CheckResult check_points_computed_on_device(CheckedDevice& tested_device) {
-    const DeviceInfo& info = tested_device.get_default_device().info();
+CheckResult check_points(CheckedDevice& tested_device) {
+    const DeviceInfo& info = tested_device.default_device().info();
     if (!info.software && !info.ray_query)
-        return make_unsupported_check_result(
-            "the device cannot trace rays, neither by ray query nor in software");
-    const LidarSequence log = make_synthetic_street({.n_frames = 3, .rows = 16, .columns = 128});
-    const Scene scene = initialise_scene(log, {0, 1, 2}, {});
+        return unsupported_check("the device cannot trace rays, neither by ray query nor in software");
+    const Log log = make_street_log({.n_frames = 3, .rows = 16, .columns = 128});
+    const Scene scene = init_scene(log, {0, 1, 2}, {});
     const Config config;
-    ScanRenderer renderer(tested_device.get_default_device(), scene, config, log);
-    const SimulatedSensor sensor = find_or_load_sensor("VLP-16:128x10", config, log);
-    const PoseTrack track = add_offset_to_track_positions(log.get_world_from_sensor(0), log.world_offset_m);
+    ScanRenderer renderer(tested_device.default_device(), scene, config, log);
+    const SimulatedSensor sensor = choose_sensor("VLP-16:128x10", config, log);
+    const PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
     const double time_s = log.frames[1].time_s;
     renderer.submit_points(sensor, {time_s, track}, time_s);
     const LidarPoints actual = renderer.wait_for_points().points;
-    const LidarPoints expected = convert_scan_to_points(renderer.render(sensor, {time_s, track}), config,
-                                                        track.interpolate_pose(time_s));
+    const LidarPoints expected =
+        place_points(renderer.render(sensor, {time_s, track}), config, track.pose_at(time_s));
     if (actual.size() != expected.size() || actual.size() == 0)
-        return make_failed_check_result(
+        return failed_check(
             fmt::format("found {} points, expected {} points", actual.size(), expected.size()));
     double error_m = 0.0;
     for (std::size_t i = 0; i < actual.size(); ++i) {
         const double distance_m = glm::distance(actual.position_m[i], expected.position_m[i]);
         error_m = std::isfinite(distance_m) ? std::max(error_m, distance_m) : HUGE_VAL;
     }
-    return make_check_result_from_error(error_m, 1e-4);
+    return compare_error(error_m, 1e-4);
 }
 
 }  // namespace relidar::cli

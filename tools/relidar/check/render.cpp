@@ -27,7 +27,7 @@ struct RenderAndGradients {
     Surfels gradients;
 };
 
-RenderAndGradients run_forward_and_backward_pass(Device& device) {
+RenderAndGradients run_passes(Device& device) {
     RenderAndGradients pass;
     test::RandomSceneOptions options;
     options.seed = 21;
@@ -51,23 +51,23 @@ RenderAndGradients run_forward_and_backward_pass(Device& device) {
         RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
 #undef RELIDAR_COPY
     }
-    differentiable.get_last_rendered_batch().upstream->upload(upstream);
-    renderer.record_scene_update_for_view(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
-    renderer.record_forward_pass({&rays, 0, 1, n_rays});
-    differentiable.record_backward_pass();
-    pass.rendering = renderer.download_rendering();
+    differentiable.last_batch().upstream->upload(upstream);
+    renderer.update(placed.world_from_instance, glm::vec3(pass.scene.view_origin));
+    renderer.record_forward({&rays, 0, 1, n_rays});
+    differentiable.record_backward();
+    pass.rendering = renderer.download_rays();
     pass.gradients = differentiable.gradients().surfels.download();
     return pass;
 }
 
 template <class Vector>
-std::vector<double> convert_to_doubles(const Vector& vector, int n_values) {
+std::vector<double> to_doubles(const Vector& vector, int n_values) {
     std::vector<double> row;
     for (int k = 0; k < n_values; ++k) row.push_back(vector[k]);
     return row;
 }
 
-double compute_max_gradient_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
+double gradient_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
     reference::Gradients expected(pass.scene.world);
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i)
         reference::backward(pass.scene.world, brute_force, pass.settings, pass.scene.rays[i], 16,
@@ -76,20 +76,17 @@ double compute_max_gradient_error(const RenderAndGradients& pass, const referenc
     const Surfels& actual = pass.gradients;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
         const reference::Surfel& s = expected.surfels[i];
-        rows.add_row("mean", convert_to_doubles(s.mean, 3), convert_to_doubles(actual.mean[i], 3));
-        rows.add_row("rotation", convert_to_doubles(s.rotation, 4),
-                     convert_to_doubles(actual.rotation[i], 4));
-        rows.add_row("log_scale", convert_to_doubles(s.log_scale, 2),
-                     convert_to_doubles(actual.log_scale[i], 2));
+        rows.add_row("mean", to_doubles(s.mean, 3), to_doubles(actual.mean[i], 3));
+        rows.add_row("rotation", to_doubles(s.rotation, 4), to_doubles(actual.rotation[i], 4));
+        rows.add_row("log_scale", to_doubles(s.log_scale, 2), to_doubles(actual.log_scale[i], 2));
         rows.add_row("opacity_logit", {s.opacity_logit}, {actual.opacity_logit[i]});
-        rows.add_row("sh", convert_to_doubles(s.sh, kShFloats),
-                     convert_to_doubles(actual.sh.data() + i * kShFloats, kShFloats));
+        rows.add_row("sh", to_doubles(s.sh, kShFloats),
+                     to_doubles(actual.sh.data() + i * kShFloats, kShFloats));
     }
     return rows.compute_worst_error();
 }
 
-double compute_relative_image_error(const RenderAndGradients& pass,
-                                    const reference::BruteForce& brute_force) {
+double image_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i) {
         const reference::Pixel p =
@@ -108,40 +105,33 @@ double compute_relative_image_error(const RenderAndGradients& pass,
 
 }  // namespace
 
-std::string explain_unsupported_backend(const DeviceInfo& device_info, RayTracingBackend backend) {
+std::string why_unsupported(const DeviceInfo& device_info, RayTracingBackend backend) {
     return backend == RayTracingBackend::ray_query ? device_info.why_not_ray_query
                                                    : device_info.why_not_software;
 }
 
-CheckResult check_bvh_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend) {
-    const std::string missing =
-        explain_unsupported_backend(tested_device.get_default_device().info(), backend);
-    if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
-    const int n_built = count_wrongly_traced_rays(tested_device.get_or_open_device_with_backend(backend),
-                                                  AccelTreeState::built),
-              n_refitted = count_wrongly_traced_rays(tested_device.get_or_open_device_with_backend(backend),
-                                                     AccelTreeState::refitted);
+CheckResult check_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend) {
+    const std::string missing = why_unsupported(tested_device.default_device().info(), backend);
+    if (!missing.empty()) return unsupported_check("missing " + missing);
+    const int n_built = count_wrong_rays(tested_device.device_with(backend), AccelTreeState::built),
+              n_refitted = count_wrong_rays(tested_device.device_with(backend), AccelTreeState::refitted);
     if (n_built + n_refitted == 0)
         return {CheckResult::CheckOutcome::right,
                 "all rays hit the same surfels as in a search of all surfels"};
-    return make_failed_check_result(
+    return failed_check(
         fmt::format("rays with other hits than in a search of all surfels: {} of 256 after the acceleration "
                     "tree was built, {} of 256 after the tree was refitted",
                     n_built, n_refitted));
 }
 
-CheckResult check_images_and_gradients(CheckedDevice& tested_device, RayTracingBackend backend) {
-    const std::string missing =
-        explain_unsupported_backend(tested_device.get_default_device().info(), backend);
-    if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
-    const RenderAndGradients pass =
-        run_forward_and_backward_pass(tested_device.get_or_open_device_with_backend(backend));
+CheckResult check_gradients(CheckedDevice& tested_device, RayTracingBackend backend) {
+    const std::string missing = why_unsupported(tested_device.default_device().info(), backend);
+    if (!missing.empty()) return unsupported_check("missing " + missing);
+    const RenderAndGradients pass = run_passes(tested_device.device_with(backend));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);
-    const CheckResult image = make_check_result_from_error(compute_relative_image_error(pass, brute),
-                                                           std::sqrt(test::kKernelNmse)),
-                      gradient = make_check_result_from_error(compute_max_gradient_error(pass, brute),
-                                                              test::kKernelGradient);
+    const CheckResult image = compare_error(image_error(pass, brute), std::sqrt(test::kKernelNmse)),
+                      gradient = compare_error(gradient_error(pass, brute), test::kKernelGradient);
     return {std::max(image.kind, gradient.kind),
             fmt::format("image: {}; gradients: {}", image.text, gradient.text)};
 }

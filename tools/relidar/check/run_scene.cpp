@@ -23,7 +23,7 @@ constexpr double kValueTolerance = 1e-3;
 /// Maximum share of other rays: rounding decides at edges and at equal distances.
 constexpr double kEdgeShare = 0.02;
 
-WorldRays select_evenly_spaced_rays(const WorldRays& rays) {
+WorldRays thin_out_rays(const WorldRays& rays) {
     WorldRays selected;
     const std::size_t n = std::min(kRunRays, rays.size());
     for (std::size_t k = 0; k < n; ++k) {
@@ -36,7 +36,7 @@ WorldRays select_evenly_spaced_rays(const WorldRays& rays) {
 }
 
 /// Farther than four standard deviations, a hit is not blended.
-bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
+bool is_near_surfel(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
     const glm::dvec3 to_mean = surfel.mean - ray.origin;
     const double along = glm::dot(to_mean, ray.direction) / glm::dot(ray.direction, ray.direction);
     double log_scale = std::max(surfel.log_scale.x, surfel.log_scale.y);
@@ -45,8 +45,7 @@ bool is_ray_near_surfel(const reference::LocalRay<double>& ray, const reference:
 }
 
 /// The surfels of each instance are stored consecutively.
-reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
-                                                   const std::vector<reference::Ray>& rays) {
+reference::World copy_near_surfels(const BenchCase& bench_case, const std::vector<reference::Ray>& rays) {
     reference::World world;
     for (std::size_t i = 0; i < bench_case.scene.instances.size(); ++i) {
         const InstancePose& pose = bench_case.placed[i];
@@ -64,8 +63,7 @@ reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
              test::to_reference(bench_case.scene.surfels.slice(model.first, model.count))) {
             const reference::Surfel surfel =
                 model.stride_m > 0.0f ? reference::move_to_phase(stored, pose.phase) : stored;
-            if (std::ranges::any_of(local_rays,
-                                    [&](const auto& ray) { return is_ray_near_surfel(ray, surfel); }))
+            if (std::ranges::any_of(local_rays, [&](const auto& ray) { return is_near_surfel(ray, surfel); }))
                 world.surfels.push_back(surfel);
         }
         placement.count = std::uint32_t(world.surfels.size()) - placement.first;
@@ -75,8 +73,8 @@ reference::World copy_surfels_near_rays_as_doubles(const BenchCase& bench_case,
 }
 
 /// For expected values above 1, the difference is relative.
-double compute_max_ray_value_difference(const RenderedRayValues& rendering, std::size_t ray_index,
-                                        const reference::Pixel& expected_values) {
+double ray_difference(const RenderedRayValues& rendering, std::size_t ray_index,
+                      const reference::Pixel& expected_values) {
     double worst = 0.0;
     const auto compare_value = [&](double value, double expected_value) {
         const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
@@ -92,26 +90,24 @@ double compute_max_ray_value_difference(const RenderedRayValues& rendering, std:
 
 }  // namespace
 
-CheckResult check_rendering_of_trained_run(CheckedDevice& tested_device, RayTracingBackend backend,
-                                           const BenchCase& bench_case) {
-    const std::string missing =
-        explain_unsupported_backend(tested_device.get_default_device().info(), backend);
-    if (!missing.empty()) return make_unsupported_check_result("missing " + missing);
-    const WorldRays rays = select_evenly_spaced_rays(bench_case.rays);
-    Renderer renderer(
-        tested_device.get_or_open_device_with_backend(backend), bench_case.scene, bench_case.config.image,
-        {.trace = make_common_trace_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
-    renderer.record_scene_update_for_view(bench_case.placed, bench_case.view_origin_m);
+CheckResult check_run_scene(CheckedDevice& tested_device, RayTracingBackend backend,
+                            const BenchCase& bench_case) {
+    const std::string missing = why_unsupported(tested_device.default_device().info(), backend);
+    if (!missing.empty()) return unsupported_check("missing " + missing);
+    const WorldRays rays = thin_out_rays(bench_case.rays);
+    Renderer renderer(tested_device.device_with(backend), bench_case.scene, bench_case.config.image,
+                      {.trace = common_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
+    renderer.update(bench_case.placed, bench_case.view_origin_m);
     const RenderedRayValues rendering = renderer.render_rays(rays);
 
     const std::vector<reference::Ray> exact_rays = test::to_reference(rays);
-    const reference::World world = copy_surfels_near_rays_as_doubles(bench_case, exact_rays);
+    const reference::World world = copy_near_surfels(bench_case, exact_rays);
     const reference::Settings settings{.image = bench_case.config.image,
                                        .view_origin = glm::dvec3(bench_case.view_origin_m)};
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<double> differences;
     for (std::size_t i = 0; i < rays.size(); ++i)
-        differences.push_back(compute_max_ray_value_difference(
+        differences.push_back(ray_difference(
             rendering, i, reference::render_all_at_once(world, brute, settings, exact_rays[i])));
     const auto n_wrong = std::ranges::count_if(differences, [](double d) { return !(d <= kValueTolerance); });
     std::ranges::sort(differences);

@@ -9,11 +9,11 @@
 namespace relidar::cli {
 namespace {
 
-constexpr double kPixel_m = 0.02;
-constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
-constexpr double kAround_m = 0.3;  // Width of the margin around the asset's box.
-constexpr int kGap = 8;            // Gap between views in pixels.
-constexpr std::uint8_t kBackdrop = 24;
+constexpr double kPixelSize_m = 0.02;
+constexpr double kMaxViewWidth_px = 400.0;  // Maximum width of a view in pixels.
+constexpr double kBoxMargin_m = 0.3;        // Width of the margin around the asset's box.
+constexpr int kViewGap_px = 8;              // Gap between views in pixels.
+constexpr std::uint8_t kBackdropGrey = 24;
 // of a pixel that shows a surface
 constexpr float kLeastWeight = 0.5f;
 
@@ -21,24 +21,22 @@ constexpr float kLeastWeight = 0.5f;
 struct CameraAxes {
     glm::dvec3 along, right, up;
 };
-constexpr int kLeft = 0, kRight = 1, kAbove = 2, kBehind = 3, kAhead = 4;
-const CameraAxes kViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
-                             {{0, 1, 0}, {1, 0, 0}, {0, 0, 1}},
-                             {{0, 0, -1}, {1, 0, 0}, {0, 1, 0}},
-                             {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
-                             {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+constexpr int kLeftView = 0, kRightView = 1, kTopView = 2, kBackView = 3, kFrontView = 4;
+const CameraAxes kCameraViews[] = {{{0, -1, 0}, {-1, 0, 0}, {0, 0, 1}},
+                                   {{0, 1, 0}, {1, 0, 0}, {0, 0, 1}},
+                                   {{0, 0, -1}, {1, 0, 0}, {0, 1, 0}},
+                                   {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}},
+                                   {{-1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
 
-double compute_box_extent_with_margin_m(const glm::dvec3& view_axis, const glm::dvec3& box_size_m) {
-    return glm::dot(glm::abs(view_axis), box_size_m) + 2.0 * kAround_m;
+double extent_m(const glm::dvec3& view_axis, const glm::dvec3& box_size_m) {
+    return glm::dot(glm::abs(view_axis), box_size_m) + 2.0 * kBoxMargin_m;
 }
 
 /// One ray per pixel in the box frame, row by row from the upper left pixel.
-RayTable make_orthographic_camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m,
-                                       double pixel_size_m) {
+RayTable camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m, double pixel_size_m) {
     RayTable rays;
-    rays.rows = int(std::ceil(compute_box_extent_with_margin_m(camera_axes.up, box_size_m) / pixel_size_m));
-    rays.columns =
-        int(std::ceil(compute_box_extent_with_margin_m(camera_axes.right, box_size_m) / pixel_size_m));
+    rays.rows = int(std::ceil(extent_m(camera_axes.up, box_size_m) / pixel_size_m));
+    rays.columns = int(std::ceil(extent_m(camera_axes.right, box_size_m) / pixel_size_m));
     const glm::dvec3 from = -(0.5 * glm::length(box_size_m) + 1.0) * camera_axes.along;
     for (int row = 0; row < rays.rows; ++row) {
         for (int column = 0; column < rays.columns; ++column) {
@@ -54,12 +52,11 @@ RayTable make_orthographic_camera_rays(const CameraAxes& camera_axes, const glm:
 }
 
 /// From 0 to 1; -1 means that the pixel shows no surface.
-std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const CameraAxes& camera_axes,
-                                            const glm::dquat& world_from_box,
-                                            float full_brightness_intensity) {
+std::vector<float> brightness_of(const RenderedScan& scan, const CameraAxes& camera_axes,
+                                 const glm::dquat& world_from_box, float full_brightness_intensity) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
     const glm::vec3 along(world_from_box * camera_axes.along);
-    const auto* normals = find_channel_values<glm::vec3>(scan.channels, "normal");
+    const auto* normals = find_values<glm::vec3>(scan.channels, "normal");
     for (std::size_t i = 0; i < shade.size(); ++i) {
         if (scan.weight[i] < kLeastWeight) continue;
         const float steep = normals ? std::abs(glm::dot((*normals)[i], along)) : 1.0f;
@@ -70,7 +67,7 @@ std::vector<float> compute_pixel_brightness(const RenderedScan& scan, const Came
     return shade;
 }
 
-float find_95th_percentile_intensity(const std::vector<RenderedScan>& scans) {
+float bright_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)
         for (std::size_t i = 0; i < scan.weight.size(); ++i)
@@ -88,7 +85,7 @@ void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const
         for (int c = 0; c < scan.image.columns; ++c) {
             const auto i = std::size_t(r) * std::size_t(scan.image.columns) + std::size_t(c);
             if (pixel_brightness[i] < 0.0f) continue;
-            const bool of_mirror = surface.is_observed_only_in_mirror_image(glm::dvec3(scan.end_of(i)));
+            const bool of_mirror = surface.is_mirror_observed(glm::dvec3(scan.end_of(i)));
             const std::size_t i_canvas = std::size_t(top_left_row + r) * std::size_t(canvas.columns) +
                                          std::size_t(top_left_column + c);
             std::uint8_t* pixel = &canvas.rgb[3 * i_canvas];
@@ -100,38 +97,41 @@ void draw_asset_view(Image& canvas, int top_left_row, int top_left_column, const
 
 }  // namespace
 
-Image draw_asset_picture(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
-    const TrainedRun& run = asset.run;
+Image draw_asset(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface) {
+    const Run& run = asset.run;
     Config config = run.config;
-    config.render.channels =
-        get_primitive_properties(run.scene.surfels.primitive).has_normals ? "normal" : "";
+    config.render.channels = properties_of(run.scene.surfels.primitive).has_normals ? "normal" : "";
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const BoxTrack& box = run.sequence.boxes.front();
-    const double pixel_m = std::max(kPixel_m, std::max(box.size_m.x, box.size_m.y) / kWidest),
+    const double pixel_m = std::max(kPixelSize_m, std::max(box.size_m.x, box.size_m.y) / kMaxViewWidth_px),
                  time_s = run.sequence.frames.front().time_s;
-    Pose dataset_from_box = box.world_from_box.interpolate_pose(time_s);
+    Pose dataset_from_box = box.world_from_box.pose_at(time_s);
     dataset_from_box.translation += run.sequence.world_offset_m;
     const PoseTrack stands{{time_s}, {dataset_from_box}};
     std::vector<RenderedScan> scans;
-    for (const CameraAxes& view : kViews)
-        scans.push_back(renderer.render(
-            {.rays = make_orthographic_camera_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
-            {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
+    for (const CameraAxes& view : kCameraViews)
+        scans.push_back(
+            renderer.render({.rays = camera_rays(view, box.size_m, pixel_m), .name = "parallel rays"},
+                            {time_s, stands, ActorTracksByName{{asset.facts.name, stands}}}));
     const auto rows = [&](int view) { return scans[std::size_t(view)].image.rows; };
     const auto columns = [&](int view) { return scans[std::size_t(view)].image.columns; };
-    const int upper = std::max(rows(kLeft), rows(kAbove));
-    Image canvas{
-        upper + rows(kBehind) + 3 * kGap, columns(kLeft) + columns(kRight) + columns(kAbove) + 4 * kGap, {}};
-    canvas.rgb.assign(3 * std::size_t(canvas.rows) * std::size_t(canvas.columns), kBackdrop);
-    const int second = 2 * kGap + columns(kLeft), third = second + kGap + columns(kRight),
-              below = upper + 2 * kGap;
-    const int view_positions_px[][2] = {
-        {kGap, kGap}, {kGap, second}, {kGap, third}, {below, kGap}, {below, second}};
-    const float brightest = find_95th_percentile_intensity(scans);
+    const int upper = std::max(rows(kLeftView), rows(kTopView));
+    Image canvas{upper + rows(kBackView) + 3 * kViewGap_px,
+                 columns(kLeftView) + columns(kRightView) + columns(kTopView) + 4 * kViewGap_px,
+                 {}};
+    canvas.rgb.assign(3 * std::size_t(canvas.rows) * std::size_t(canvas.columns), kBackdropGrey);
+    const int second = 2 * kViewGap_px + columns(kLeftView),
+              third = second + kViewGap_px + columns(kRightView), below = upper + 2 * kViewGap_px;
+    const int view_positions_px[][2] = {{kViewGap_px, kViewGap_px},
+                                        {kViewGap_px, second},
+                                        {kViewGap_px, third},
+                                        {below, kViewGap_px},
+                                        {below, second}};
+    const float brightest = bright_intensity(scans);
     for (std::size_t v = 0; v < scans.size(); ++v)
         draw_asset_view(canvas, view_positions_px[v][0], view_positions_px[v][1], scans[v],
-                        compute_pixel_brightness(scans[v], kViews[v], dataset_from_box.rotation, brightest),
+                        brightness_of(scans[v], kCameraViews[v], dataset_from_box.rotation, brightest),
                         surface);
     return canvas;
 }

@@ -11,6 +11,6 @@ namespace relidar::cli {
 /// more if the asset is longer than 8 m. A pixel is brighter if its intensity is higher,
 /// and darker if the ray meets the surface at a flat angle. Bluish parts were not
 /// observed. They are mirrored copies of the other side.
-Image draw_asset_picture(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface);
+Image draw_asset(Device& device, const ActorAsset& asset, const ObservedBoxSurface& surface);
 
 }  // namespace relidar::cli

@@ -32,26 +32,25 @@ struct AssetOptions {
 };
 
 /// Empty if the actor is saved.
-std::string explain_why_asset_is_not_saved(const AssetDescription& asset_description,
-                                           const ActorObservations& observations,
-                                           double min_covered_fraction) {
+std::string why_not_saved(const AssetDescription& asset_description, const ActorObservations& observations,
+                          double min_covered_fraction) {
     if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
-    if (asset_description.get_observed_or_mirrored_surface_fraction() >= min_covered_fraction) return "";
+    if (asset_description.covered_share() >= min_covered_fraction) return "";
     std::string side_shares;
     for (std::size_t s = 0; s < kBoxSides; ++s)
         side_shares +=
-            fmt::format("{}{} {:.2f}", s ? ", " : "", get_name(BoxSide(s)), asset_description.seen_sides[s]);
+            fmt::format("{}{} {:.2f}", s ? ", " : "", name_of(BoxSide(s)), asset_description.seen_sides[s]);
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that rays "
         "of the log hit: {}{}",
-        asset_description.get_observed_or_mirrored_surface_fraction(), min_covered_fraction, side_shares,
+        asset_description.covered_share(), min_covered_fraction, side_shares,
         asset_description.completed > 0.0
             ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
                           asset_description.completed)
             : "");
 }
 
-std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
+std::vector<std::string> list_track_ids(const Run& run) {
     std::vector<std::string> tracks;
     // A copy of an actor has the same model, so it is skipped.
     std::set<std::uint32_t> models;
@@ -64,7 +63,7 @@ std::vector<std::string> list_actor_track_ids(const TrainedRun& run) {
 
 /// Names can collide, because characters that are not allowed in folder names are
 /// replaced.
-void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names) {
+void make_unique_name(ActorAsset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
     for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
@@ -73,10 +72,9 @@ void make_asset_name_unique(ActorAsset& asset, std::set<std::string>& used_names
         asset.run.sequence.boxes[0].id = name;
 }
 
-std::vector<std::string> format_asset_table_row(const AssetDescription& asset_description) {
-    std::vector<std::string> row{
-        asset_description.name, asset_description.category,
-        fmt::format("{:.2f}", asset_description.get_observed_or_mirrored_surface_fraction())};
+std::vector<std::string> format_asset_row(const AssetDescription& asset_description) {
+    std::vector<std::string> row{asset_description.name, asset_description.category,
+                                 fmt::format("{:.2f}", asset_description.covered_share())};
     for (const double side : asset_description.seen_sides) row.push_back(fmt::format("{:.2f}", side));
     for (const double value : {asset_description.completed, asset_description.nearest_m})
         row.push_back(fmt::format("{:.2f}", value));
@@ -84,19 +82,19 @@ std::vector<std::string> format_asset_table_row(const AssetDescription& asset_de
     return row;
 }
 
-void run_assets_command(const AssetOptions& options) {
+void run_assets(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
         fail<UsageError>("--least: found {}; expected a number from 0 to 1", options.least);
     std::error_code failed;
     if (fs::exists(options.out, failed) && !fs::is_empty(options.out, failed))
         fail<UsageError>("--out {}: the folder is not empty, expected a new or empty folder", options.out);
     const StagedFolder folder(options.out);
-    const TrainedRun run = load_run(options.run);
-    const std::vector<std::string> tracks = list_actor_track_ids(run);
-    Device device(convert_to_device_options(options.device));
+    const Run run = load_run(options.run);
+    const std::vector<std::string> tracks = list_track_ids(run);
+    Device device(to_device_options(options.device));
     TerminalProgress progress(options.quiet);
     const std::map<std::string, ActorObservations> sightings =
-        collect_actor_observations(device, run, make_terminal_progress_callback(progress));
+        observe_actors(device, run, progress_callback(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "mirrored", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
@@ -106,33 +104,30 @@ void run_assets_command(const AssetOptions& options) {
         const auto match = sightings.find(track);
         const ActorObservations actor_sightings =
             match == sightings.end() ? ActorObservations{} : match->second;
-        ActorAsset asset = extract_actor_asset(run, track, actor_sightings);
-        if (const std::string reason =
-                explain_why_asset_is_not_saved(asset.facts, actor_sightings, options.least);
+        ActorAsset asset = extract_asset(run, track, actor_sightings);
+        if (const std::string reason = why_not_saved(asset.facts, actor_sightings, options.least);
             !reason.empty()) {
             const std::string text = fmt::format("{} ({}): {}", track, asset.facts.category, reason);
             skipped += "skipped " + text + "\n";
-            if (const double score = asset.facts.get_observed_or_mirrored_surface_fraction();
-                score > highest_score) {
+            if (const double score = asset.facts.covered_share(); score > highest_score) {
                 highest_score = score;
                 best_skipped = text;
             }
             continue;
         }
-        make_asset_name_unique(asset, used_names);
+        make_unique_name(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
-        const Image views =
-            draw_asset_picture(device, asset, make_observed_box_surface(asset.facts.size_m, actor_sightings));
+        const Image views = draw_asset(device, asset, observed_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
-        rows.push_back(format_asset_table_row(asset.facts));
+        rows.push_back(format_asset_row(asset.facts));
     }
-    end_progress_line();
+    end_progress();
     if (rows.size() == 1)
         fail(
             "no asset is saved, because none of the {} actors of run {} has a sufficient score; the best "
             "one: {}",
-            tracks.size(), options.run, replace_control_characters(best_skipped));
-    folder.move_folder_and_replace_existing();
+            tracks.size(), options.run, make_one_line(best_skipped));
+    folder.replace_folder();
     if (options.quiet) return;
     print(format_table(rows) + skipped +
           fmt::format("saved {} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
@@ -150,7 +145,7 @@ Examples:
 
 }  // namespace
 
-void add_assets_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_assets(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
     const auto options = std::make_shared<AssetOptions>();
@@ -164,7 +159,7 @@ void add_assets_command(CLI::App& app, ParsedCommand& selected_command) {
     add_quiet_option(*command, options->quiet);
     command->footer(kAssetsHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_assets_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_assets(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -28,33 +28,32 @@ struct EditOptions {
     bool quiet = false;
 };
 
-bool are_pose_tracks_identical(const PoseTrack& first, const PoseTrack& second) {
+bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
     const auto same = [](const Pose& p, const Pose& q) {
         return p.translation == q.translation && p.rotation == q.rotation;
     };
     return first.time_s == second.time_s && std::ranges::equal(first.pose, second.pose, same);
 }
 
-std::vector<std::string> list_added_or_moved_track_ids(const SceneWithLog& driving_scene,
-                                                       const LidarSequence& original_log) {
+std::vector<std::string> changed_tracks(const SceneWithLog& driving_scene, const Log& original_log) {
     std::vector<std::string> placed;
     for (const ModelInstance& instance : driving_scene.scene.instances) {
-        const BoxTrack *now = find_box_track_by_id(driving_scene.sequence, instance.track),
-                       *then = find_box_track_by_id(original_log, instance.track);
-        if (now && (!then || !are_pose_tracks_identical(now->world_from_box, then->world_from_box)))
+        const BoxTrack *now = find_box(driving_scene.sequence, instance.track),
+                       *then = find_box(original_log, instance.track);
+        if (now && (!then || !is_same_track(now->world_from_box, then->world_from_box)))
             placed.push_back(instance.track);
     }
     return placed;
 }
 
 /// Actors with sides without observations, or with too few surfels for their distance.
-std::string format_placed_actor_notes(const SceneWithLog& driving_scene, const LidarSequence& original_log) {
+std::string placement_notes(const SceneWithLog& driving_scene, const Log& original_log) {
     std::string text;
-    for (const std::string& track : list_added_or_moved_track_ids(driving_scene, original_log)) {
-        if (const std::string sides = describe_unobserved_sides(driving_scene.scene, track); !sides.empty())
+    for (const std::string& track : changed_tracks(driving_scene, original_log)) {
+        if (const std::string sides = describe_unseen(driving_scene.scene, track); !sides.empty())
             text += fmt::format("note: {}\n", sides);
-        const ActorModelResolution detail = compute_actor_model_resolution(driving_scene, track);
-        if (!detail.has_too_few_surfels()) continue;
+        const ActorModelResolution detail = model_resolution(driving_scene, track);
+        if (!detail.is_too_coarse()) continue;
         text += fmt::format(
             "note: actor {} is {:.1f} m from the sensor at {:.2f} s, where {} rays hit its box. It will show "
             "holes, because it has only {} surfels: the log recorded it from farther away\n",
@@ -63,7 +62,7 @@ std::string format_placed_actor_notes(const SceneWithLog& driving_scene, const L
     return text;
 }
 
-void run_edit_command(const EditOptions& options) {
+void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
             "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, --copy, "
@@ -73,26 +72,26 @@ void run_edit_command(const EditOptions& options) {
         fail<UsageError>("--out {}: this is the folder of the run to edit; expected a different folder",
                          options.out);
     const RunFolderWriter edited(options.out, options.force);
-    TrainedRun run = load_run(options.run);
+    Run run = load_run(options.run);
     std::string text, ply_note;
     if (!options.ply.empty())
-        run.scene = read_surfel_ply(options.ply, copy_scene_with_all_blocks_loaded(run.scene),
-                                    run.config.image.primitive, &ply_note);
+        run.scene =
+            read_surfel_ply(options.ply, with_all_blocks(run.scene), run.config.image.primitive, &ply_note);
     if (!ply_note.empty()) text += fmt::format("note: {}: {}\n", options.ply, ply_note);
-    const std::string origin = make_absolute_path(options.run);
+    const std::string origin = absolute_path(options.run);
     SceneWithLog driving{std::move(run.scene), std::move(run.sequence)};
-    const LidarSequence before = copy_without_frames(driving.sequence);
+    const Log before = strip_frames(driving.sequence);
     for (const EditArgument& edit : options.edits) {
-        EditResult applied = apply_command_line_edit(std::move(driving), edit);
+        EditResult applied = apply_edit(std::move(driving), edit);
         driving = std::move(applied.driving);
         run.edits.push_back({origin, fmt::format("{} {}", edit.option, edit.value)});
         text += applied.said + "\n" + (applied.note.empty() ? "" : "note: " + applied.note + "\n");
     }
-    driving = complete_moved_actors(std::move(driving), before.boxes);
-    text += format_placed_actor_notes(driving, before);
+    driving = complete_actors(std::move(driving), before.boxes);
+    text += placement_notes(driving, before);
     run.sequence.boxes = driving.sequence.boxes;
-    run.replace_driving_scene(std::move(driving));
-    edited.save_run_to_folder(run);
+    run.set_driving_scene(std::move(driving));
+    edited.save_run_in(run);
     if (!options.quiet)
         print(text + fmt::format("saved {} instances of {} models with {} surfels in {}\n",
                                  run.scene.instances.size(), run.scene.models.size(),
@@ -119,13 +118,13 @@ Examples:
 
 }  // namespace
 
-void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_edit(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels from a PLY file");
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");
-    for (const EditOption& edit : list_edit_options()) {
+    for (const EditOption& edit : edit_options()) {
         const auto append_edit = [options, option = std::string(edit.option)](const std::string& value) {
             options->edits.push_back({option, value});
         };
@@ -145,7 +144,7 @@ void add_edit_command(CLI::App& app, ParsedCommand& selected_command) {
     add_quiet_option(*command, options->quiet);
     command->footer(kEditHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_edit_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_edit(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -18,40 +18,38 @@ namespace {
 // A larger offset or speed is probably a typing error.
 constexpr double kFarOff_m = 1e6;
 
-[[noreturn]] void throw_edit_error(const EditArgument& edit, const std::string& expected_value) {
+[[noreturn]] void fail_edit(const EditArgument& edit, const std::string& expected_value) {
     fail<UsageError>("{}: found \"{}\", expected {}", edit.option, edit.value, expected_value);
 }
 
-const char* get_expected_value_syntax_of_option(const EditArgument& edit) {
-    const auto& options = list_edit_options();
+const char* value_syntax(const EditArgument& edit) {
+    const auto& options = edit_options();
     return std::find_if(options.begin(), options.end(),
                         [&](const EditOption& o) { return edit.option == o.option; })
         ->form;
 }
 
 /// Leaves out the character at `separator_position`. Throws an error if a part is empty.
-std::pair<std::string, std::string> split_text_at_required_separator(const EditArgument& edit_for_errors,
-                                                                     const std::string& text,
-                                                                     std::size_t separator_position) {
+std::pair<std::string, std::string> split_text(const EditArgument& edit_for_errors, const std::string& text,
+                                               std::size_t separator_position) {
     if (separator_position == std::string::npos || separator_position == 0 ||
         separator_position + 1 == text.size())
-        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
+        fail_edit(edit_for_errors, value_syntax(edit_for_errors));
     return {text.substr(0, separator_position), text.substr(separator_position + 1)};
 }
 
-std::vector<double> parse_comma_separated_numbers(const EditArgument& edit_for_errors,
-                                                  const std::string& text, std::size_t min_count,
-                                                  std::size_t max_count) {
-    const std::vector<double> values = parse_number_list(edit_for_errors.option, text);
+std::vector<double> parse_numbers(const EditArgument& edit_for_errors, const std::string& text,
+                                  std::size_t min_count, std::size_t max_count) {
+    const std::vector<double> values = parse_list(edit_for_errors.option, text);
     if (values.size() < min_count || values.size() > max_count)
-        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
+        fail_edit(edit_for_errors, value_syntax(edit_for_errors));
     for (const double v : values)
-        if (std::abs(v) > 1e9) throw_edit_error(edit_for_errors, "numbers from -1e9 to 1e9");
+        if (std::abs(v) > 1e9) fail_edit(edit_for_errors, "numbers from -1e9 to 1e9");
     return values;
 }
 
 /// x, y and z in metres, and optionally yaw, pitch and roll in degrees.
-Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
+Pose make_pose(const std::vector<double>& xyz_yaw_pitch_roll) {
     const auto radians = [&](std::size_t index) {
         return index < xyz_yaw_pitch_roll.size() ? xyz_yaw_pitch_roll[index] * kPi / 180.0 : 0.0;
     };
@@ -61,19 +59,16 @@ Pose make_pose_from_numbers(const std::vector<double>& xyz_yaw_pitch_roll) {
 
 /// "x,y,ground[,yaw_deg]"; no value if the third field is a number, because the text is
 /// then a full pose.
-std::optional<GroundPlacement> parse_ground_placement_if_present(const EditArgument& edit_for_errors,
-                                                                 const std::string& text) {
-    constexpr std::string_view kWord = ",ground";
-    const std::size_t at = text.find(kWord);
+std::optional<GroundPlacement> parse_ground(const EditArgument& edit_for_errors, const std::string& text) {
+    constexpr std::string_view kGroundWord = ",ground";
+    const std::size_t at = text.find(kGroundWord);
     if (at == std::string::npos) return {};
-    const std::vector<double> xy = parse_comma_separated_numbers(edit_for_errors, text.substr(0, at), 2, 2);
+    const std::vector<double> xy = parse_numbers(edit_for_errors, text.substr(0, at), 2, 2);
     GroundPlacement placement{{xy[0], xy[1]}};
-    const std::string rest = text.substr(at + kWord.size());
-    if (!rest.empty() && rest[0] != ',')
-        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
+    const std::string rest = text.substr(at + kGroundWord.size());
+    if (!rest.empty() && rest[0] != ',') fail_edit(edit_for_errors, value_syntax(edit_for_errors));
     if (!rest.empty())
-        placement.yaw_rad =
-            parse_comma_separated_numbers(edit_for_errors, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+        placement.yaw_rad = parse_numbers(edit_for_errors, rest.substr(1), 1, 1)[0] * kPi / 180.0;
     return placement;
 }
 
@@ -85,35 +80,31 @@ struct ActorToInsert {
 };
 
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
-NewActorMotion parse_actor_start_pose_and_speed(const EditArgument& edit_for_errors,
-                                                const std::string& pose_and_speed_text,
-                                                const SceneWithLog& driving_scene,
-                                                const ActorToInsert& actor) {
+NewActorMotion parse_motion(const EditArgument& edit_for_errors, const std::string& pose_and_speed_text,
+                            const SceneWithLog& driving_scene, const ActorToInsert& actor) {
     const std::size_t colon = pose_and_speed_text.find(':');
     const double speed_mps =
         colon == std::string::npos
             ? 0.0
-            : parse_comma_separated_numbers(edit_for_errors, pose_and_speed_text.substr(colon + 1), 1, 1)[0];
-    if (std::abs(speed_mps) > kFarOff_m) throw_edit_error(edit_for_errors, "a speed from -1e6 to 1e6 m/s");
+            : parse_numbers(edit_for_errors, pose_and_speed_text.substr(colon + 1), 1, 1)[0];
+    if (std::abs(speed_mps) > kFarOff_m) fail_edit(edit_for_errors, "a speed from -1e6 to 1e6 m/s");
     const std::string position_text = pose_and_speed_text.substr(0, colon);
-    if (std::optional<GroundPlacement> ground =
-            parse_ground_placement_if_present(edit_for_errors, position_text)) {
+    if (std::optional<GroundPlacement> ground = parse_ground(edit_for_errors, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return compute_motion_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
-                                        {actor.owner.scene, actor.owner.sequence}, actor.track);
+        return stand_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
+                               {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = parse_comma_separated_numbers(edit_for_errors, position_text, 4, 6);
-    if (pose.size() == 5)
-        throw_edit_error(edit_for_errors, get_expected_value_syntax_of_option(edit_for_errors));
-    const Pose start = make_pose_from_numbers(pose);
+    const std::vector<double> pose = parse_numbers(edit_for_errors, position_text, 4, 6);
+    if (pose.size() == 5) fail_edit(edit_for_errors, value_syntax(edit_for_errors));
+    const Pose start = make_pose(pose);
     if (!(glm::distance(start.translation, driving_scene.sequence.world_offset_m) < kFarOff_m))
-        throw_edit_error(edit_for_errors, "a position less than 1e6 m from the log");
+        fail_edit(edit_for_errors, "a position less than 1e6 m from the log");
     return {start, speed_mps};
 }
 
 /// Empty for actors that were not placed on the ground.
-std::string describe_computed_ground_pose(const NewActorMotion& start, const std::string& placement_text) {
+std::string describe_ground(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
     const double tilt_deg =
@@ -123,7 +114,7 @@ std::string describe_computed_ground_pose(const NewActorMotion& start, const std
                        tilt_deg);
 }
 
-std::string format_warning_if_ground_unobserved(const NewActorMotion& start, const std::string& track_id) {
+std::string warn_unobserved(const NewActorMotion& start, const std::string& track_id) {
     if (start.unseen_m == 0.0) return "";
     return fmt::format(
         "actor {}: the log did not record the ground below {:.0f} m of its path, so the height there is only "
@@ -131,98 +122,94 @@ std::string format_warning_if_ground_unobserved(const NewActorMotion& start, con
         track_id, start.unseen_m);
 }
 
-std::string join_nonempty_notes(const std::vector<std::string>& notes) {
+std::string join_notes(const std::vector<std::string>& notes) {
     std::string text;
     for (const std::string& note : notes)
         if (!note.empty()) text += (text.empty() ? "" : "; ") + note;
     return text;
 }
 
-const std::string& get_track_id_of_last_instance(const SceneWithLog& driving_scene) {
+const std::string& last_track_id(const SceneWithLog& driving_scene) {
     return driving_scene.scene.instances.back().track;
 }
 
-EditResult apply_remove_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_remove(SceneWithLog driving_scene, const EditArgument& edit) {
     return {remove_track(std::move(driving_scene), edit.value), "removed " + edit.value, ""};
 }
 
 EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, offset] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
-    driving_scene = move_track(std::move(driving_scene), track,
-                               make_pose_from_numbers(parse_comma_separated_numbers(edit, offset, 3, 4)));
+    const auto [track, offset] = split_text(edit, edit.value, edit.value.rfind(':'));
+    driving_scene = move_track(std::move(driving_scene), track, make_pose(parse_numbers(edit, offset, 3, 4)));
     return {std::move(driving_scene), "moved " + track, ""};
 }
 
 /// @param original_box track of the actor before the edit; null for a new actor
-std::string format_warning_if_actor_misses_frames(const SceneWithLog& driving_scene,
-                                                  const std::string& track_id, const BoxTrack* original_box) {
-    const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
+std::string warn_absent(const SceneWithLog& driving_scene, const std::string& track_id,
+                        const BoxTrack* original_box) {
+    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
     const bool is_in_any_frame =
         box && std::ranges::any_of(driving_scene.sequence.frames,
-                                   [&](const LidarFrame& f) { return box->is_observed_at_time(f.time_s); });
+                                   [&](const Frame& f) { return box->is_observed(f.time_s); });
     if (!is_in_any_frame)
         return fmt::format(
             "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
             "of the log",
             track_id);
-    return original_box ? describe_frames_without_actor(*original_box, driving_scene.sequence) : "";
+    return original_box ? describe_absence(*original_box, driving_scene.sequence) : "";
 }
 
-BoxTrack copy_box_track_or_empty(const SceneWithLog& driving_scene, const std::string& track_id) {
-    const BoxTrack* box = find_box_track_by_id(driving_scene.sequence, track_id);
+BoxTrack find_box_track(const SceneWithLog& driving_scene, const std::string& track_id) {
+    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
     // The function that edits an unknown actor reports the error.
     return box ? *box : BoxTrack{};
 }
 
-EditResult apply_motion_delay_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, seconds] = split_text_at_required_separator(edit, edit.value, edit.value.rfind(':'));
-    const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
-    driving_scene =
-        delay_track(std::move(driving_scene), track, parse_comma_separated_numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = format_warning_if_actor_misses_frames(driving_scene, track, &before);
+EditResult apply_delay(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, seconds] = split_text(edit, edit.value, edit.value.rfind(':'));
+    const BoxTrack before = find_box_track(driving_scene, track);
+    driving_scene = delay_track(std::move(driving_scene), track, parse_numbers(edit, seconds, 1, 1)[0]);
+    const std::string note = warn_absent(driving_scene, track, &before);
     return {std::move(driving_scene), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
-EditResult apply_new_trajectory_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, file] = split_text_at_required_separator(edit, edit.value, edit.value.find(':'));
-    const BoxTrack before = copy_box_track_or_empty(driving_scene, track);
-    driving_scene = replace_trajectory(std::move(driving_scene), track, read_trajectory_csv(file));
-    const std::string note = format_warning_if_actor_misses_frames(driving_scene, track, &before);
+EditResult apply_trajectory(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
+    const BoxTrack before = find_box_track(driving_scene, track);
+    driving_scene = replace_track(std::move(driving_scene), track, read_trajectory(file));
+    const std::string note = warn_absent(driving_scene, track, &before);
     return {std::move(driving_scene), fmt::format("{} follows {}", track, file), note};
 }
 
 EditResult apply_copy_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [track, place] = split_text_at_required_separator(edit, edit.value, edit.value.rfind('@'));
-    const NewActorMotion start =
-        parse_actor_start_pose_and_speed(edit, place, driving_scene, {driving_scene, track, {}});
+    const auto [track, place] = split_text(edit, edit.value, edit.value.rfind('@'));
+    const NewActorMotion start = parse_motion(edit, place, driving_scene, {driving_scene, track, {}});
     driving_scene = copy_track(std::move(driving_scene), track, start);
-    return {driving_scene,
-            fmt::format("copied {} as {}{}", track, get_track_id_of_last_instance(driving_scene),
-                        describe_computed_ground_pose(start, place)),
-            format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene))};
+    return {
+        driving_scene,
+        fmt::format("copied {} as {}{}", track, last_track_id(driving_scene), describe_ground(start, place)),
+        warn_unobserved(start, last_track_id(driving_scene))};
 }
 
 struct ExternalActor {
     std::string folder, track;
-    TrainedRun run;
+    Run run;
     SceneWithLog owner;
 };
 
 /// RUN#TRACK (run folder and track name), or the folder of an asset.
-ExternalActor load_actor_from_run_or_asset(const EditArgument& edit_for_errors,
-                                           const std::string& run_and_track_or_asset_folder) {
+ExternalActor load_actor(const EditArgument& edit_for_errors,
+                         const std::string& run_and_track_or_asset_folder) {
     const bool named = run_and_track_or_asset_folder.find('#') != std::string::npos;
-    const auto [folder, named_track] =
-        named ? split_text_at_required_separator(edit_for_errors, run_and_track_or_asset_folder,
-                                                 run_and_track_or_asset_folder.rfind('#'))
-              : std::pair(run_and_track_or_asset_folder, std::string());
-    TrainedRun run = load_run(folder);
-    const std::string track = named ? named_track : get_track_name_of_only_actor(run);
-    SceneWithLog owner = run.copy_driving_scene();
+    const auto [folder, named_track] = named ? split_text(edit_for_errors, run_and_track_or_asset_folder,
+                                                          run_and_track_or_asset_folder.rfind('#'))
+                                             : std::pair(run_and_track_or_asset_folder, std::string());
+    Run run = load_run(folder);
+    const std::string track = named ? named_track : only_track(run);
+    SceneWithLog owner = run.driving_scene();
     return {folder, track, std::move(run), std::move(owner)};
 }
 
-std::string format_warning_if_sensors_differ(const ExternalActor& actor, const SceneWithLog& driving_scene) {
+std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& driving_scene) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = driving_scene.sequence.lidars[0].sensor;
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
@@ -235,33 +222,32 @@ std::string format_warning_if_sensors_differ(const ExternalActor& actor, const S
         actor.track);
 }
 
-EditResult apply_insert_edit(SceneWithLog driving_scene, const EditArgument& edit) {
-    const auto [what, place] = split_text_at_required_separator(edit, edit.value, edit.value.rfind('@'));
-    const ExternalActor actor = load_actor_from_run_or_asset(edit, what);
-    const NewActorMotion start = parse_actor_start_pose_and_speed(
-        edit, place, driving_scene, {actor.owner, actor.track, read_asset_ground_clearance(actor.run)});
-    const std::string sensor = format_warning_if_sensors_differ(actor, driving_scene);
+EditResult apply_insert(SceneWithLog driving_scene, const EditArgument& edit) {
+    const auto [what, place] = split_text(edit, edit.value, edit.value.rfind('@'));
+    const ExternalActor actor = load_actor(edit, what);
+    const NewActorMotion start =
+        parse_motion(edit, place, driving_scene, {actor.owner, actor.track, read_clearance(actor.run)});
+    const std::string sensor = warn_other_sensor(actor, driving_scene);
     driving_scene = insert_track(std::move(driving_scene), actor.owner, actor.track, start);
-    const std::string note = join_nonempty_notes(
-        {sensor, format_warning_if_ground_unobserved(start, get_track_id_of_last_instance(driving_scene))});
-    const std::string placed = describe_computed_ground_pose(start, place);
+    const std::string note = join_notes({sensor, warn_unobserved(start, last_track_id(driving_scene))});
+    const std::string placed = describe_ground(start, place);
     return {driving_scene,
-            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder,
-                        get_track_id_of_last_instance(driving_scene), placed),
+            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track_id(driving_scene),
+                        placed),
             note};
 }
 
-EditResult apply_keep_only_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_keep_only(SceneWithLog driving_scene, const EditArgument& edit) {
     if (edit.value == "background")
-        return {remove_all_actors(std::move(driving_scene)), "kept only the background", ""};
+        return {remove_actors(std::move(driving_scene)), "kept only the background", ""};
     if (edit.value == "actors")
         return {remove_background(std::move(driving_scene)), "kept only the actors", ""};
-    throw_edit_error(edit, "background or actors");
+    fail_edit(edit, "background or actors");
 }
 
 }  // namespace
 
-const std::vector<EditOption>& list_edit_options() {
+const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
@@ -282,13 +268,12 @@ const std::vector<EditOption>& list_edit_options() {
     return options;
 }
 
-EditResult apply_command_line_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
-        {"--remove", apply_remove_edit},       {"--move", apply_move_edit},
-        {"--retime", apply_motion_delay_edit}, {"--trajectory", apply_new_trajectory_edit},
-        {"--copy", apply_copy_edit},           {"--insert", apply_insert_edit},
-        {"--keep", apply_keep_only_edit}};
+        {"--remove", apply_remove},         {"--move", apply_move_edit}, {"--retime", apply_delay},
+        {"--trajectory", apply_trajectory}, {"--copy", apply_copy_edit}, {"--insert", apply_insert},
+        {"--keep", apply_keep_only}};
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {

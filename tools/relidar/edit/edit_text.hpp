@@ -19,7 +19,7 @@ struct EditOption {
     const char* form;
     const char* help;
 };
-const std::vector<EditOption>& list_edit_options();
+const std::vector<EditOption>& edit_options();
 
 struct EditResult {
     SceneWithLog driving;
@@ -30,6 +30,6 @@ struct EditResult {
 /// @throws UsageError naming option and value if the value is malformed or the track does
 /// not exist
 /// @throws DataError if a file is malformed
-EditResult apply_command_line_edit(SceneWithLog driving_scene, const EditArgument& edit);
+EditResult apply_edit(SceneWithLog driving_scene, const EditArgument& edit);
 
 }  // namespace relidar::cli

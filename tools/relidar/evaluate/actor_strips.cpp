@@ -16,18 +16,18 @@
 namespace relidar::cli {
 namespace {
 
-// A picture shows one actor in up to kFrames frames, side by side. Actors with fewer than
-// kFewestPoints points per frame on average are not drawn.
-constexpr std::size_t kFrames = 8, kFewestPoints = 20;
+// A picture shows one actor in up to kStripFrames frames, side by side. Actors with fewer than
+// kMinPointsPerFrame points per frame on average are not drawn.
+constexpr std::size_t kStripFrames = 8, kMinPointsPerFrame = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
-constexpr int kDot = 3;
+constexpr int kDotSize_px = 3;
 constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of the error shows
 
 /// As a list without image rows and columns.
-Scan select_scan_rays_near_box(const TrainedRun& run, const LidarFrame& frame, const BoxTrack& box) {
-    const Pose sensor = run.sequence.world_from_vehicle.interpolate_mounted_pose(
-        frame.time_s, run.sequence.get_lidar(frame).vehicle_from_sensor);
-    const glm::dvec3 about = inverse(sensor) * box.world_from_box.interpolate_pose(frame.time_s).translation;
+Scan rays_near_box(const Run& run, const Frame& frame, const BoxTrack& box) {
+    const Pose sensor = run.sequence.world_from_vehicle.mounted_pose_at(
+        frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
+    const glm::dvec3 about = inverse(sensor) * box.world_from_box.pose_at(frame.time_s).translation;
     const double distance = glm::length(about), reach = 0.5 * glm::length(box.size_m) + kWider_m;
     const double cosine = distance > reach ? std::cos(std::asin(reach / distance)) : -1.0;
     std::vector<std::size_t> ray_indices;
@@ -44,30 +44,30 @@ Scan select_scan_rays_near_box(const TrainedRun& run, const LidarFrame& frame, c
 
 struct WalkingActorFrames {
     const BoxTrack* box = nullptr;
-    std::vector<const LidarFrame*> frames;
+    std::vector<const Frame*> frames;
     /// between the actor and the vehicle
     double distance_m = std::numeric_limits<double>::max();
 };
 
 /// The one that comes nearest to the vehicle, and the frames in which it is nearest.
-WalkingActorFrames find_nearest_walking_actor(const TrainedRun& run) {
+WalkingActorFrames nearest_walker(const Run& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
-        const BoxTrack* box = find_box_track_by_id(run.sequence, instance.track);
+        const BoxTrack* box = find_box(run.sequence, instance.track);
         if (!box || !(run.scene.models[std::size_t(instance.model)].stride_m > 0.0f)) continue;
-        std::vector<const LidarFrame*> frames;  // scans of the first LiDAR while the box is present
-        for (const LidarFrame& frame : run.sequence.frames)
-            if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box->is_observed_at_time(frame.time_s))
+        std::vector<const Frame*> frames;  // scans of the first LiDAR while the box is present
+        for (const Frame& frame : run.sequence.frames)
+            if (frame.lidar == 0 && frame.scan.range_m.size() > 0 && box->is_observed(frame.time_s))
                 frames.push_back(&frame);
-        for (std::size_t first = 0; first + kFrames <= frames.size(); ++first) {
-            const std::vector<const LidarFrame*> some(frames.begin() + std::ptrdiff_t(first),
-                                                      frames.begin() + std::ptrdiff_t(first + kFrames));
+        for (std::size_t first = 0; first + kStripFrames <= frames.size(); ++first) {
+            const std::vector<const Frame*> some(frames.begin() + std::ptrdiff_t(first),
+                                                 frames.begin() + std::ptrdiff_t(first + kStripFrames));
             double sum = 0.0;
-            for (const LidarFrame* frame : some)
-                sum +=
-                    glm::distance(run.sequence.world_from_vehicle.interpolate_pose(frame->time_s).translation,
-                                  box->world_from_box.interpolate_pose(frame->time_s).translation);
-            if (sum / double(kFrames) < nearest.distance_m) nearest = {box, some, sum / double(kFrames)};
+            for (const Frame* frame : some)
+                sum += glm::distance(run.sequence.world_from_vehicle.pose_at(frame->time_s).translation,
+                                     box->world_from_box.pose_at(frame->time_s).translation);
+            if (sum / double(kStripFrames) < nearest.distance_m)
+                nearest = {box, some, sum / double(kStripFrames)};
         }
     }
     return nearest;
@@ -81,9 +81,9 @@ struct PictureDot {
 
 /// @param panel_half_size_m half width and half height of each panel, metres
 /// @param min_value at the lower end of the colour map
-Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel,
-                                       const glm::dvec2& panel_half_size_m, float min_value, float max_value,
-                                       const char* colour_map_name) {
+Image draw_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel,
+                  const glm::dvec2& panel_half_size_m, float min_value, float max_value,
+                  const char* colour_map_name) {
     const int width = int(2.0 * (panel_half_size_m.x + kBeside_m) * kPixels_per_m),
               rows = int(2.0 * (panel_half_size_m.y + kBeside_m) * kPixels_per_m);
     const int columns = width * int(dots_of_each_panel.size());
@@ -93,8 +93,8 @@ Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>
         for (const PictureDot& dot : dots_of_each_panel[k]) {
             const int x = int((dot.right_m + panel_half_size_m.x + kBeside_m) * kPixels_per_m);
             const int y = int((panel_half_size_m.y + kBeside_m - dot.up_m) * kPixels_per_m);
-            for (int row = std::max(y, 0); row < std::min(y + kDot, rows); ++row)
-                for (int column = std::max(x, 0); column < std::min(x + kDot, width - 1); ++column)
+            for (int row = std::max(y, 0); row < std::min(y + kDotSize_px, rows); ++row)
+                for (int column = std::max(x, 0); column < std::min(x + kDotSize_px, width - 1); ++column)
                     values[std::size_t(row) * std::size_t(columns) + k * std::size_t(width) +
                            std::size_t(column)] = dot.value;
         }
@@ -103,8 +103,8 @@ Image draw_dots_in_side_by_side_panels(const std::vector<std::vector<PictureDot>
 
 /// Side view along `horizontal_view_direction`. The value of a dot is its depth along
 /// this direction, relative to the centre of the actor's box.
-std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm::dvec3>& points_m,
-                                                           const glm::dvec2& horizontal_view_direction) {
+std::vector<PictureDot> project_dots(const std::vector<glm::dvec3>& points_m,
+                                     const glm::dvec2& horizontal_view_direction) {
     std::vector<PictureDot> dots;
     for (const glm::dvec3& p : points_m)
         dots.push_back({horizontal_view_direction.y * p.x - horizontal_view_direction.x * p.y, p.z,
@@ -112,24 +112,22 @@ std::vector<PictureDot> project_box_points_to_picture_dots(const std::vector<glm
     return dots;
 }
 
-MovingBoxPoints collect_real_and_rendered_box_points(ScanRenderer& renderer, const TrainedRun& run,
-                                                     const Config& config, const LidarFrame& frame,
-                                                     const BoxTrack& box) {
-    const Scan scan = select_scan_rays_near_box(run, frame, box);
+MovingBoxPoints box_points(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
+                           const BoxTrack& box) {
+    const Scan scan = rays_near_box(run, frame, box);
     if (scan.rays.size() == 0) return {};
-    throw_if_interrupted();
-    SimulatedSensor sensor = make_sensor_from_config(config, run.sequence, frame.lidar);
+    check_interrupt();
+    SimulatedSensor sensor = make_sensor(config, run.sequence, frame.lidar);
     sensor.rays = scan.rays;
     sensor.follows_sweeps = false;
     sensor.rolling_shutter = run.sequence.rolling_shutter;
     const RenderedScan rendered = renderer.render(sensor, frame.time_s);
-    return collect_points_in_box(rendered.image, select_point_ranges(rendered, config),
-                                 make_measured_image(config, scan), run.sequence,
-                                 get_sweep_timing_of_frame(frame), box);
+    return points_in_box(rendered.image, point_ranges(rendered, config), measured_image(config, scan),
+                         run.sequence, timing_of(frame), box);
 }
 
 /// One traced ray and at most one return per beam.
-Config make_actor_picture_config(const TrainedRun& run) {
+Config picture_config(const Run& run) {
     Config config = run.config;
     config.sensor.grid = "native";
     config.sensor.sub_rays = config.sensor.returns = 1;
@@ -137,27 +135,24 @@ Config make_actor_picture_config(const TrainedRun& run) {
 }
 
 /// Nothing if the actor has too few real points.
-std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer, const TrainedRun& run,
-                                                         const Config& config, const ActorScore& actor) {
-    const BoxTrack* box = find_box_track_by_id(run.sequence, actor.track);
+std::optional<ReportFigure> draw_actor(ScanRenderer& renderer, const Run& run, const Config& config,
+                                       const ActorScore& actor) {
+    const BoxTrack* box = find_box(run.sequence, actor.track);
     if (!box) return std::nullopt;
     std::vector<std::vector<PictureDot>> real, simulated, errors;
     std::size_t n = 0;
     for (const int position : run.split.test) {
-        const LidarFrame& frame = run.sequence.frames[std::size_t(position)];
-        if (real.size() == kFrames || frame.scan.range_m.empty() || !box->is_observed_at_time(frame.time_s))
+        const Frame& frame = run.sequence.frames[std::size_t(position)];
+        if (real.size() == kStripFrames || frame.scan.range_m.empty() || !box->is_observed(frame.time_s))
             continue;
-        const MovingBoxPoints points =
-            collect_real_and_rendered_box_points(renderer, run, config, frame, *box);
+        const MovingBoxPoints points = box_points(renderer, run, config, frame, *box);
         if (points.real_m.empty() && points.simulated_m.empty()) continue;
-        const glm::dvec3 sensor_m =
-            run.sequence.get_world_from_sensor(frame.lidar).interpolate_pose(frame.time_s).translation;
-        const glm::dvec2 sensor_in_box_m(inverse(box->world_from_box.interpolate_pose(frame.time_s)) *
-                                         sensor_m);
+        const glm::dvec3 sensor_m = run.sequence.lidar_track(frame.lidar).pose_at(frame.time_s).translation;
+        const glm::dvec2 sensor_in_box_m(inverse(box->world_from_box.pose_at(frame.time_s)) * sensor_m);
         const glm::dvec2 direction = -sensor_in_box_m / std::max(glm::length(sensor_in_box_m), 1e-6);
         n += points.real_m.size();
-        real.push_back(project_box_points_to_picture_dots(points.real_m, direction));
-        simulated.push_back(project_box_points_to_picture_dots(points.simulated_m, direction));
+        real.push_back(project_dots(points.real_m, direction));
+        simulated.push_back(project_dots(points.simulated_m, direction));
         // distance to the nearest real point, metres
         std::vector<PictureDot>& error_dots = errors.emplace_back(simulated.back());
         for (std::size_t i = 0; i < error_dots.size(); ++i) {
@@ -167,77 +162,74 @@ std::optional<ReportFigure> draw_actor_comparison_figure(ScanRenderer& renderer,
             error_dots[i].value = float(nearest_m);
         }
     }
-    if (real.empty() || n < real.size() * kFewestPoints) return std::nullopt;
+    if (real.empty() || n < real.size() * kMinPointsPerFrame) return std::nullopt;
     const double radius_m = 0.5 * std::hypot(box->size_m.x, box->size_m.y);
     const glm::dvec2 half_m(radius_m, 0.5 * box->size_m.z);
     const auto deepest = float(radius_m);
     return ReportFigure{
         fmt::format("{} {}: held-out frames, as the sensor sees them, coloured by distance", actor.category,
                     actor.track),
-        {{"real", draw_dots_in_side_by_side_panels(real, half_m, -deepest, deepest, "turbo")},
-         {"simulated", draw_dots_in_side_by_side_panels(simulated, half_m, -deepest, deepest, "turbo")},
+        {{"real", draw_panels(real, half_m, -deepest, deepest, "turbo")},
+         {"simulated", draw_panels(simulated, half_m, -deepest, deepest, "turbo")},
          {fmt::format("distance of simulated points from the nearest real point, 0 to {} m", kErrorScale_m),
-          draw_dots_in_side_by_side_panels(errors, half_m, 0.0f, kErrorScale_m, "heat")}}};
+          draw_panels(errors, half_m, 0.0f, kErrorScale_m, "heat")}}};
 }
 
 }  // namespace
 
-std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const TrainedRun& run) {
-    const WalkingActorFrames walking_actor = find_nearest_walking_actor(run);
+std::optional<ReportFigure> draw_walker(Device& device, const Run& run) {
+    const WalkingActorFrames walking_actor = nearest_walker(run);
     if (!walking_actor.box) return std::nullopt;
-    const Config config = make_actor_picture_config(run);
+    const Config config = picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const glm::dvec2 to_the_left(0.0, 1.0);
     std::vector<std::vector<PictureDot>> real, simulated;
     std::size_t n = 0;
-    for (const LidarFrame* frame : walking_actor.frames) {
-        const MovingBoxPoints points =
-            collect_real_and_rendered_box_points(renderer, run, config, *frame, *walking_actor.box);
+    for (const Frame* frame : walking_actor.frames) {
+        const MovingBoxPoints points = box_points(renderer, run, config, *frame, *walking_actor.box);
         n += points.real_m.size();
-        real.push_back(project_box_points_to_picture_dots(points.real_m, to_the_left));
-        simulated.push_back(project_box_points_to_picture_dots(points.simulated_m, to_the_left));
+        real.push_back(project_dots(points.real_m, to_the_left));
+        simulated.push_back(project_dots(points.simulated_m, to_the_left));
     }
-    if (n < kFrames * kFewestPoints) return std::nullopt;
+    if (n < kStripFrames * kMinPointsPerFrame) return std::nullopt;
     const glm::dvec2 half_m(0.5 * walking_actor.box->size_m.x, 0.5 * walking_actor.box->size_m.z);
     const float half = float(0.5 * walking_actor.box->size_m.y);
     return ReportFigure{
         fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
                     "right side of the actor; colour: depth, from blue (right side) to red (left side)",
                     walking_actor.box->category, walking_actor.box->id,
-                    parse_object_kind(walking_actor.box->category) == ObjectKind::cyclist ? "rides" : "walks",
+                    parse_kind(walking_actor.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walking_actor.distance_m),
-        {{"real", draw_dots_in_side_by_side_panels(real, half_m, -half, half, "turbo")},
-         {"simulated", draw_dots_in_side_by_side_panels(simulated, half_m, -half, half, "turbo")}}};
+        {{"real", draw_panels(real, half_m, -half, half, "turbo")},
+         {"simulated", draw_panels(simulated, half_m, -half, half, "turbo")}}};
 }
 
-std::vector<ReportFigure> draw_worst_actor_figures(Device& device, const TrainedRun& run,
-                                                   const EvaluationResult& evaluation) {
+std::vector<ReportFigure> draw_worst_actors(Device& device, const Run& run, const Evaluation& result) {
     constexpr std::size_t kMost = 3;
-    const Config config = make_actor_picture_config(run);
+    const Config config = picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     std::vector<ReportFigure> figures;
-    for (const ActorScore& actor : evaluation.actors) {
+    for (const ActorScore& actor : result.actors) {
         if (figures.size() == kMost) break;
-        if (std::optional<ReportFigure> figure = draw_actor_comparison_figure(renderer, run, config, actor))
+        if (std::optional<ReportFigure> figure = draw_actor(renderer, run, config, actor))
             figures.push_back(std::move(*figure));
     }
     return figures;
 }
 
-void write_worst_actor_pictures(const std::filesystem::path& folder, Device& device, const TrainedRun& run,
-                                const EvaluationResult& evaluation) {
+void write_worst_actors(const std::filesystem::path& folder, Device& device, const Run& run,
+                        const Evaluation& result) {
     constexpr std::size_t kMost = 20;
-    const Config config = make_actor_picture_config(run);
+    const Config config = picture_config(run);
     ScanRenderer renderer(device, run.scene, config, run.sequence);
-    for (std::size_t i = 0; i < std::min(kMost, evaluation.actors.size()); ++i) {
-        const std::optional<ReportFigure> figure =
-            draw_actor_comparison_figure(renderer, run, config, evaluation.actors[i]);
+    for (std::size_t i = 0; i < std::min(kMost, result.actors.size()); ++i) {
+        const std::optional<ReportFigure> figure = draw_actor(renderer, run, config, result.actors[i]);
         if (!figure) continue;
         std::vector<Image> images;
         for (const auto& [caption, image] : figure->images) images.push_back(image);
-        std::string name = evaluation.actors[i].track;
+        std::string name = result.actors[i].track;
         std::ranges::replace(name, '/', '-');
-        write_png(folder / fmt::format("actor_{}.png", name), stack_images_vertically(images));
+        write_png(folder / fmt::format("actor_{}.png", name), stack_images(images));
     }
 }
 

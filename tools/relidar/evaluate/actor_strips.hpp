@@ -9,8 +9,8 @@
 
 namespace relidar {
 class Device;
-struct EvaluationResult;
-struct TrainedRun;
+struct Evaluation;
+struct Run;
 }  // namespace relidar
 
 namespace relidar::cli {
@@ -18,16 +18,15 @@ namespace relidar::cli {
 /// A walking actor in eight successive frames, seen from its right side.
 /// @param run run whose log is loaded with all scans
 /// @return no value if no walking actor is visible in eight frames
-std::optional<ReportFigure> draw_walking_actor_figure(Device& device, const TrainedRun& run);
+std::optional<ReportFigure> draw_walker(Device& device, const Run& run);
 
 /// The three actors with the worst scores, as the sensor sees them in held-out frames.
 /// Actors with fewer than 20 real points per frame are left out.
 /// @param run run whose log is loaded with the scans of the held-out frames
-std::vector<ReportFigure> draw_worst_actor_figures(Device& device, const TrainedRun& run,
-                                                   const EvaluationResult& evaluation);
+std::vector<ReportFigure> draw_worst_actors(Device& device, const Run& run, const Evaluation& result);
 
 /// At most 20 actors, as FOLDER/actor_TRACK.png.
-void write_worst_actor_pictures(const std::filesystem::path& folder, Device& device, const TrainedRun& run,
-                                const EvaluationResult& evaluation);
+void write_worst_actors(const std::filesystem::path& folder, Device& device, const Run& run,
+                        const Evaluation& result);
 
 }  // namespace relidar::cli

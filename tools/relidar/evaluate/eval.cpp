@@ -41,11 +41,9 @@ struct EvalOptions {
     bool quiet = false;
 };
 
-void apply_setting_overrides(Config& config, const EvalOptions& options) {
-    parse_and_apply_setting_texts(config, options.sets);
-}
+void apply_overrides(Config& config, const EvalOptions& options) { apply_settings(config, options.sets); }
 
-void require_held_out_frames(const TrainTestSplit& split, const std::string& run_or_log_path) {
+void check_held_out(const Split& split, const std::string& run_or_log_path) {
     if (split.test.empty())
         fail("cannot evaluate {}: it has no held-out frames; expected at least one", run_or_log_path);
 }
@@ -60,30 +58,28 @@ struct EvaluationOutputs {
     EvaluationOutputs(const std::filesystem::path& metrics_file, const std::string& picture_folder,
                       const MpiProcessGroup& ranks)
         : file(metrics_file), pictures(picture_folder) {
-        if (ranks.is_first_mpi_process() && !file.empty())
+        if (ranks.is_first() && !file.empty())
             of_file.emplace(file.has_parent_path() ? file.parent_path() : ".");
-        if (ranks.is_first_mpi_process() && !pictures.empty()) of_pictures.emplace(pictures);
-        ranks.wait_for_all_ranks();
+        if (ranks.is_first() && !pictures.empty()) of_pictures.emplace(pictures);
+        ranks.barrier();
     }
 
-    void write_frame_pictures_if_requested(const ScoredFrame& frame, const Config& config) const {
-        if (!pictures.empty()) write_comparison_pictures(pictures, frame, config.dataset.max_range_m);
+    void write_pictures(const ScoredFrame& frame, const Config& config) const {
+        if (!pictures.empty()) write_comparison(pictures, frame, config.dataset.max_range_m);
     }
 };
 
-void write_and_print_evaluation_metrics(const EvaluationOutputs& output, const EvaluationResult& evaluation,
-                                        const Config& config, const EvaluationProvenance& provenance,
-                                        bool quiet) {
-    end_progress_line();
-    if (!output.file.empty()) write_text_file(output.file, make_metrics_json(evaluation, config, provenance));
+void write_metrics(const EvaluationOutputs& output, const Evaluation& result, const Config& config,
+                   const EvaluationProvenance& provenance, bool quiet) {
+    end_progress();
+    if (!output.file.empty()) write_text_file(output.file, metrics_json(result, config, provenance));
     if (quiet) return;
-    print(format_metric_tables(evaluation, provenance.baseline));
-    print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
-    if (evaluation.trace_ms > 0.0)
+    print(format_metrics(result, provenance.baseline));
+    print(fmt::format("\n{} held-out frames", result.frames.size()));
+    if (result.trace_ms > 0.0)
         print(fmt::format(", {:.1f} ms of tracing per frame, {:.3f} Mrays/s, {} of device memory",
-                          evaluation.trace_ms, evaluation.mrays_per_s,
-                          format_byte_size(provenance.peak_device_bytes)));
-    if (!output.file.empty()) print("\nmetrics  " + make_absolute_path(output.file.string()));
+                          result.trace_ms, result.mrays_per_s, format_bytes(provenance.peak_device_bytes)));
+    if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
     print("\n");
 }
 
@@ -91,78 +87,73 @@ double measure_seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-void write_and_open_report_page(const std::filesystem::path& page_file, const Report& report, bool quiet) {
+void write_page(const std::filesystem::path& page_file, const Report& report, bool quiet) {
     write_report(page_file, report);
-    if (!quiet) print("page     " + make_absolute_path(page_file.string()) + "\n");
-    open_in_browser(make_absolute_path(page_file.string()));
+    if (!quiet) print("page     " + absolute_path(page_file.string()) + "\n");
+    open_in_browser(absolute_path(page_file.string()));
 }
 
 /// The other MPI processes score the remaining frames.
-void select_frames_of_this_process(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
-    const ProcessGroup::PartRange share =
-        ranks.get_process_group().get_range_of_process(frame_positions.size());
+void select_local_frames(std::vector<int>& frame_positions, const MpiProcessGroup& ranks) {
+    const ProcessGroup::PartRange share = ranks.group().part_range(frame_positions.size());
     frame_positions = {frame_positions.begin() + std::ptrdiff_t(share.begin),
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
 
-void evaluate_trained_run(const EvalOptions& options, const MpiProcessGroup& ranks,
-                          const std::string& command_line) {
+void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const std::string& command_line) {
     // The command writes metrics.json to the run's folder, so no other process may.
     std::optional<FolderLock> lock;
-    if (ranks.is_first_mpi_process() && options.out.empty() && is_run_folder(options.target))
+    if (ranks.is_first() && options.out.empty() && is_run_folder(options.target))
         lock.emplace(options.target);
-    std::vector<std::string> setting_names = list_rendering_setting_names();
+    std::vector<std::string> setting_names = render_settings();
     setting_names.push_back("dataset.");
-    require_settings_used_by_command(options.sets, setting_names, "eval");
-    TrainedRun run = load_run(options.target);
-    apply_setting_overrides(run.config, options);
-    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
+    check_settings_used(options.sets, setting_names, "eval");
+    Run run = load_run(options.target);
+    apply_overrides(run.config, options);
+    run.config = with_max_range(std::move(run.config), run.sequence);
     if (options.no_refine) run.config.refine.enabled = false;
     const EvaluationOutputs output(
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
-    require_held_out_frames(run.split, run.folder.string());
+    check_held_out(run.split, run.folder.string());
     const std::vector<int> all_test = run.split.test;
-    select_frames_of_this_process(run.split.test, ranks);
-    Device device(convert_to_device_options(options.device));
-    const LidarSequence log = load_dataset(run.config, options.quiet);
-    copy_scans_into_run(run, run.split.test, log);
-    if (!options.baseline.empty()) copy_scans_into_run(run, run.split.train, log);
+    select_local_frames(run.split.test, ranks);
+    Device device(to_device_options(options.device));
+    const Log log = load_dataset(run.config, options.quiet);
+    copy_scans(run, run.split.test, log);
+    if (!options.baseline.empty()) copy_scans(run, run.split.train, log);
 
-    install_interrupt_handlers();
+    install_handlers();
     const auto start = std::chrono::steady_clock::now();
     TerminalProgress progress(options.quiet);
-    const auto callback = make_interruptible_progress_callback(progress);
-    std::optional<EvaluationResult> baseline;
+    const auto callback = interruptible_progress(progress);
+    std::optional<Evaluation> baseline;
     if (!options.baseline.empty())
-        baseline = gather_evaluation_from_ranks(
+        baseline = gather_evaluation(
             evaluate_baseline(options.baseline, run.config, run.sequence, run.split, callback), ranks);
     ScanRenderer renderer(device, run);
-    const auto process_frame = [&](const ScoredFrame& frame) {
-        output.write_frame_pictures_if_requested(frame, run.config);
-    };
-    EvaluationResult evaluation = gather_evaluation_from_ranks(
+    const auto process_frame = [&](const ScoredFrame& frame) { output.write_pictures(frame, run.config); };
+    Evaluation result = gather_evaluation(
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, callback, process_frame), ranks);
-    if (!ranks.is_first_mpi_process()) return;
+    if (!ranks.is_first()) return;
     if (!options.quiet && !run.edits.empty())
         print(
             "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
             "pixels do not measure the quality of the edit\n");
-    write_and_print_evaluation_metrics(
-        output, evaluation, run.config,
-        {make_absolute_path(run.folder.string()), device.info().name, device.peak_allocated_bytes(),
-         measure_seconds_since(start), baseline ? &*baseline : nullptr},
-        options.quiet);
+    write_metrics(output, result, run.config,
+                  {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(),
+                   measure_seconds_since(start), baseline ? &*baseline : nullptr},
+                  options.quiet);
     if (!output.pictures.empty()) {
         run.split.test = all_test;
-        if (ranks.size() > 1) copy_scans_into_run(run, run.split.test, log);
-        write_worst_actor_pictures(output.pictures, device, run, evaluation);
+        if (ranks.size() > 1) copy_scans(run, run.split.test, log);
+        write_worst_actors(output.pictures, device, run, result);
     }
     if (!options.open) return;
-    Report report = make_evaluation_report(run, evaluation, device, command_line);
-    for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
+    Report report = evaluation_report(run, result, device, command_line);
+    for (ReportFigure& strip : draw_worst_actors(device, run, result))
         report.figures.push_back(std::move(strip));
-    write_and_open_report_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
+    write_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
 const std::vector<std::string> kBaselineSettings = {
@@ -172,45 +163,41 @@ const std::vector<std::string> kBaselineSettings = {
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
 /// Needs neither a trained run nor a GPU.
-void evaluate_baseline_on_log(const EvalOptions& options, const MpiProcessGroup& ranks) {
-    require_settings_used_by_command(options.sets, kBaselineSettings, "eval LOG --baseline");
-    Config config = make_preset_config("default");
-    apply_setting_overrides(config, options);
-    config.dataset.path = make_dataset_path_absolute(options.target);
-    apply_log_selection_to_config(config, options.part);
+void eval_baseline(const EvalOptions& options, const MpiProcessGroup& ranks) {
+    check_settings_used(options.sets, kBaselineSettings, "eval LOG --baseline");
+    Config config = make_preset("default");
+    apply_overrides(config, options);
+    config.dataset.path = absolute_dataset(options.target);
+    apply_selection(config, options.part);
     const EvaluationOutputs output(options.out, options.pictures, ranks);
-    const LidarSequence log = load_dataset(config, options.quiet);
+    const Log log = load_dataset(config, options.quiet);
     if (!options.quiet)
         for (const std::string& text : log.notes) print_note(text);
-    config = replace_automatic_max_range(std::move(config), log);
-    TrainTestSplit split =
-        split_frames_into_train_and_test(log, config.dataset.test_every, config.dataset.test_frames);
-    require_held_out_frames(split, options.target);
-    select_frames_of_this_process(split.test, ranks);
+    config = with_max_range(std::move(config), log);
+    Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
+    check_held_out(split, options.target);
+    select_local_frames(split.test, ranks);
 
-    install_interrupt_handlers();
+    install_handlers();
     const auto start = std::chrono::steady_clock::now();
     TerminalProgress progress(options.quiet);
-    const auto process_frame = [&](const ScoredFrame& frame) {
-        output.write_frame_pictures_if_requested(frame, config);
-    };
-    const EvaluationResult evaluation = gather_evaluation_from_ranks(
-        evaluate_baseline(options.baseline, config, log, split,
-                          make_interruptible_progress_callback(progress), process_frame),
-        ranks);
-    if (ranks.is_first_mpi_process())
-        write_and_print_evaluation_metrics(output, evaluation, config,
-                                           {"", "none", 0, measure_seconds_since(start)}, options.quiet);
+    const auto process_frame = [&](const ScoredFrame& frame) { output.write_pictures(frame, config); };
+    const Evaluation result =
+        gather_evaluation(evaluate_baseline(options.baseline, config, log, split,
+                                            interruptible_progress(progress), process_frame),
+                          ranks);
+    if (ranks.is_first())
+        write_metrics(output, result, config, {"", "none", 0, measure_seconds_since(start)}, options.quiet);
 }
 
-void run_eval_command(const EvalOptions& command_options, const std::string& command_line) {
+void run_eval(const EvalOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
     EvalOptions options = command_options;
-    options.quiet = options.quiet || !ranks.is_first_mpi_process();
+    options.quiet = options.quiet || !ranks.is_first();
     if (!options.tables.empty()) {
-        if (ranks.is_first_mpi_process()) write_score_tables(options.targets, options.tables);
+        if (ranks.is_first()) write_tables(options.targets, options.tables);
         if (!options.quiet)
-            for (const std::string& file : options.tables) print("table  " + make_absolute_path(file) + "\n");
+            for (const std::string& file : options.tables) print("table  " + absolute_path(file) + "\n");
         return;
     }
     if (options.targets.size() > 1)
@@ -219,31 +206,31 @@ void run_eval_command(const EvalOptions& command_options, const std::string& com
             "several runs",
             options.targets.size());
     options.target = options.targets.front();
-    options.device = ranks.select_device_unless_user_chose(options.device);
+    options.device = ranks.select_device(options.device);
     if (options.open && ranks.size() > 1)
         fail<UsageError>(
             "--open: found {} MPI processes; expected one, because the page shows all frames, but each of "
             "several processes renders only a part of them",
             ranks.size());
     // Throws for an unknown baseline before the log is loaded, which takes a long time.
-    if (!options.baseline.empty()) (void)parse_box_point_motion_of_baseline(options.baseline);
+    if (!options.baseline.empty()) (void)parse_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run_folder(options.target)) {
         if (options.open)
             throw UsageError(
                 "--open: the argument is a log; expected a run, because only the scores of a run are written "
                 "as a page");
-        return evaluate_baseline_on_log(options, ranks);
+        return eval_baseline(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
         fail<UsageError>(
             "{} cannot be used with a run, because a run already has its held-out frames; expected it only "
             "with --baseline and a log",
             options.part.frames.empty() ? "--sequence" : "--frames");
-    evaluate_trained_run(options, ranks, command_line);
+    eval_run(options, ranks, command_line);
 }
 
 /// @throws UsageError if an option for scoring is given
-void require_no_scoring_options_if_table_given(const CLI::App& command) {
+void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
             option->check_lname("quiet"))
@@ -273,7 +260,7 @@ Examples:
 
 }  // namespace
 
-void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_eval(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<EvalOptions>();
     command
@@ -290,7 +277,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
             "also score a simple baseline for comparison: nearest uses the two neighbouring real scans, "
             "moved to the held-out pose; nearest-actors also moves the points in boxes along their tracks")
         ->type_name("NAME");
-    add_frames_and_sequence_options(*command, options->part);
+    add_log_options(*command, options->part);
     command
         ->add_option(
             "--pictures", options->pictures,
@@ -299,7 +286,7 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
     command->add_flag("--open", options->open,
                       "write the scores to a page, evaluation.html in the folder of the JSON file, and open "
                       "it in a browser");
-    add_setting_override_option(*command, options->sets);
+    add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
@@ -313,9 +300,9 @@ void add_eval_command(CLI::App& app, ParsedCommand& selected_command) {
         ->allow_extra_args(false);
     command->footer(kEvalHelp);
     command->callback([&selected_command, options, command] {
-        if (!options->tables.empty()) require_no_scoring_options_if_table_given(*command);
+        if (!options->tables.empty()) check_table_options(*command);
         selected_command.run = [&selected_command, options] {
-            run_eval_command(*options, selected_command.command_line);
+            run_eval(*options, selected_command.command_line);
         };
     });
 }

@@ -13,23 +13,21 @@ class TerminalProgress;
 class MpiProcessGroup;
 
 /// After Ctrl-C, the callback throws an Error with exit code 130.
-relidar::ProgressReporter make_interruptible_progress_callback(TerminalProgress& terminal_progress);
+relidar::Progress interruptible_progress(TerminalProgress& terminal_progress);
 
 /// The five most important scores, one per line. A missing score is left out.
-std::string format_score_summary(const EvaluationResult& evaluation);
+std::string format_scores(const Evaluation& result);
 /// The 20 moving boxes with the worst scores, below the column titles.
-std::vector<std::vector<std::string>> make_worst_actor_table_rows(const EvaluationResult& evaluation);
+std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result);
 /// @param baseline its means are shown too; may be null
-std::string format_metric_tables(const EvaluationResult& evaluation,
-                                 const EvaluationResult* baseline = nullptr);
+std::string format_metrics(const Evaluation& result, const Evaluation* baseline = nullptr);
 
 /// @return in the first process, the scores of all frames, without the images of other
 /// processes; in the other processes, `local_evaluation`
-EvaluationResult gather_evaluation_from_ranks(const EvaluationResult& local_evaluation,
-                                              const MpiProcessGroup& ranks);
+Evaluation gather_evaluation(const Evaluation& local_evaluation, const MpiProcessGroup& ranks);
 
 /// for metrics.json and for messages between MPI processes
-nlohmann::ordered_json make_scored_frames_json(const EvaluationResult& evaluation);
+nlohmann::ordered_json frames_json(const Evaluation& result);
 
 /// How the scores were computed, for metrics.json.
 struct EvaluationProvenance {
@@ -37,9 +35,9 @@ struct EvaluationProvenance {
     std::string device;
     std::uint64_t peak_device_bytes = 0;
     double seconds = 0.0;
-    const EvaluationResult* baseline = nullptr;
+    const Evaluation* baseline = nullptr;
 };
-std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
-                              const EvaluationProvenance& provenance);
+std::string metrics_json(const Evaluation& result, const Config& config,
+                         const EvaluationProvenance& provenance);
 
 }  // namespace relidar::cli

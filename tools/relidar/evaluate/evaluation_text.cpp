@@ -18,24 +18,24 @@ namespace {
 using Json = nlohmann::ordered_json;
 using TextTableRows = std::vector<std::vector<std::string>>;
 
-constexpr const char* kPeer =
+constexpr const char* kPeerNote =
     "all pixels; dropped pixels count as 0; ranges are clamped to [1e-6, max_range_m], intensities to [1e-6, "
     "1]; PSNR: the peak is max_range_m or 1; SSIM: uniform window of 7 x 7; Chamfer distance (squared) and "
     "F-score (squared distance below 0.05 m^2): over returned points; a ray returns if drop_prob < 0.4";
-constexpr const char* kStrict =
+constexpr const char* kStrictNote =
     "a ray returns if drop_prob < 0.5; image_*: all pixels, dropped pixels count as 0; depth_* and "
     "intensity_*: pixels that return in both scans; Chamfer distance: sum of both directions; F-score: at 5 "
     "cm and 22.4 cm; drop_*: a dropped ray is a positive; drop_rmse: error of the drop probabilities of all "
     "pixels";
-constexpr const char* kPoints =
+constexpr const char* kPointsNote =
     "like strict/depth_*, cd_* and f_*, but computed from the points that are written to files (setting "
     "render.points, by default the median range) instead of the range image (setting render.range)";
-constexpr const char* kRegions =
+constexpr const char* kRegionsNote =
     "errors of the points of all pixels with a real return, whether the rendered ray returns or drops; "
     "returned: share of these pixels whose rendered ray returns (drop_prob < 0.5); moving_boxes: pixels "
     "inside labelled moving boxes; discovered_boxes: pixels inside moving boxes that the dataset does not "
     "label, but training found";
-constexpr const char* kActors =
+constexpr const char* kActorsNote =
     "trail point: a point above the ground at a place that a moving box occupies only at other times of the "
     "log; tail_share: share of the simulated points (drop_prob < 0.5) that are trail points; "
     "tail_share_real: the same share of the real points; people_*: labelled moving boxes of people and "
@@ -45,15 +45,15 @@ constexpr const char* kActors =
     "simulated points with a real point within 3 cm; f1: F1 score of the rays that return from the box, "
     "enlarged by 0.3 m; table of actors: one row for each labelled or discovered moving box; its numbers of "
     "points are sums over the frames, its other values are means weighted by real points";
-constexpr const char* kClasses =
+constexpr const char* kClassesNote =
     "all real returns with a label, whether the rendered ray returns or drops; accuracy: share of these "
     "returns whose rendered class equals the label; mean_iou: intersection over union of a class, mean over "
     "the labels of the frame";
-constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
-                                    "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
+constexpr const char* kRegionColumns[] = {"pixels",      "returned",     "depth_medae_m",
+                                          "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
-Json make_evaluation_protocol_json(const Config& config) {
-    const std::string lpips = find_lpips_weights_path();
+Json protocol_json(const Config& config) {
+    const std::string lpips = lpips_weights_path();
     return {
         {"frames",
          "frames that did not train the scene; each metric is the mean over the frames that have a value"},
@@ -68,26 +68,25 @@ Json make_evaluation_protocol_json(const Config& config) {
              ? "no weights"
              : "AlexNet, v0.1, computed on metres and intensity, x -> 2 x - 1 without clamping; weights " +
                    lpips},
-        {"peer", kPeer},
-        {"strict", kStrict},
-        {"points", kPoints},
-        {"regions", kRegions},
-        {"actors", kActors},
-        {"classes", kClasses},
+        {"peer", kPeerNote},
+        {"strict", kStrictNote},
+        {"points", kPointsNote},
+        {"regions", kRegionsNote},
+        {"actors", kActorsNote},
+        {"classes", kClassesNote},
         {"drop_threshold", {{"peer", 0.4}, {"strict", 0.5}, {"regions", 0.5}}}};
 }
 
-bool is_metric_of_whole_frame(const std::string& metric_name) {
+bool is_frame_metric(const std::string& metric_name) {
     return metric_name.starts_with("peer/") || metric_name.starts_with("strict/") ||
            metric_name.starts_with("points/") || metric_name.starts_with("actors/") ||
            metric_name.starts_with("classes/");
 }
 
 /// Skips frames without this metric.
-std::pair<double, double> find_metric_min_and_max(const EvaluationResult& evaluation,
-                                                  const std::string& metric_name) {
-    double low = evaluation.mean.at(metric_name), high = low;
-    for (const ScoredFrame& frame : evaluation.frames) {
+std::pair<double, double> metric_min_max(const Evaluation& result, const std::string& metric_name) {
+    double low = result.mean.at(metric_name), high = low;
+    for (const ScoredFrame& frame : result.frames) {
         const auto it = frame.metrics.find(metric_name);
         if (it == frame.metrics.end()) continue;
         low = std::min(low, it->second);
@@ -96,60 +95,58 @@ std::pair<double, double> find_metric_min_and_max(const EvaluationResult& evalua
     return {low, high};
 }
 
-Json make_actor_scores_json(const std::vector<ActorScore>& actor_scores) {
+Json actor_scores_json(const std::vector<ActorScore>& actor_scores) {
     Json json = Json::array();
     for (const ActorScore& actor : actor_scores)
         json.push_back({{"track", actor.track}, {"class", actor.category}, {"metrics", actor.metrics}});
     return json;
 }
 
-std::string format_metric_or_dash(const MetricValues& metrics, const std::string& metric_name) {
-    return metrics.contains(metric_name) ? format_four_significant_digits(metrics.at(metric_name)) : "-";
+std::string format_metric(const MetricValues& metrics, const std::string& metric_name) {
+    return metrics.contains(metric_name) ? format_number(metrics.at(metric_name)) : "-";
 }
 
-TextTableRows make_metric_table_rows(const EvaluationResult& evaluation, const EvaluationResult* baseline) {
-    const bool spread = evaluation.frames.size() > 1;
+TextTableRows metric_rows(const Evaluation& result, const Evaluation* baseline) {
+    const bool spread = result.frames.size() > 1;
     TextTableRows rows{{"metric", spread ? "mean" : "value"}};
     if (spread) rows.back().insert(rows.back().end(), {"lowest", "highest"});
     if (baseline) rows.back().push_back(baseline->title);
-    for (const auto& [name, mean_value] : evaluation.mean) {
-        if (!is_metric_of_whole_frame(name)) continue;
-        rows.push_back({name, format_four_significant_digits(mean_value)});
-        const auto [low, high] = find_metric_min_and_max(evaluation, name);
-        if (spread)
-            rows.back().insert(rows.back().end(),
-                               {format_four_significant_digits(low), format_four_significant_digits(high)});
-        if (baseline) rows.back().push_back(format_metric_or_dash(baseline->mean, name));
+    for (const auto& [name, mean_value] : result.mean) {
+        if (!is_frame_metric(name)) continue;
+        rows.push_back({name, format_number(mean_value)});
+        const auto [low, high] = metric_min_max(result, name);
+        if (spread) rows.back().insert(rows.back().end(), {format_number(low), format_number(high)});
+        if (baseline) rows.back().push_back(format_metric(baseline->mean, name));
     }
     return rows;
 }
 
-TextTableRows make_region_metric_rows(const EvaluationResult& evaluation) {
-    TextTableRows rows{{evaluation.title + ", metrics by region"}};
-    for (const char* column : kColumns) rows.back().emplace_back(column);
+TextTableRows region_rows(const Evaluation& result) {
+    TextTableRows rows{{result.title + ", metrics by region"}};
+    for (const char* column : kRegionColumns) rows.back().emplace_back(column);
     std::set<std::string> regions;
-    for (const auto& [name, value] : evaluation.mean)
-        if (!is_metric_of_whole_frame(name)) regions.insert(name.substr(0, name.find('/')));
+    for (const auto& [name, value] : result.mean)
+        if (!is_frame_metric(name)) regions.insert(name.substr(0, name.find('/')));
     for (const std::string& region : regions) {
         rows.push_back({region});
-        for (const char* column : kColumns)
-            rows.back().push_back(format_metric_or_dash(evaluation.mean, region + "/" + column));
+        for (const char* column : kRegionColumns)
+            rows.back().push_back(format_metric(result.mean, region + "/" + column));
     }
     return rows;
 }
 
 }  // namespace
 
-std::vector<std::vector<std::string>> make_worst_actor_table_rows(const EvaluationResult& evaluation) {
-    constexpr std::size_t kMost = 20;
+std::vector<std::vector<std::string>> worst_actor_rows(const Evaluation& result) {
+    constexpr std::size_t kMaxActorRows = 20;
     const auto number_in = [](const MetricValues& row, const char* name, int digits) {
         const auto it = row.find(name);
         return it == row.end() ? "-" : fmt::format("{:.{}f}", it->second, digits);
     };
     TextTableRows rows{{"actor, worst first", "class", "points", "real points", "median error, m", "bias, m",
                         "errors above 0.3 m", "F1", "trail points", "real trail points"}};
-    for (const ActorScore& actor : evaluation.actors) {
-        if (rows.size() > kMost) break;
+    for (const ActorScore& actor : result.actors) {
+        if (rows.size() > kMaxActorRows) break;
         const MetricValues& m = actor.metrics;
         rows.push_back({actor.track, actor.category, number_in(m, "points", 0),
                         number_in(m, "points_real", 0), number_in(m, "range_medae_m", 3),
@@ -159,89 +156,87 @@ std::vector<std::vector<std::string>> make_worst_actor_table_rows(const Evaluati
     return rows;
 }
 
-relidar::ProgressReporter make_interruptible_progress_callback(TerminalProgress& terminal_progress) {
-    return [show = make_terminal_progress_callback(terminal_progress)](std::string_view description,
-                                                                       double done) {
-        throw_if_interrupted();
+relidar::Progress interruptible_progress(TerminalProgress& terminal_progress) {
+    return [show = progress_callback(terminal_progress)](std::string_view description, double done) {
+        check_interrupt();
         show(description, done);
     };
 }
 
-std::string format_score_summary(const EvaluationResult& evaluation) {
+std::string format_scores(const Evaluation& result) {
     struct ScoreColumn {
         const char* name;
         const char* label;
         const char* unit;
     };
-    constexpr ScoreColumn kScores[] = {
+    constexpr ScoreColumn kScoreColumns[] = {
         {"points/depth_medae_m", "median range error of points", " m"},
         {"points/cd_mean_m", "distance between point clouds (Chamfer)", " m"},
         {"moving_boxes/depth_medae_m", "median range error on moving objects", " m"},
         {"strict/intensity_rmse", "root mean square error of intensity", ""},
         {"strict/drop_f1", "F1 score of dropped rays, 1 is best", ""},
     };
-    std::string text = fmt::format("held-out scans: {}\n", evaluation.frames.size());
-    for (const ScoreColumn& score : kScores)
-        if (evaluation.mean.contains(score.name))
-            text +=
-                fmt::format("  {:<40} {:.3f}{}\n", score.label, evaluation.mean.at(score.name), score.unit);
+    std::string text = fmt::format("held-out scans: {}\n", result.frames.size());
+    for (const ScoreColumn& score : kScoreColumns)
+        if (result.mean.contains(score.name))
+            text += fmt::format("  {:<40} {:.3f}{}\n", score.label, result.mean.at(score.name), score.unit);
     return text;
 }
 
-std::string format_metric_tables(const EvaluationResult& evaluation, const EvaluationResult* baseline) {
-    TextTableRows rows = make_metric_table_rows(evaluation, baseline);
-    const bool lpips = std::any_of(evaluation.mean.begin(), evaluation.mean.end(),
+std::string format_metrics(const Evaluation& result, const Evaluation* baseline) {
+    TextTableRows rows = metric_rows(result, baseline);
+    const bool lpips = std::any_of(result.mean.begin(), result.mean.end(),
                                    [](const auto& metric) { return metric.first.ends_with("_lpips"); });
     if (!lpips)
         for (const char* name : {"peer/depth_lpips", "peer/intensity_lpips"}) {
             rows.push_back({name, "no weights"});
             rows.back().resize(rows.front().size());
         }
-    std::string text = format_score_summary(evaluation) + "\n" + format_table(rows) + "\n" +
-                       format_table(make_region_metric_rows(evaluation));
-    if (baseline) text += "\n" + format_table(make_region_metric_rows(*baseline));
-    if (const TextTableRows actors = make_worst_actor_table_rows(evaluation); actors.size() > 1)
+    std::string text =
+        format_scores(result) + "\n" + format_table(rows) + "\n" + format_table(region_rows(result));
+    if (baseline) text += "\n" + format_table(region_rows(*baseline));
+    if (const TextTableRows actors = worst_actor_rows(result); actors.size() > 1)
         text += "\n" + format_table(actors);
-    return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
-                              kStrict, kPoints, kRegions, kActors);
+    return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n",
+                              kPeerNote, kStrictNote, kPointsNote, kRegionsNote, kActorsNote);
 }
 
-Json make_scored_frames_json(const EvaluationResult& evaluation) {
+Json frames_json(const Evaluation& result) {
     Json frames = Json::array();
-    for (const ScoredFrame& f : evaluation.frames)
+    for (const ScoredFrame& f : result.frames)
         frames.push_back({{"frame", f.frame},
                           {"lidar", f.lidar},
                           {"time_s", f.time_s},
                           {"n_rays", f.n_rays},
                           {"trace_ms", f.rendered.trace_ms},
                           {"metrics", f.metrics},
-                          {"actors", make_actor_scores_json(f.actors)}});
+                          {"actors", actor_scores_json(f.actors)}});
     return frames;
 }
 
-std::string make_metrics_json(const EvaluationResult& evaluation, const Config& config,
-                              const EvaluationProvenance& provenance) {
+std::string metrics_json(const Evaluation& result, const Config& config,
+                         const EvaluationProvenance& provenance) {
     Json json = {{"format", "relidar metrics"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
-                 {"scored", evaluation.title},
+                 {"scored", result.title},
                  {"run", provenance.run},
                  {"dataset", config.dataset.path},
-                 {"protocol", make_evaluation_protocol_json(config)},
-                 {"mean", evaluation.mean},
-                 {"actors", make_actor_scores_json(evaluation.actors)},
-                 {"frames", make_scored_frames_json(evaluation)},
+                 {"protocol", protocol_json(config)},
+                 {"mean", result.mean},
+                 {"actors", actor_scores_json(result.actors)},
+                 {"frames", frames_json(result)},
                  {"timings",
-                  {{"kernel_ms", evaluation.kernel_ms},
-                   {"trace_ms", evaluation.trace_ms},
-                   {"mrays_per_s", evaluation.mrays_per_s},
+                  {{"kernel_ms", result.kernel_ms},
+                   {"trace_ms", result.trace_ms},
+                   {"mrays_per_s", result.mrays_per_s},
                    {"seconds", provenance.seconds}}},
                  {"device", provenance.device},
                  {"peak_device_bytes", provenance.peak_device_bytes}};
     if (provenance.baseline)
         json["baseline"] = {{"scored", provenance.baseline->title},
                             {"mean", provenance.baseline->mean},
-                            {"frames", make_scored_frames_json(*provenance.baseline)}};
+                            {"frames", frames_json(*provenance.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -12,7 +12,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-void append_scored_frames_from_json(std::vector<ScoredFrame>& frames, const std::string& json_text) {
+void append_frames(std::vector<ScoredFrame>& frames, const std::string& json_text) {
     for (const Json& json : Json::parse(json_text)) {
         ScoredFrame& frame = frames.emplace_back();
         frame.frame = json.at("frame");
@@ -29,18 +29,16 @@ void append_scored_frames_from_json(std::vector<ScoredFrame>& frames, const std:
 
 }  // namespace
 
-EvaluationResult gather_evaluation_from_ranks(const EvaluationResult& local_evaluation,
-                                              const MpiProcessGroup& ranks) {
+Evaluation gather_evaluation(const Evaluation& local_evaluation, const MpiProcessGroup& ranks) {
     if (ranks.size() == 1) return local_evaluation;
-    const std::vector<std::string> all =
-        ranks.gather_texts_on_first_rank(make_scored_frames_json(local_evaluation).dump());
-    if (!ranks.is_first_mpi_process()) return local_evaluation;
+    const std::vector<std::string> all = ranks.gather_texts(frames_json(local_evaluation).dump());
+    if (!ranks.is_first()) return local_evaluation;
     std::vector<ScoredFrame> frames = local_evaluation.frames;
-    for (std::size_t r = 1; r < all.size(); ++r) append_scored_frames_from_json(frames, all[r]);
-    EvaluationResult evaluation = summarise_evaluation(std::move(frames), {});
-    evaluation.title = local_evaluation.title;
-    evaluation.kernel_ms = local_evaluation.kernel_ms;
-    return evaluation;
+    for (std::size_t r = 1; r < all.size(); ++r) append_frames(frames, all[r]);
+    Evaluation result = summarise(std::move(frames), {});
+    result.title = local_evaluation.title;
+    result.kernel_ms = local_evaluation.kernel_ms;
+    return result;
 }
 
 }  // namespace relidar::cli

@@ -20,13 +20,13 @@ constexpr float kIntensityErrorScale = 0.3f;
 
 }  // namespace
 
-std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                                  const std::string& real_caption, double max_range_m) {
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
+                                             const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
     // 1 for rays that return in both images, 0 for others
-    std::vector<float> mask = make_returned_pixel_mask(real);
-    const std::vector<float> rendered_mask = make_returned_pixel_mask(rendered);
+    std::vector<float> mask = return_mask(real);
+    const std::vector<float> rendered_mask = return_mask(rendered);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] *= rendered_mask[i];
     const auto error = [&](const std::vector<float>& first, const std::vector<float>& second, float scale,
                            const std::vector<float>& shown) {
@@ -34,33 +34,31 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
         for (std::size_t i = 0; i < first.size(); ++i) differences[i] = std::abs(first[i] - second[i]);
         return apply_colour_map(differences, real.rows, real.columns, 0.0f, scale, "heat", shown);
     };
-    ReportFigure drops{title + ": ray drop",
-                       {{real_caption + ", white: dropped rays", draw_ray_drop_picture(real)}}};
-    if (const auto* of_surfels = find_channel_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
+    ReportFigure drops{title + ": ray drop", {{real_caption + ", white: dropped rays", draw_drop(real)}}};
+    if (const auto* of_surfels = find_values<float>(frame.rendered.channels, "surfel_drop_prob")) {
         RangeImage surfels = rendered;
         surfels.drop_prob = *of_surfels;
-        drops.images.emplace_back("drop probability of the surfels", draw_ray_drop_picture(surfels));
+        drops.images.emplace_back("drop probability of the surfels", draw_drop(surfels));
         drops.images.emplace_back("absolute error of the drop probability of the surfels",
                                   error(real.drop_prob, surfels.drop_prob, 1.0f, {}));
-        drops.images.emplace_back("rendered drop probability, corrected by the network",
-                                  draw_ray_drop_picture(rendered));
+        drops.images.emplace_back("rendered drop probability, corrected by the network", draw_drop(rendered));
     } else {
-        drops.images.emplace_back("rendered drop probability", draw_ray_drop_picture(rendered));
+        drops.images.emplace_back("rendered drop probability", draw_drop(rendered));
     }
     drops.images.emplace_back("absolute error of the drop probability, black: 0, white: 1",
                               error(real.drop_prob, rendered.drop_prob, 1.0f, {}));
     std::vector<ReportFigure> figures = {
         {title + ": range",
-         {{real_caption, draw_range_picture(real, max_range_m)},
-          {"rendered", draw_range_picture(rendered, max_range_m)},
+         {{real_caption, draw_range(real, max_range_m)},
+          {"rendered", draw_range(rendered, max_range_m)},
           {fmt::format("absolute error of rays that return in both scans, black: 0, white: {} m",
                        kRangeErrorScale_m),
            error(real.range_m, rendered.range_m, kRangeErrorScale_m, mask)}}}};
     if (has_intensities(real))
         figures.push_back(
             {title + ": intensity",
-             {{real_caption, draw_intensity_picture(real)},
-              {"rendered", draw_intensity_picture(rendered)},
+             {{real_caption, draw_intensity(real)},
+              {"rendered", draw_intensity(rendered)},
               {fmt::format("absolute error of rays that return in both scans, black: 0, white: {}",
                            kIntensityErrorScale),
                error(real.intensity, rendered.intensity, kIntensityErrorScale, mask)}}});
@@ -68,29 +66,27 @@ std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, cons
     return figures;
 }
 
-void write_comparison_pictures(const std::filesystem::path& folder, const ScoredFrame& frame,
-                               double max_range_m) {
-    // in the order of make_comparison_figures()
+void write_comparison(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
+    // in the order of comparison_figures()
     std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
-    const std::vector<ReportFigure> figures = make_comparison_figures(frame, "", "real", max_range_m);
+    const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
     for (std::size_t k = 0; k < figures.size(); ++k) {
         std::vector<Image> strip;
         for (const auto& [caption, image] : figures[k].images) strip.push_back(image);
         write_png(folder / fmt::format("{}_{:06}.png", names[k], frame.frame),
-                  stack_images_vertically(strip, compute_vertical_stretch_factor(frame.real)));
+                  stack_images(strip, stretch_factor(frame.real)));
     }
 }
 
-Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m) {
-    return stack_images_vertically(
-        {draw_range_picture(frame.real, max_range_m), draw_range_picture(frame.rendered.image, max_range_m)},
-        compute_vertical_stretch_factor(frame.real));
+Image draw_ranges(const ScoredFrame& frame, double max_range_m) {
+    return stack_images({draw_range(frame.real, max_range_m), draw_range(frame.rendered.image, max_range_m)},
+                        stretch_factor(frame.real));
 }
 
-Image draw_rays_as_coloured_dots(const RayTable& rays) {
-    constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
-    constexpr int kWidth = 1200, kDot = 2;
+Image draw_ray_pattern(const RayTable& rays) {
+    constexpr double kViewSector_rad = 20.0 * kPi / 180.0, kViewMargin_rad = 0.5 * kPi / 180.0;
+    constexpr int kPictureWidth_px = 1200, kDotSize_px = 2;
     std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.
     for (const glm::vec3& d : rays.direction)
         angle.emplace_back(std::atan2(double(d.y), double(d.x)),
@@ -101,20 +97,20 @@ Image draw_rays_as_coloured_dots(const RayTable& rays) {
         high = glm::max(high, a);
     }
     if (high.x - low.x > 1.9 * kPi) {
-        low.x = -kSector_rad;
-        high.x = kSector_rad;
+        low.x = -kViewSector_rad;
+        high.x = kViewSector_rad;
     }
-    low -= kMargin_rad;
-    high += kMargin_rad;
-    const double pixels_per_rad = kWidth / (high.x - low.x);
-    const int rows = std::clamp(static_cast<int>((high.y - low.y) * pixels_per_rad), 1, 8 * kWidth);
-    std::vector<float> seconds(std::size_t(rows) * kWidth, std::numeric_limits<float>::quiet_NaN());
+    low -= kViewMargin_rad;
+    high += kViewMargin_rad;
+    const double pixels_per_rad = kPictureWidth_px / (high.x - low.x);
+    const int rows = std::clamp(static_cast<int>((high.y - low.y) * pixels_per_rad), 1, 8 * kPictureWidth_px);
+    std::vector<float> seconds(std::size_t(rows) * kPictureWidth_px, std::numeric_limits<float>::quiet_NaN());
     for (std::size_t i = 0; i < angle.size(); ++i) {
         const int row = static_cast<int>((high.y - angle[i].y) * pixels_per_rad),
                   column = static_cast<int>((high.x - angle[i].x) * pixels_per_rad);
-        for (int y = std::max(row, 0); y < std::min(row + kDot, rows); ++y)
-            for (int x = std::max(column, 0); x < std::min(column + kDot, kWidth); ++x)
-                seconds[std::size_t(y) * kWidth + std::size_t(x)] = rays.time_offset_s[i];
+        for (int y = std::max(row, 0); y < std::min(row + kDotSize_px, rows); ++y)
+            for (int x = std::max(column, 0); x < std::min(column + kDotSize_px, kPictureWidth_px); ++x)
+                seconds[std::size_t(y) * kPictureWidth_px + std::size_t(x)] = rays.time_offset_s[i];
     }
     const auto drawn = [](float value) { return !std::isnan(value); };
     const auto first = std::ranges::find_if(seconds, drawn);
@@ -124,7 +120,7 @@ Image draw_rays_as_coloured_dots(const RayTable& rays) {
             earliest = std::min(earliest, value);
             latest = std::max(latest, value);
         }
-    return apply_colour_map(seconds, rows, kWidth, earliest,
+    return apply_colour_map(seconds, rows, kPictureWidth_px, earliest,
                             std::max(latest, std::nextafter(earliest, 1e30f)), "turbo");
 }
 

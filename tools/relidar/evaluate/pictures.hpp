@@ -9,7 +9,7 @@
 #include <relidar/score/report.hpp>
 
 namespace relidar {
-struct EvaluationResult;
+struct Evaluation;
 struct RayTable;
 struct ScoredFrame;
 }  // namespace relidar
@@ -17,18 +17,17 @@ struct ScoredFrame;
 namespace relidar::cli {
 
 /// Range, intensity (if the log has intensities) and ray-drop.
-std::vector<ReportFigure> make_comparison_figures(const ScoredFrame& frame, const std::string& title,
-                                                  const std::string& real_caption, double max_range_m);
+std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
+                                             const std::string& real_caption, double max_range_m);
 
 /// FOLDER/{range,intensity,drop}_000123.png: the real image, the rendered image and the
 /// error, from top to bottom. Without intensity if the log has none.
-void write_comparison_pictures(const std::filesystem::path& folder, const ScoredFrame& frame,
-                               double max_range_m);
+void write_comparison(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
 /// real above rendered
-Image draw_stacked_real_and_rendered_range(const ScoredFrame& frame, double max_range_m);
+Image draw_ranges(const ScoredFrame& frame, double max_range_m);
 
 /// The colour of a dot shows the firing time. Only 40 degrees ahead of a full turn.
-Image draw_rays_as_coloured_dots(const RayTable& rays);
+Image draw_ray_pattern(const RayTable& rays);
 
 }  // namespace relidar::cli

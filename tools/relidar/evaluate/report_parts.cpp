@@ -11,17 +11,16 @@
 
 namespace relidar::cli {
 
-ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, const Config& config,
-                                                    const std::string& title,
-                                                    const std::string& label_of_real_points_name) {
+ReportView make_3d_view(const ScoredFrame& frame, const Config& config, const std::string& title,
+                        const std::string& label_of_real_points_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
-    const std::vector<float>& range_m = select_point_ranges(frame.rendered, config);
+    const std::vector<float>& range_m = point_ranges(frame.rendered, config);
     FiringPoseInterpolator sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));
     ReportCloud measured{label_of_real_points_name, {}, {}, {}}, simulated{"simulated", {}, {}, {}};
     for (std::size_t i = 0; i < range_m.size(); ++i) {
         const bool has_real = real.range_m[i] > 0.0f,
                    has_simulated = is_ray_returned(rendered.drop_prob[i], range_m[i]);
-        const Pose& sensor_from_firing = sensor.compute_firing_pose(i);
+        const Pose& sensor_from_firing = sensor.pose_of(i);
         const float error_m = has_real && has_simulated ? range_m[i] - real.range_m[i]
                                                         : std::numeric_limits<float>::quiet_NaN();
         const auto add = [&](ReportCloud& cloud, const RangeImage& image, float range) {
@@ -36,7 +35,7 @@ ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, co
     return {title, {std::move(measured), std::move(simulated)}};
 }
 
-ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const std::string& title) {
+ReportBars error_by_range(const Evaluation& result, const std::string& title) {
     ReportBars bars{title,
                     "Each row: rays that return in the real scan, by the range error of the simulated ray. "
                     "Missed: the simulated ray does not return.",
@@ -45,8 +44,8 @@ ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const s
     constexpr auto& kEdges_m = RangeErrorCounts::kRangeEdges_m;
     for (std::size_t r = 0; r + 1 < kEdges_m.size(); ++r) {
         ReportBars::Row row{fmt::format("{} to {} m", kEdges_m[r], kEdges_m[r + 1]), 0.0,
-                            std::vector<double>(RangeErrorCounts::kBands)};
-        for (const ScoredFrame& frame : evaluation.frames)
+                            std::vector<double>(RangeErrorCounts::kErrorBins)};
+        for (const ScoredFrame& frame : result.frames)
             for (std::size_t band = 0; band < row.share.size(); ++band) {
                 row.count += frame.range_errors.rays[r][band];
                 row.share[band] += frame.range_errors.rays[r][band];
@@ -57,7 +56,7 @@ ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const s
     return bars;
 }
 
-std::vector<ReportKeyMetric> get_key_metrics() {
+std::vector<ReportKeyMetric> key_metrics() {
     return {
         {"points/depth_medae_m", "Typical range error, m",
          "median of the absolute error over rays that return in both scans; less is better"},
@@ -83,7 +82,7 @@ std::vector<ReportKeyMetric> get_key_metrics() {
          "peak signal-to-noise ratio as in the tables of LiDAR-RT, dropped rays as 0 m; more is better"}};
 }
 
-std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics) {
+std::string quality_sentence(const MetricValues& mean_metrics) {
     const auto error = mean_metrics.find("points/depth_medae_m"),
                drops = mean_metrics.find("strict/drop_accuracy");
     if (error == mean_metrics.end() || drops == mean_metrics.end()) return "";

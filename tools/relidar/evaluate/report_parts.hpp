@@ -10,23 +10,22 @@
 
 namespace relidar {
 struct Config;
-struct EvaluationResult;
+struct Evaluation;
 struct ScoredFrame;
 }  // namespace relidar
 
 namespace relidar::cli {
 
 /// Real and simulated points in the sensor frame at the time of the frame.
-ReportView make_3d_view_of_real_and_rendered_points(const ScoredFrame& frame, const Config& config,
-                                                    const std::string& title,
-                                                    const std::string& label_of_real_points);
+ReportView make_3d_view(const ScoredFrame& frame, const Config& config, const std::string& title,
+                        const std::string& label_of_real_points);
 
 /// shares of rays with small and large errors, by intervals of the real range
-ReportBars make_error_by_range_chart(const EvaluationResult& evaluation, const std::string& title);
+ReportBars error_by_range(const Evaluation& result, const std::string& title);
 
-std::vector<ReportKeyMetric> get_key_metrics();
+std::vector<ReportKeyMetric> key_metrics();
 
 /// Empty if the metrics are missing.
-std::string make_sentence_about_mean_quality(const MetricValues& mean_metrics);
+std::string quality_sentence(const MetricValues& mean_metrics);
 
 }  // namespace relidar::cli

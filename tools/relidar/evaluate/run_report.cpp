@@ -13,11 +13,11 @@
 namespace relidar::cli {
 namespace {
 
-std::string format_frame_count(std::size_t count) {
+std::string count_frames(std::size_t count) {
     return fmt::format("{} frame{}", count, count == 1 ? "" : "s");
 }
 
-std::vector<ReportCurve> make_curves_of_loss_terms(const TrainResult& result) {
+std::vector<ReportCurve> loss_curves(const TrainResult& result) {
     std::vector<ReportCurve> curves{{"loss/total", {}, {}}};
     for (const char* name : kLossTermNames) curves.push_back({std::string("loss/") + name, {}, {}});
     std::vector<bool> used(curves.size(), false);
@@ -38,69 +38,69 @@ std::vector<ReportCurve> make_curves_of_loss_terms(const TrainResult& result) {
 
 }  // namespace
 
-Report make_training_report(const TrainedRun& run, const TrainResult& result, const Device& device,
-                            const std::string& command_line) {
+Report training_report(const Run& run, const TrainResult& result, const Device& device,
+                       const std::string& args) {
     const int done = result.log.empty() ? 0 : result.log.back().iteration;
     const SpinningSensor& sensor = run.sequence.lidars[0].sensor;
     Report report;
     report.title = "relidar: " + run.sequence.name;
     report.summary = fmt::format("{} of a {} x {} LiDAR became {} surfels in {} of training.",
-                                 format_frame_count(run.split.train.size()), sensor.beams.size(),
-                                 sensor.columns, count_surfels(run.scene), format_duration(result.train_s));
-    report.facts = {
-        {"Command", command_line},
-        {"Log", run.sequence.source},
-        {"Preset", run.config.preset},
-        {"Image", run.config.sensor.grid == "native"
-                      ? "native"
-                      : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
-        {"Range", run.config.render.range},
-        {"Surfels", fmt::format("{}", count_surfels(run.scene))},
-        {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
-        {"Initialisation", format_duration(result.initialise_s)},
-        {"Training", fmt::format("{} ({:.2f} iterations/s)", format_duration(result.train_s),
-                                 result.train_s > 0.0 ? done / result.train_s : 0.0)},
-        {"Device", device.info().name},
-        {"Driver", device.info().driver},
-        {"Traversal",
-         device.get_ray_tracing_backend() == RayTracingBackend::software ? "software" : "ray query"},
-        {"Peak device memory", format_byte_size(result.peak_device_bytes)},
-        {"relidar", RELIDAR_VERSION}};
-    if (const std::vector<BoxTrack> masked =
-            find_boxes_without_model(run.scene, run.sequence, run.config.init);
+                                 count_frames(run.split.train.size()), sensor.beams.size(), sensor.columns,
+                                 count_surfels(run.scene), format_duration(result.train_s));
+    report.facts = {{"Command", args},
+                    {"Log", run.sequence.source},
+                    {"Preset", run.config.preset},
+                    {"Image", run.config.sensor.grid == "native"
+                                  ? "native"
+                                  : run.config.sensor.grid + ", " + run.config.sensor.grid_method},
+                    {"Range", run.config.render.range},
+                    {"Surfels", fmt::format("{}", count_surfels(run.scene))},
+                    {"Iterations", fmt::format("{} of {}", done, run.config.train.iterations)},
+                    {"Initialisation", format_duration(result.initialise_s)},
+                    {"Training", fmt::format("{} ({:.2f} iterations/s)", format_duration(result.train_s),
+                                             result.train_s > 0.0 ? done / result.train_s : 0.0)},
+                    {"Device", device.info().name},
+                    {"Driver", device.info().driver},
+                    {"Traversal", device.backend() == RayTracingBackend::software ? "software" : "ray query"},
+                    {"Peak device memory", format_bytes(result.peak_device_bytes)},
+                    {"relidar", RELIDAR_VERSION}};
+    if (const std::vector<BoxTrack> masked = find_unmodelled(run.scene, run.sequence, run.config.init);
         !masked.empty())
         report.facts.emplace_back("Moving objects that are not trained", format_box_list(masked));
-    report.curves = make_curves_of_loss_terms(result);
-    if (const MetricValues times = compute_mean_kernel_ms(result.times); !times.empty())
+    report.curves = loss_curves(result);
+    if (const MetricValues times = mean_kernel_ms(result.times); !times.empty())
         report.timings_ms.emplace_back("Training: mean time of one kernel launch", times);
     return report;
 }
 
-Report make_evaluation_report(const TrainedRun& run, const EvaluationResult& evaluation, const Device& device,
-                              const std::string& command_line) {
+Report evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
+                         const std::string& args) {
     Report report;
     report.title = "relidar: " + run.sequence.name + ", scored";
     report.summary = fmt::format("A scene of {} surfels, rendered in {:.2f} s per frame.",
                                  count_surfels(run.scene), evaluation.trace_ms / 1000.0);
-    report.facts = {{"Command", command_line},        {"Run", run.folder.string()},
-                    {"Log", run.sequence.source},     {"Device", device.info().name},
-                    {"Driver", device.info().driver}, {"relidar", RELIDAR_VERSION}};
-    add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
+    report.facts = {{"Command", args},
+                    {"Run", run.folder.string()},
+                    {"Log", run.sequence.source},
+                    {"Device", device.info().name},
+                    {"Driver", device.info().driver},
+                    {"relidar", RELIDAR_VERSION}};
+    add_evaluation(report, evaluation, run, {"held out", "real"});
     return report;
 }
 
-void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
-                              const EvaluationLabels& labels) {
+void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
+                    const EvaluationLabels& labels) {
     if (evaluation.frames.empty()) return;
-    if (const std::string good = make_sentence_about_mean_quality(evaluation.mean);
+    if (const std::string good = quality_sentence(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
         report.summary += fmt::format("; on {} that did not train the scene, {}.",
-                                      format_frame_count(evaluation.frames.size()), good);
+                                      count_frames(evaluation.frames.size()), good);
     }
-    report.key_metrics = get_key_metrics();
-    report.metrics.emplace_back(
-        fmt::format("{} ({})", labels.column, format_frame_count(evaluation.frames.size())), evaluation.mean);
+    report.key_metrics = key_metrics();
+    report.metrics.emplace_back(fmt::format("{} ({})", labels.column, count_frames(evaluation.frames.size())),
+                                evaluation.mean);
     report.facts.emplace_back(fmt::format("Rendering, {}", labels.column),
                               fmt::format("{:.1f} ms per frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
@@ -109,18 +109,15 @@ void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation
             evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, labels.column);
-    report.views.push_back(
-        make_3d_view_of_real_and_rendered_points(shown, run.config, name + ": points", labels.real));
-    report.bars.push_back(
-        make_error_by_range_chart(evaluation, fmt::format("Errors by range, {}", labels.column)));
+    report.views.push_back(make_3d_view(shown, run.config, name + ": points", labels.real));
+    report.bars.push_back(error_by_range(evaluation, fmt::format("Errors by range, {}", labels.column)));
     report.tables.push_back(
         {fmt::format("Moving objects, {}", labels.column),
          "Points of all frames in each moving box. The box with the highest share of errors above 0.3 m is "
          "first. Bias: median of simulated minus real ranges. F1: agreement on which rays return from the "
          "box, 1 is best. Trail points: points at places that the object occupies only at other times.",
-         make_worst_actor_table_rows(evaluation)});
-    for (ReportFigure& figure :
-         make_comparison_figures(shown, name, labels.real, run.config.dataset.max_range_m))
+         worst_actor_rows(evaluation)});
+    for (ReportFigure& figure : comparison_figures(shown, name, labels.real, run.config.dataset.max_range_m))
         report.figures.push_back(std::move(figure));
 }
 

@@ -7,28 +7,28 @@
 #include <relidar/score/report.hpp>
 
 namespace relidar {
-struct TrainedRun;
+struct Run;
 struct TrainResult;
 class Device;
-struct EvaluationResult;
+struct Evaluation;
 }  // namespace relidar
 
 namespace relidar::cli {
 
 /// Facts, loss curves and kernel times, without scores.
-Report make_training_report(const TrainedRun& run, const TrainResult& result, const Device& device,
-                            const std::string& command_line);
+Report training_report(const Run& run, const TrainResult& result, const Device& device,
+                       const std::string& args);
 
 struct EvaluationLabels {
     std::string column;  ///< Title of the column in the metric table, such as "held out".
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
 /// The first call also extends the summary of the report.
-void add_evaluation_to_report(Report& report, const EvaluationResult& evaluation, const TrainedRun& run,
-                              const EvaluationLabels& labels);
+void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
+                    const EvaluationLabels& labels);
 
 /// Without facts about the training.
-Report make_evaluation_report(const TrainedRun& run, const EvaluationResult& evaluation, const Device& device,
-                              const std::string& command_line);
+Report evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
+                         const std::string& args);
 
 }  // namespace relidar::cli

@@ -38,7 +38,7 @@ ScoredRun read_run_scores(const std::string& run_path) {
         fail("{} is not a run folder; expected a folder that `relidar train` has written", run_path);
     ScoredRun run;
     run.name = run_path.substr(0, run_path.find_last_not_of('/') + 1);
-    if (const std::vector<TrainProgress> log = read_training_log_file(folder); !log.empty())
+    if (const std::vector<TrainProgress> log = read_log(folder); !log.empty())
         run.training_s = log.back().seconds;
     std::ifstream file(folder / "metrics.json", std::ios::binary);
     const nlohmann::json json = nlohmann::json::parse(file, nullptr, false);
@@ -51,7 +51,7 @@ ScoredRun read_run_scores(const std::string& run_path) {
     return run;
 }
 
-std::vector<MetricValues> collect_mean_metrics(const std::vector<ScoredRun>& runs) {
+std::vector<MetricValues> mean_metrics_of(const std::vector<ScoredRun>& runs) {
     std::vector<MetricValues> rows;
     for (const ScoredRun& run : runs)
         if (!run.mean.empty()) rows.push_back(run.mean);
@@ -60,7 +60,7 @@ std::vector<MetricValues> collect_mean_metrics(const std::vector<ScoredRun>& run
 
 /// For example "grid, range". The table warns about them, because scores of different
 /// protocols are not comparable.
-std::string list_differing_protocol_keys(const std::vector<ScoredRun>& runs) {
+std::string differing_keys(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
     for (const ScoredRun& run : runs) {
@@ -72,8 +72,8 @@ std::string list_differing_protocol_keys(const std::vector<ScoredRun>& runs) {
     return fmt::format("{}", fmt::join(keys, ", "));
 }
 
-std::string format_warning_if_protocols_differ(const std::vector<ScoredRun>& runs) {
-    const std::string keys = list_differing_protocol_keys(runs);
+std::string protocol_warning(const std::vector<ScoredRun>& runs) {
+    const std::string keys = differing_keys(runs);
     return keys.empty()
                ? ""
                : fmt::format(
@@ -81,39 +81,39 @@ std::string format_warning_if_protocols_differ(const std::vector<ScoredRun>& run
                      keys);
 }
 
-std::string format_markdown_table_row(const TextCells& cells) {
+std::string markdown_row(const TextCells& cells) {
     std::string line = "|";
     for (std::string cell : cells) {
         for (std::size_t at = 0; (at = cell.find('|', at)) != std::string::npos; at += 2)
             cell.insert(at, "\\");
-        line += " " + replace_control_characters(cell) + " |";
+        line += " " + make_one_line(cell) + " |";
     }
     return line + "\n";
 }
 
-std::string format_markdown_score_table(const std::vector<ScoredRun>& runs) {
-    const std::vector<MetricValues> rows = collect_mean_metrics(runs);
-    const MetricValues mean_row = compute_mean_metrics(rows);
+std::string markdown_table(const std::vector<ScoredRun>& runs) {
+    const std::vector<MetricValues> rows = mean_metrics_of(runs);
+    const MetricValues mean_row = mean_metrics(rows);
     std::vector<std::string> metrics;  // key metrics for which at least one run has a value
-    for (const ReportKeyMetric& key : get_key_metrics())
+    for (const ReportKeyMetric& key : key_metrics())
         if (mean_row.contains(key.metric)) metrics.push_back(key.metric);
     const auto line = [&](TextCells cells, const MetricValues& values) {
         for (const std::string& name : metrics)
-            cells.push_back(values.contains(name) ? format_four_significant_digits(values.at(name)) : "-");
-        return format_markdown_table_row(cells);
+            cells.push_back(values.contains(name) ? format_number(values.at(name)) : "-");
+        return markdown_row(cells);
     };
     TextCells head{"run", "log", "held-out frames", "training s"}, rule{"---", "---", "--:", "--:"};
     head.insert(head.end(), metrics.begin(), metrics.end());
     rule.resize(head.size(), "--:");
-    std::string text = format_markdown_table_row(head) + format_markdown_table_row(rule);
+    std::string text = markdown_row(head) + markdown_row(rule);
     for (const ScoredRun& run : runs)
-        text += run.mean.empty()
-                    ? line({run.name, "no scores", "-", format_four_significant_digits(run.training_s)}, {})
-                    : line({run.name, run.log, fmt::format("{}", run.n_frames),
-                            format_four_significant_digits(run.training_s)},
-                           run.mean);
+        text +=
+            run.mean.empty()
+                ? line({run.name, "no scores", "-", format_number(run.training_s)}, {})
+                : line({run.name, run.log, fmt::format("{}", run.n_frames), format_number(run.training_s)},
+                       run.mean);
     if (rows.size() > 1) text += line({fmt::format("mean of {} runs", rows.size()), "", "", ""}, mean_row);
-    const std::string note = format_warning_if_protocols_differ(runs);
+    const std::string note = protocol_warning(runs);
     return note.empty() ? text : text + "\n" + note + "\n";
 }
 
@@ -123,8 +123,8 @@ std::string quote_csv_text(const std::string& text) {
     return quoted + "\"";
 }
 
-std::string format_csv_score_table(const std::vector<ScoredRun>& runs) {
-    const MetricValues metrics = compute_mean_metrics(collect_mean_metrics(runs));
+std::string csv_table(const std::vector<ScoredRun>& runs) {
+    const MetricValues metrics = mean_metrics(mean_metrics_of(runs));
     std::string text = "run,log,frames,training_s";
     for (const auto& [name, value] : metrics) text += "," + name;
     text += "\n";
@@ -138,13 +138,13 @@ std::string format_csv_score_table(const std::vector<ScoredRun>& runs) {
     return text;
 }
 
-void write_html_score_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
-    const std::vector<MetricValues> rows = collect_mean_metrics(runs);
+void write_html(const fs::path& file, const std::vector<ScoredRun>& runs) {
+    const std::vector<MetricValues> rows = mean_metrics_of(runs);
     Report report;
     report.title = fmt::format("relidar: scores of {} runs", runs.size());
-    report.summary = fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(),
-                                 format_warning_if_protocols_differ(runs));
-    report.key_metrics = get_key_metrics();
+    report.summary =
+        fmt::format("{} of {} runs have scores. {}", rows.size(), runs.size(), protocol_warning(runs));
+    report.key_metrics = key_metrics();
     std::set<std::string> logs;
     for (const ScoredRun& run : runs) {
         report.facts.emplace_back(
@@ -155,26 +155,25 @@ void write_html_score_page(const fs::path& file, const std::vector<ScoredRun>& r
         logs.insert(fmt::format("{} {}", run.log, run.n_frames));
         report.metrics.emplace_back(run.name, run.mean);
     }
-    report.same_scans = logs.size() < 2 && list_differing_protocol_keys(runs).empty();
-    if (rows.size() > 1) report.metrics.emplace_back("mean", compute_mean_metrics(rows));
+    report.same_scans = logs.size() < 2 && differing_keys(runs).empty();
+    if (rows.size() > 1) report.metrics.emplace_back("mean", mean_metrics(rows));
     write_report(file, report);
 }
 
 /// @throws DataError naming the run
-void require_scores_in_all_runs(const std::vector<ScoredRun>& runs) {
+void check_scores(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });
     if (missing == runs.end()) return;
     fail(
         "{} of {} runs have no scores in their metrics.json, for example {}; `relidar eval {}` computes them",
-        runs.size() - collect_mean_metrics(runs).size(), runs.size(), missing->name,
-        quote_word_for_shell(missing->name));
+        runs.size() - mean_metrics_of(runs).size(), runs.size(), missing->name,
+        quote_for_shell(missing->name));
 }
 
 }  // namespace
 
-void write_score_tables(const std::vector<std::string>& run_folders,
-                        const std::vector<std::string>& output_files) {
+void write_tables(const std::vector<std::string>& run_folders, const std::vector<std::string>& output_files) {
     for (const fs::path file : output_files)
         if (file.extension() != ".md" && file.extension() != ".csv" && file.extension() != ".html")
             fail<UsageError>("--table: found {}; expected a file name that ends in .md, .csv or .html",
@@ -182,12 +181,10 @@ void write_score_tables(const std::vector<std::string>& run_folders,
     std::vector<ScoredRun> scored;
     for (const std::string& run : run_folders) scored.push_back(read_run_scores(run));
     for (const fs::path file : output_files) {
-        if (file.extension() == ".html") write_html_score_page(file, scored);
-        else
-            write_text_file(file, file.extension() == ".md" ? format_markdown_score_table(scored)
-                                                            : format_csv_score_table(scored));
+        if (file.extension() == ".html") write_html(file, scored);
+        else write_text_file(file, file.extension() == ".md" ? markdown_table(scored) : csv_table(scored));
     }
-    require_scores_in_all_runs(scored);
+    check_scores(scored);
 }
 
 }  // namespace relidar::cli

@@ -11,7 +11,6 @@ namespace relidar::cli {
 /// metrics, and FILE.html both as a web page
 /// @throws UsageError if a file has another extension
 /// @throws DataError if a folder contains no run, or a run has no scores
-void write_score_tables(const std::vector<std::string>& run_folders,
-                        const std::vector<std::string>& output_files);
+void write_tables(const std::vector<std::string>& run_folders, const std::vector<std::string>& output_files);
 
 }  // namespace relidar::cli

@@ -15,8 +15,8 @@
 namespace relidar::cli {
 namespace {
 
-std::string get_name_of_best_backend(const DeviceInfo& device_info) {
-    switch (choose_best_ray_tracing_backend(device_info)) {
+std::string backend_name(const DeviceInfo& device_info) {
+    switch (best_backend(device_info)) {
         case RayTracingBackend::ray_query:
             return "ray_query";
         case RayTracingBackend::software:
@@ -26,7 +26,7 @@ std::string get_name_of_best_backend(const DeviceInfo& device_info) {
     }
 }
 
-void print_devices_json(const std::vector<DeviceInfo>& devices) {
+void print_json(const std::vector<DeviceInfo>& devices) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const DeviceInfo& d : devices) {
         json.push_back({{"index", d.index},
@@ -43,20 +43,19 @@ void print_devices_json(const std::vector<DeviceInfo>& devices) {
                         {"timestamps", d.timestamps},
                         {"usable", d.why_not_usable.empty()},
                         {"why_not_usable", d.why_not_usable},
-                        {"traversal", get_name_of_best_backend(d)}});
+                        {"traversal", backend_name(d)}});
     }
     print(json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n");
 }
 
-void print_device_table(const std::vector<DeviceInfo>& devices) {
+void print_table(const std::vector<DeviceInfo>& devices) {
     std::vector<std::vector<std::string>> rows{{"device", "name", "type", "Vulkan", "memory", "ray query",
                                                 "software", "float atomics", "traversal"}};
     std::string notes;
     for (const DeviceInfo& d : devices) {
         rows.push_back({fmt::format("{}", d.index), d.name, d.type, d.api_version,
-                        format_byte_size(d.memory_bytes), d.ray_query ? "yes" : "no",
-                        d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
-                        get_name_of_best_backend(d)});
+                        format_bytes(d.memory_bytes), d.ray_query ? "yes" : "no", d.software ? "yes" : "no",
+                        d.float_atomics ? "yes" : "no", backend_name(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
         if (!d.why_not_usable.empty())
             notes += fmt::format("\n   relidar cannot use this device: missing {}", d.why_not_usable);
@@ -73,7 +72,7 @@ void print_device_table(const std::vector<DeviceInfo>& devices) {
 
 }  // namespace
 
-void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_command) {
+void add_list_devices(CLI::App& list_command, ParsedCommand& selected_command) {
     CLI::App* command = list_command.add_subcommand(
         "devices", "list all Vulkan devices, their features and the traversal that relidar would use");
     const auto json = std::make_shared<bool>(false);
@@ -89,9 +88,9 @@ void add_list_devices_command(CLI::App& list_command, ParsedCommand& selected_co
                 throw DeviceError(
                     "found no Vulkan device on this machine; expected at least one; tools/dev/setup installs "
                     "a driver that renders on the CPU");
-            *json ? print_devices_json(devices) : print_device_table(devices);
-            if (apply_environment_variables().report_missing_drivers)
-                for (const std::string& line : list_gpus_without_driver(devices)) print_warning(line);
+            *json ? print_json(devices) : print_table(devices);
+            if (apply_environment().report_missing_drivers)
+                for (const std::string& line : find_driverless(devices)) print_warning(line);
         };
     });
 }

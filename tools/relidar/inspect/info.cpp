@@ -28,45 +28,44 @@ struct InfoOptions {
 
 void print_run_info(const InfoOptions& options) {
     const RunSummary summary = summarise(load_run(options.path));
-    print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
+    print(options.json ? format_as_json(summary) : format_as_text(summary));
 }
 
 /// For a run that has not saved a scene yet.
-void print_unfinished_run_info(const std::filesystem::path& folder) {
-    const Config config = load_saved_config(folder / "config.toml");
+void print_unfinished(const std::filesystem::path& folder) {
+    const Config config = load_settings(folder / "config.toml");
     print(fmt::format("{}: {}, at iteration {} of {}; it has no saved scene yet; its log is {}\n",
                       folder.string(),
-                      FolderLock::is_folder_locked(folder) ? "a run that is being trained"
-                                                           : "a run whose training was interrupted",
-                      read_last_logged_iteration(folder), config.train.iterations, config.dataset.path));
-    if (!FolderLock::is_folder_locked(folder))
-        print(
-            fmt::format("continue with: relidar train --resume {}\n", quote_word_for_shell(folder.string())));
+                      FolderLock::is_locked(folder) ? "a run that is being trained"
+                                                    : "a run whose training was interrupted",
+                      last_iteration(folder), config.train.iterations, config.dataset.path));
+    if (!FolderLock::is_locked(folder))
+        print(fmt::format("continue with: relidar train --resume {}\n", quote_for_shell(folder.string())));
 }
 
 void print_log_info(const InfoOptions& options) {
     // A bag of one hour has 36,000 scans.
     constexpr std::size_t kMostScans = 64;
-    Config config = make_config_from_settings(options.settings);
+    Config config = make_config(options.settings);
     config.dataset.path = options.path;
-    apply_log_selection_to_config(config, options.part);
+    apply_selection(config, options.part);
     LogSummary summary =
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long = std::ranges::any_of(
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
     // Some readers read all scans even if fewer are requested.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
-    print(options.json ? format_summary_as_json(summary) : format_summary_as_text(summary));
+    print(options.json ? format_as_json(summary) : format_as_text(summary));
 }
 
 }  // namespace
 
-void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_info(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("info", "print a summary of a log or a run");
     const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
-    add_frames_and_sequence_options(*command, options->part);
-    add_setting_override_option(*command, options->settings.sets);
+    add_log_options(*command, options->part);
+    add_set_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
     command->add_flag(
         "--all", options->all,
@@ -78,17 +77,17 @@ void add_info_command(CLI::App& app, ParsedCommand& selected_command) {
     command->callback([&selected_command, options] {
         selected_command.run = [options] {
             const bool is_of_run = is_run_folder(options->path) || contains_run(options->path);
-            require_settings_used_by_command(
-                options->settings.sets,
-                is_of_run ? std::vector<std::string>{}
-                          : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
-                is_of_run ? "info RUN" : "info");
+            check_settings_used(options->settings.sets,
+                                is_of_run
+                                    ? std::vector<std::string>{}
+                                    : std::vector<std::string>{"dataset.", "sensor.rolling_shutter", "init."},
+                                is_of_run ? "info RUN" : "info");
             if (is_of_run &&
                 (options->all || !options->part.frames.empty() || !options->part.sequence.empty()))
                 fail<UsageError>("--frames, --sequence and --all can only be used with a log; {} is a run",
                                  options->path);
             if (is_run_folder(options->path)) print_run_info(*options);
-            else if (contains_run(options->path)) print_unfinished_run_info(options->path);
+            else if (contains_run(options->path)) print_unfinished(options->path);
             else print_log_info(*options);
         };
     });

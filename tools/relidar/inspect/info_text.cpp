@@ -17,16 +17,16 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-double compute_path_length_m(const PoseTrack& track) {
+double path_length_m(const PoseTrack& track) {
     double length = 0.0;
     for (std::size_t i = 1; i < track.pose.size(); ++i)
         length += glm::length(track.pose[i].translation - track.pose[i - 1].translation);
     return length;
 }
 
-std::optional<double> compute_fraction_of_rays_with_return(const LidarSequence& sequence) {
+std::optional<double> return_share(const Log& sequence) {
     std::size_t n_returns = 0, n_rays = 0;
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         n_returns += frame.scan.count_returns();
         n_rays += frame.scan.range_m.size();
     }
@@ -34,13 +34,13 @@ std::optional<double> compute_fraction_of_rays_with_return(const LidarSequence& 
     return static_cast<double>(n_returns) / static_cast<double>(n_rays);
 }
 
-std::string format_name_value_line(const std::string& value_name, const std::string& value) {
+std::string format_line(const std::string& value_name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", value_name, value);
 }
 
 /// Names boxes with guessed sizes, and boxes that were also found before or after their
 /// labels.
-std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
+std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
         if (!b.size_guess.empty()) guesses.push_back(b.id);
@@ -59,7 +59,7 @@ std::string format_box_notes(const std::vector<BoxSummary>& boxes) {
     return text;
 }
 
-std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_instance_columns) {
+std::string box_table(const std::vector<BoxSummary>& boxes, bool show_instance_columns) {
     if (boxes.empty()) return "";
     std::vector<std::vector<std::string>> rows{{"track", "class", "length", "width", "height", "frames",
                                                 "path length", "mean speed", "start x,y,z,yaw_deg"}};
@@ -78,10 +78,10 @@ std::string format_box_table(const std::vector<BoxSummary>& boxes, bool show_ins
             rows.back().insert(rows.back().end(), {b.instance ? fmt::format("{}", *b.instance) : "-",
                                                    b.instance ? fmt::format("{}", b.n_surfels) : "-"});
     }
-    return "\n" + format_table(rows) + format_box_notes(boxes);
+    return "\n" + format_table(rows) + box_notes(boxes);
 }
 
-Json make_summary_json(const BoxSummary& box) {
+Json summary_json(const BoxSummary& box) {
     Json json = {{"id", box.id},
                  {"category", box.category},
                  {"size_m", {box.size_m.x, box.size_m.y, box.size_m.z}},
@@ -101,7 +101,7 @@ Json make_summary_json(const BoxSummary& box) {
     return json;
 }
 
-Json make_summary_json(const LidarSummary& summary) {
+Json summary_json(const LidarSummary& summary) {
     return {{"name", summary.name},         {"sensor", summary.sensor},
             {"rows", summary.n_beams},      {"columns", summary.columns},
             {"top_deg", summary.top_deg},   {"bottom_deg", summary.bottom_deg},
@@ -109,11 +109,11 @@ Json make_summary_json(const LidarSummary& summary) {
             {"frames", summary.n_frames},   {"second_returns", summary.n_second_returns}};
 }
 
-Json make_summary_json(const LogSummary& summary) {
+Json summary_json(const LogSummary& summary) {
     Json boxes = Json::array();
-    for (const BoxSummary& b : summary.boxes) boxes.push_back(make_summary_json(b));
+    for (const BoxSummary& b : summary.boxes) boxes.push_back(summary_json(b));
     Json lidars = Json::array();
-    for (const LidarSummary& l : summary.lidars) lidars.push_back(make_summary_json(l));
+    for (const LidarSummary& l : summary.lidars) lidars.push_back(summary_json(l));
     Json json = {{"name", summary.name},
                  {"source", summary.source},
                  {"conventions", summary.conventions},
@@ -139,20 +139,20 @@ std::string dump_json(const Json& json) {
     return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-BoxSummary summarise(const LidarSequence& sequence, const BoxTrack& box) {
+BoxSummary summarise(const Log& sequence, const BoxTrack& box) {
     BoxSummary summary;
     summary.id = box.id;
     summary.category = box.category;
     summary.size_m = box.size_m;
     summary.size_guess = box.size_guess;
     summary.n_unlabelled_frames = box.n_before + box.n_after;
-    for (const LidarFrame& frame : sequence.frames) {
-        if (!box.is_observed_at_time(frame.time_s)) continue;
+    for (const Frame& frame : sequence.frames) {
+        if (!box.is_observed(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;
         summary.last_frame = frame.index;
     }
     const PoseTrack& track = box.world_from_box;
-    summary.path_m = compute_path_length_m(track);
+    summary.path_m = path_length_m(track);
     if (track.pose.empty()) return summary;
     const double seconds = track.time_s.back() - track.time_s.front();
     summary.mean_speed_mps = seconds > 0.0 ? summary.path_m / seconds : 0.0;
@@ -163,7 +163,7 @@ BoxSummary summarise(const LidarSequence& sequence, const BoxTrack& box) {
     return summary;
 }
 
-LidarSummary summarise(const LidarSequence& sequence, int lidar_index) {
+LidarSummary summarise(const Log& sequence, int lidar_index) {
     const Lidar& lidar = sequence.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = lidar.sensor;
     LidarSummary l{lidar.name,
@@ -185,15 +185,15 @@ LidarSummary summarise(const LidarSequence& sequence, int lidar_index) {
         l.top_deg = high->elevation_rad * 180.0 / kPi;
     }
     if (lidar.pattern) {  // A sensor that does not spin has no beam table, so its nominal rays are used.
-        const RayTable rays = make_nominal_rays(lidar, 0.0);
+        const RayTable rays = make_lidar_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows);
         l.columns = rays.columns;
-        l.period_s = lidar.get_sweep_period_s();
+        l.period_s = lidar.sweep_period_s();
         l.bottom_deg = std::asin(double(lowest.z)) * 180.0 / kPi;
         l.top_deg = std::asin(double(highest.z)) * 180.0 / kPi;
     }
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         if (frame.lidar != lidar_index) continue;
         ++l.n_frames;
         for (const AdditionalReturns& f : frame.scan.second_returns)
@@ -203,7 +203,7 @@ LidarSummary summarise(const LidarSequence& sequence, int lidar_index) {
     return l;
 }
 
-std::string format_summary_text(const LidarSummary& summary) {
+std::string summary_text(const LidarSummary& summary) {
     const std::string name =
         summary.name.empty() ? "" : fmt::format("{}, {} frames, ", summary.name, summary.n_frames);
     const std::string second =
@@ -217,19 +217,18 @@ std::string format_summary_text(const LidarSummary& summary) {
         summary.period_s, summary.max_range_m, second);
 }
 
-std::string format_summary_text(const LogSummary& summary, bool show_instance_columns) {
-    std::string text = format_name_value_line("log", summary.name) +
-                       format_name_value_line("source", summary.source) +
-                       format_name_value_line("conventions", summary.conventions);
-    for (const std::string& note : summary.notes) text += format_name_value_line("note", note);
+std::string summary_text(const LogSummary& summary, bool show_instance_columns) {
+    std::string text = format_line("log", summary.name) + format_line("source", summary.source) +
+                       format_line("conventions", summary.conventions);
+    for (const std::string& note : summary.notes) text += format_line("note", note);
     const char* shutter = summary.rolling_shutter ? ", rolling shutter" : ", no rolling shutter";
     for (const LidarSummary& lidar : summary.lidars)
-        text += format_name_value_line("sensor", format_summary_text(lidar) + shutter);
-    text += format_name_value_line(
+        text += format_line("sensor", summary_text(lidar) + shutter);
+    text += format_line(
         "frames", fmt::format("{} ({} to {}), {:.1f} s, {:.1f} m driven", summary.n_frames,
                               summary.first_frame, summary.last_frame, summary.seconds, summary.path_m));
     if (summary.returns_share)
-        text += format_name_value_line(
+        text += format_line(
             "returns",
             fmt::format("{:.1f} % of all rays return{}", 100.0 * *summary.returns_share,
                         summary.is_look
@@ -237,16 +236,16 @@ std::string format_summary_text(const LogSummary& summary, bool show_instance_co
                                           summary.n_scans_read)
                             : ""));
     const auto n_moving = std::ranges::count_if(summary.boxes, &BoxSummary::moves);
-    text += format_name_value_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(),
-                                                        n_moving, std::ssize(summary.boxes) - n_moving));
+    text += format_line("boxes", fmt::format("{}: {} moving, {} parked", summary.boxes.size(), n_moving,
+                                             std::ssize(summary.boxes) - n_moving));
     if (!summary.masked.empty())
-        text += format_name_value_line("masked", summary.masked + ": these moving objects are not trained");
-    return text + format_box_table(summary.boxes, show_instance_columns);
+        text += format_line("masked", summary.masked + ": these moving objects are not trained");
+    return text + box_table(summary.boxes, show_instance_columns);
 }
 
 }  // namespace
 
-LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOptions& options) {
+LogSummary summarise(const Log& sequence, const InitOptions& options) {
     LogSummary log;
     log.name = sequence.name;
     log.source = sequence.source;
@@ -261,16 +260,16 @@ LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOpt
         log.last_frame = sequence.frames.back().index;
         log.seconds = sequence.frames.back().time_s - sequence.frames.front().time_s;
     }
-    log.path_m = compute_path_length_m(sequence.world_from_vehicle);
-    log.returns_share = compute_fraction_of_rays_with_return(sequence);
-    log.n_scans_read = std::size_t(std::ranges::count_if(
-        sequence.frames, [](const LidarFrame& f) { return f.scan.range_m.size() > 0; }));
+    log.path_m = path_length_m(sequence.world_from_vehicle);
+    log.returns_share = return_share(sequence);
+    log.n_scans_read = std::size_t(
+        std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
-    log.masked = format_box_list(find_moving_boxes_not_selected_as_actors(sequence, options));
+    log.masked = format_box_list(find_unselected(sequence, options));
     return log;
 }
 
-RunSummary summarise(const TrainedRun& run) {
+RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
     if (!run.refined_poses.empty() && run.refined_poses != "none")
@@ -280,11 +279,9 @@ RunSummary summarise(const TrainedRun& run) {
             run.refined_poses));
     // Actors that edits removed are not ignored boxes.
     summary.log.masked =
-        run.edits.empty()
-            ? format_box_list(find_boxes_without_model(run.scene, run.sequence, run.config.init))
-            : "";
+        run.edits.empty() ? format_box_list(find_unmodelled(run.scene, run.sequence, run.config.init)) : "";
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i) {
-        const SimulatedSensor sensor = make_sensor_from_config(run.config, run.sequence, int(i));
+        const SimulatedSensor sensor = make_sensor(run.config, run.sequence, int(i));
         summary.rendered_sensors.push_back({sensor.name, sensor.grid ? sensor.grid->rows : sensor.rays.rows,
                                             sensor.grid ? sensor.grid->columns : sensor.rays.columns,
                                             sensor.limits.max_m});
@@ -318,59 +315,52 @@ RunSummary summarise(const TrainedRun& run) {
     return summary;
 }
 
-std::string format_summary_as_text(const LogSummary& log) { return format_summary_text(log, false); }
+std::string format_as_text(const LogSummary& log) { return summary_text(log, false); }
 
-std::string format_summary_as_text(const RunSummary& run) {
-    const std::string other = run.primitive == ImageFormationModel{}.primitive
-                                  ? ""
-                                  : fmt::format(" {}", get_primitive_properties(run.primitive).label);
-    std::string text = format_name_value_line("surfels", fmt::format("{}{}", run.n_surfels, other));
+std::string format_as_text(const RunSummary& run) {
+    const std::string other =
+        run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", properties_of(run.primitive).label);
+    std::string text = format_line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
-        text += format_name_value_line(
+        text += format_line(
             "blocks", fmt::format("the background consists of {} blocks; each is loaded when a scan needs it",
                                   run.n_blocks));
     for (const auto& [name, count] : run.models)
-        text += format_name_value_line("  model", fmt::format("{}: {} surfels", name, count));
-    text += format_name_value_line(
+        text += format_line("  model", fmt::format("{}: {} surfels", name, count));
+    text += format_line(
         "instances",
         fmt::format("{}, of which number 0 is the background and all others are actors", run.n_instances));
     if (run.n_drop_parameters > 0)
-        text += format_name_value_line(
+        text += format_line(
             "ray drop",
             fmt::format(
                 "corrected by a network with {} parameters; the network reads range images of type {}",
                 run.n_drop_parameters, run.drop_image));
     for (const EditHistoryEntry& e : run.edits)
-        text += format_name_value_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
-    text += format_name_value_line("settings",
-                                   fmt::format("preset {}, {} iterations", run.preset, run.iterations));
-    text += format_name_value_line(
-        "split", fmt::format("{} training frames, {} test frames ({})", run.n_train, run.test_frames.size(),
-                             fmt::join(run.test_frames, ", ")));
+        text += format_line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
+    text += format_line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
+    text += format_line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
+                                             run.test_frames.size(), fmt::join(run.test_frames, ", ")));
     for (const RenderedSensorSummary& sensor : run.rendered_sensors)
-        text += format_name_value_line(
+        text += format_line(
             "renders",
             fmt::format(
                 "{}: {}range up to {:.4g} m", sensor.name,
                 sensor.rows == 0 ? "" : fmt::format("{} rows x {} columns, ", sensor.rows, sensor.columns),
                 sensor.max_range_m));
     std::vector<std::vector<std::string>> rows{{"file", "size"}};
-    for (const auto& [name, size] : run.files) rows.push_back({name, format_byte_size(size)});
-    return text + format_summary_text(run.log, true) + "\n" + format_table(rows);
+    for (const auto& [name, size] : run.files) rows.push_back({name, format_bytes(size)});
+    return text + summary_text(run.log, true) + "\n" + format_table(rows);
 }
 
-std::string format_summary_as_json(const LogSummary& log) { return dump_json(make_summary_json(log)); }
+std::string format_as_json(const LogSummary& log) { return dump_json(summary_json(log)); }
 
-std::string format_summary_as_json(const RunSummary& run) {
-    Json json = {{"preset", run.preset},
-                 {"iterations", run.iterations},
-                 {"surfels", run.n_surfels},
-                 {"primitive", get_primitive_properties(run.primitive).name},
-                 {"models", Json::array()},
-                 {"train_frames", run.n_train},
-                 {"test_frames", run.test_frames},
-                 {"files", Json::object()},
-                 {"log", make_summary_json(run.log)}};
+std::string format_as_json(const RunSummary& run) {
+    Json json = {{"preset", run.preset},           {"iterations", run.iterations},
+                 {"surfels", run.n_surfels},       {"primitive", properties_of(run.primitive).name},
+                 {"models", Json::array()},        {"train_frames", run.n_train},
+                 {"test_frames", run.test_frames}, {"files", Json::object()},
+                 {"log", summary_json(run.log)}};
     for (const auto& [name, count] : run.models)
         json["models"].push_back({{"name", name}, {"surfels", count}});
     json["instances"] = run.n_instances;

@@ -59,7 +59,7 @@ struct LogSummary {
 };
 
 /// @param options decide which boxes move and become actors
-LogSummary summarise(const LidarSequence& sequence, const SceneInitialisationOptions& options);
+LogSummary summarise(const Log& sequence, const InitOptions& options);
 
 struct RenderedSensorSummary {
     std::string name;
@@ -86,11 +86,11 @@ struct RunSummary {
     std::vector<int> test_frames;
     std::vector<std::pair<std::string, std::uint64_t>> files;  ///< Name and size in bytes of each file.
 };
-RunSummary summarise(const TrainedRun& run);
+RunSummary summarise(const Run& run);
 
-std::string format_summary_as_text(const LogSummary& log);
-std::string format_summary_as_text(const RunSummary& run);
-std::string format_summary_as_json(const LogSummary& log);
-std::string format_summary_as_json(const RunSummary& run);
+std::string format_as_text(const LogSummary& log);
+std::string format_as_text(const RunSummary& run);
+std::string format_as_json(const LogSummary& log);
+std::string format_as_json(const RunSummary& run);
 
 }  // namespace relidar::cli

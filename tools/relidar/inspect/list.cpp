@@ -7,12 +7,12 @@
 
 namespace relidar::cli {
 
-void add_list_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_list(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings and their properties");
     command->require_subcommand(1);
-    add_list_devices_command(*command, selected_command);
-    add_list_sensors_command(*command, selected_command);
-    add_list_settings_command(*command, selected_command);
+    add_list_devices(*command, selected_command);
+    add_list_sensors(*command, selected_command);
+    add_list_settings(*command, selected_command);
     command->footer(
         "Examples:\n"
         "  relidar list devices\n"

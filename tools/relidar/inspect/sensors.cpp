@@ -29,7 +29,7 @@ struct SensorFieldOfView {
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;
 };
 
-SensorFieldOfView compute_angular_extent(const RayTable& rays) {
+SensorFieldOfView angular_extent(const RayTable& rays) {
     SensorFieldOfView e{rays.size(), -180.0, 180.0, -90.0, 90.0};
     for (const glm::vec3& d : rays.direction) {
         const double azimuth = std::atan2(double(d.y), double(d.x)) * 180.0 / kPi,
@@ -42,26 +42,26 @@ SensorFieldOfView compute_angular_extent(const RayTable& rays) {
     return e;
 }
 
-double compute_scan_period_s(const SensorModel& sensor, const RayTable& rays) {
-    if (const double period_s = relidar::get_scan_period_s(sensor.pattern); period_s > 0.0) return period_s;
+double scan_period_s(const SensorModel& sensor, const RayTable& rays) {
+    if (const double period_s = relidar::scan_period_s(sensor.pattern); period_s > 0.0) return period_s;
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
     return double(last) - double(first);
 }
 
-void print_sensor_table() {
+void print_sensors() {
     std::vector<std::vector<std::string>> rows{
         {"name", "rays", "azimuth", "elevation", "scan time", "range", "divergence", "source of the values"}};
-    for (const std::string& name : list_sensor_names()) {
-        const SensorModel sensor = *find_built_in_sensor(name);
+    for (const std::string& name : list_sensors()) {
+        const SensorModel sensor = *find_built_in(name);
         const RayTable rays = make_rays(sensor);
-        const SensorFieldOfView e = compute_angular_extent(rays);
+        const SensorFieldOfView e = angular_extent(rays);
         const bool round = e.left_deg - e.right_deg > 350.0;
         rows.push_back(
             {name,
              rays.rows > 1 ? fmt::format("{} x {}", rays.rows, rays.columns) : fmt::format("{}", rays.size()),
              round ? "full turn" : fmt::format("{:+.1f} to {:+.1f}", e.left_deg, e.right_deg),
              fmt::format("{:+.2f} to {:+.2f}", e.top_deg, e.bottom_deg),
-             fmt::format("{:.0f} ms", 1e3 * compute_scan_period_s(sensor, rays)),
+             fmt::format("{:.0f} ms", 1e3 * scan_period_s(sensor, rays)),
              fmt::format("{:g} to {:g} m", sensor.limits.min_m, sensor.limits.max_m),
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
              sensor.about});
@@ -71,11 +71,11 @@ void print_sensor_table() {
           "unknown.\n");
 }
 
-void print_sensor_description(const SensorsOptions& options) {
+void print_sensor(const SensorsOptions& options) {
     const SensorModel sensor = find_sensor(options.sensor);
     const RayTable rays = make_rays(sensor, options.time_s);
-    const SensorFieldOfView e = compute_angular_extent(rays);
-    const double max_divergence_rad = rays.find_max_divergence_rad();
+    const SensorFieldOfView e = angular_extent(rays);
+    const double max_divergence_rad = rays.max_divergence_rad();
     const double min_divergence_rad = rays.ray_divergence_rad.empty()
                                           ? max_divergence_rad
                                           : double(std::ranges::min(rays.ray_divergence_rad));
@@ -88,8 +88,8 @@ void print_sensor_description(const SensorsOptions& options) {
         "elevation   {:+.2f} to {:+.2f} degrees\nscan time   {:.4g} s\nrange       {:g} to {:g} "
         "m\ndivergence  {}\n",
         sensor.name, sensor.about.empty() ? "" : ": ", sensor.about, e.rays, rays.rows, rays.columns,
-        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, compute_scan_period_s(sensor, rays),
-        sensor.limits.min_m, sensor.limits.max_m, divergence));
+        e.left_deg, e.right_deg, e.top_deg, e.bottom_deg, scan_period_s(sensor, rays), sensor.limits.min_m,
+        sensor.limits.max_m, divergence));
     if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
         std::vector<std::vector<std::string>> rows{
             {"beam", "elevation", "azimuth offset", "origin forward", "up", "left"}};
@@ -104,25 +104,24 @@ void print_sensor_description(const SensorsOptions& options) {
         print("\n" + format_table(rows));
     }
     if (!options.out.empty()) {
-        write_png(options.out, draw_rays_as_coloured_dots(rays),
-                  {{"relidar", fmt::format("rays of {}", sensor.name)}});
+        write_png(options.out, draw_ray_pattern(rays), {{"relidar", fmt::format("rays of {}", sensor.name)}});
         print(fmt::format(
             "\npicture     {}: x is the azimuth, y the elevation, the colour is the firing time\n",
             options.out));
     }
 }
 
-void run_list_sensors_command(const SensorsOptions& options) {
+void run_list_sensors(const SensorsOptions& options) {
     if (!options.out.empty() && options.sensor.empty())
         throw UsageError("--out needs a sensor to draw: `relidar list sensors SENSOR --out FILE.png`");
     if (!(std::abs(options.time_s) <= 1e10))
         fail<UsageError>("--time: found {}; expected a time in seconds", options.time_s);
-    options.sensor.empty() ? print_sensor_table() : print_sensor_description(options);
+    options.sensor.empty() ? print_sensors() : print_sensor(options);
 }
 
 }  // namespace
 
-void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_command) {
+void add_list_sensors(CLI::App& list_command, ParsedCommand& selected_command) {
     CLI::App* command = list_command.add_subcommand(
         "sensors", "list the sensors that can be simulated, or show the properties of one sensor");
     const auto options = std::make_shared<SensorsOptions>();
@@ -137,13 +136,12 @@ void add_list_sensors_command(CLI::App& list_command, ParsedCommand& selected_co
                      "time of the scan, for a sensor whose rays differ between scans (default: 0)")
         ->type_name("SECONDS");
     command->footer(
-        make_sensor_file_help() +
+        sensor_file_help() +
         "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
         "  relidar list sensors metadata.json\n"
         "  relidar render run --out scans --sensor OS1-128:2048x10");
-    command->callback([&selected_command, options] {
-        selected_command.run = [options] { run_list_sensors_command(*options); };
-    });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_list_sensors(*options); }; });
 }
 
 }  // namespace relidar::cli

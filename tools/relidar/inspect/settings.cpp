@@ -11,7 +11,7 @@
 
 namespace relidar::cli {
 
-void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_command) {
+void add_list_settings(CLI::App& list_command, ParsedCommand& selected_command) {
     CLI::App* command =
         list_command.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
     const auto settings = std::make_shared<SettingsCommandOptions>();
@@ -25,8 +25,7 @@ void add_list_settings_command(CLI::App& list_command, ParsedCommand& selected_c
         "mine.toml");
     command->callback([&selected_command, settings, all] {
         selected_command.run = [settings, all] {
-            print(*all ? to_toml(make_config_from_settings(*settings))
-                       : to_toml_without_defaults(make_config_from_settings(*settings)));
+            print(*all ? to_toml(make_config(*settings)) : to_short_toml(make_config(*settings)));
         };
     });
 }

@@ -12,7 +12,7 @@
 namespace relidar::cli {
 namespace {
 
-std::vector<int> list_all_frame_indices(const TrainedRun& run) {
+std::vector<int> all_frames(const Run& run) {
     std::vector<int> positions(run.sequence.frames.size());
     std::iota(positions.begin(), positions.end(), 0);
     return positions;
@@ -20,28 +20,27 @@ std::vector<int> list_all_frame_indices(const TrainedRun& run) {
 
 }  // namespace
 
-std::vector<int> select_frame_indices_by_text(const TrainedRun& run,
-                                              const std::optional<std::string>& frames_text, bool quiet) {
+std::vector<int> select_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet) {
     if (!frames_text && run.split.test.empty()) {
         if (!quiet)
             print_note(fmt::format("{} has no held-out frames, so all {} frames are rendered instead",
                                    run.folder.string(), run.sequence.frames.size()));
-        return list_all_frame_indices(run);
+        return all_frames(run);
     }
     const std::string which = frames_text.value_or("test");
-    const std::string name = find_name_ignoring_case(which, {"test", "train", "all"}).value_or("");
+    const std::string name = find_name(which, {"test", "train", "all"}).value_or("");
     std::vector<int> positions;
-    if (name == "all") positions = list_all_frame_indices(run);
+    if (name == "all") positions = all_frames(run);
     else positions = name == "train" ? run.split.train : run.split.test;
     const int last = run.sequence.frames.back().index;
     if (name.empty()) {
-        const FrameRange range = parse_frame_range(which);
-        positions = list_all_frame_indices(run);
+        const FrameRange range = parse_frames(which);
+        positions = all_frames(run);
         std::erase_if(positions, [&](int i) {
             const int index = run.sequence.frames[static_cast<std::size_t>(i)].index;
             return index < range.begin || (range.end >= 0 && index >= range.end);
         });
-        if (!positions.empty()) print_note_if_frames_after_log_end(range, last, run.folder.string());
+        if (!positions.empty()) note_missing_frames(range, last, run.folder.string());
     }
     if (positions.empty()) {
         fail<UsageError>(

@@ -14,7 +14,6 @@ namespace relidar::cli {
 /// held-out frames, or all if none is held out.
 /// @return positions in the list of frames
 /// @throws UsageError if no frame is selected
-std::vector<int> select_frame_indices_by_text(const TrainedRun& run,
-                                              const std::optional<std::string>& frames_text, bool quiet);
+std::vector<int> select_frames(const Run& run, const std::optional<std::string>& frames_text, bool quiet);
 
 }  // namespace relidar::cli

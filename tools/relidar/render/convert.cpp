@@ -8,8 +8,8 @@
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/log_time.hpp>
+#include <relidar/read/dataset.hpp>
 #include <relidar/read/packets.hpp>
 
 #include "base/fail.hpp"
@@ -32,7 +32,7 @@ struct ConvertOptions {
     bool quiet = false;
 };
 
-bool is_network_capture(const std::filesystem::path& file) {
+bool is_capture(const std::filesystem::path& file) {
     std::string first_bytes(4, '\0');
     std::ifstream(file, std::ios::binary).read(first_bytes.data(), 4);
     return first_bytes == "\xd4\xc3\xb2\xa1" || first_bytes == "\xa1\xb2\xc3\xd4" ||
@@ -41,8 +41,7 @@ bool is_network_capture(const std::filesystem::path& file) {
 }
 
 /// The calibration file (.csv or .json) must not replace a file either.
-void require_replaceable_capture(const std::filesystem::path& capture, const std::string& log_path,
-                                 bool overwrite) {
+void check_capture(const std::filesystem::path& capture, const std::string& log_path, bool overwrite) {
     namespace fs = std::filesystem;
     std::error_code failed;
     const bool exists = fs::exists(capture, failed);
@@ -54,7 +53,7 @@ void require_replaceable_capture(const std::filesystem::path& capture, const std
         fail<UsageError>(
             "--out {}: a file with this name exists; expected a new name, or --force to replace the file",
             capture.string());
-    if (exists && !is_network_capture(capture))
+    if (exists && !is_capture(capture))
         fail<UsageError>("--out {}: the existing file is not a network capture; expected another name",
                          capture.string());
     for (const char* ending : {".csv", ".json"}) {
@@ -65,48 +64,47 @@ void require_replaceable_capture(const std::filesystem::path& capture, const std
     }
 }
 
-void write_log_as_packets(const LidarSequence& sequence, const ConvertOptions& options) {
+void write_log_as_packets(const Log& sequence, const ConvertOptions& options) {
     const std::filesystem::path out = options.out;
-    require_replaceable_capture(out, sequence.source, options.overwrite);
+    check_capture(out, sequence.source, options.overwrite);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     TerminalProgress progress(options.quiet);
-    const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);
-    const std::size_t n = save_packets(sequence, out, [&](std::string_view description, double done) {
-        throw_if_interrupted();
-        shown(description, done);
+    const relidar::Progress shown = progress_callback(progress);
+    const std::size_t n = save_packets(sequence, out, [&](std::string_view text, double done) {
+        check_interrupt();
+        shown(text, done);
     });
-    end_progress_line();
-    print_note_on_time_shift(sequence, compute_time_shift_ns(sequence));
+    end_progress();
+    note_time_shift(sequence, time_shift_of(sequence));
     if (!options.quiet)
-        print(fmt::format("wrote {}: {} packets of {} scans\n", make_absolute_path(options.out), n,
+        print(fmt::format("wrote {}: {} packets of {} scans\n", absolute_path(options.out), n,
                           sequence.frames.size()));
 }
 
-void run_convert_command(const ConvertOptions& options) {
-    require_settings_used_by_command(options.settings.sets, {"dataset.", "sensor.rolling_shutter"},
-                                     "convert");
+void run_convert(const ConvertOptions& options) {
+    check_settings_used(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
     const bool writes_packets = std::filesystem::path(options.out).extension() == ".pcap";
-    Config config = make_config_from_settings(options.settings);
+    Config config = make_config(options.settings);
     config.dataset.path = options.dataset;
     if (!options.frames.empty()) {
-        const FrameRange range = parse_frame_range(options.frames);
+        const FrameRange range = parse_frames(options.frames);
         config.dataset.frames_begin = range.begin;
         config.dataset.frames_end = range.end;
     }
-    const LidarSequence sequence = load_dataset(config, options.quiet);
-    install_interrupt_handlers();
+    const Log sequence = load_dataset(config, options.quiet);
+    install_handlers();
     if (writes_packets) return write_log_as_packets(sequence, options);
     TerminalProgress progress(options.quiet);
-    const relidar::ProgressReporter shown = make_terminal_progress_callback(progress);
+    const relidar::Progress shown = progress_callback(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
     save_folder(sequence, options.out,
-                {options.overwrite, has_poses, [&](std::string_view description, double done) {
-                     throw_if_interrupted();
-                     shown(description, done);
+                {options.overwrite, has_poses, [&](std::string_view text, double done) {
+                     check_interrupt();
+                     shown(text, done);
                  }});
-    end_progress_line();
+    end_progress();
     if (!options.quiet)
-        print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", make_absolute_path(options.out),
+        print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
                           sequence.frames.size(), sequence.lidars.size(),
                           sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
 }
@@ -124,7 +122,7 @@ Examples:
 
 }  // namespace
 
-void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_convert(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("convert", "convert a log to npz, text and JSON files, or to sensor packets");
     const auto options = std::make_shared<ConvertOptions>();
@@ -134,13 +132,12 @@ void add_convert_command(CLI::App& app, ParsedCommand& selected_command) {
         ->type_name("FOLDER|FILE.pcap");
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
-    add_setting_override_option(*command, options->settings.sets);
+    add_set_option(*command, options->settings.sets);
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     add_quiet_option(*command, options->quiet);
     command->footer(kConvertHelp);
-    command->callback([&selected_command, options] {
-        selected_command.run = [options] { run_convert_command(*options); };
-    });
+    command->callback(
+        [&selected_command, options] { selected_command.run = [options] { run_convert(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -30,40 +30,38 @@ struct ExportOptions {
 };
 
 /// FOLDER/000010.ply and so on, with the actors at their poses, in relidar's world frame.
-void export_frames_as_ply(const ExportOptions& options) {
-    const TrainedRun run = load_run(options.run);
-    const std::vector<int> positions = select_frame_indices_by_text(run, options.frames, options.quiet);
+void export_frames(const ExportOptions& options) {
+    const Run run = load_run(options.run);
+    const std::vector<int> positions = select_frames(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
-    const Scene scene = copy_scene_with_all_blocks_loaded(run.scene);
+    const Scene scene = with_all_blocks(run.scene);
     const glm::dvec3& offset = run.sequence.world_offset_m;
-    install_interrupt_handlers();
+    install_handlers();
     TerminalProgress progress(options.quiet);
     for (std::size_t done = 0; done < positions.size(); ++done) {
-        throw_if_interrupted();
-        progress.show_step_progress("writing scenes", done, positions.size());
-        const LidarFrame& frame = run.sequence.frames[std::size_t(positions[done])];
-        const Surfels surfels = transform_all_surfels_to_world(
-            scene, compute_instance_poses(scene, run.sequence, get_sweep_timing_of_frame(frame)));
-        write_surfel_ply(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
-                         {{"time_s", fmt::format("{}", frame.time_s)},
-                          {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
+        check_interrupt();
+        progress.show_step("writing scenes", done, positions.size());
+        const Frame& frame = run.sequence.frames[std::size_t(positions[done])];
+        const Surfels surfels = freeze_scene(scene, pose_instances(scene, run.sequence, timing_of(frame)));
+        write_surfels(folder.path() / fmt::format("{:06}.ply", frame.index), surfels,
+                      {{"time_s", fmt::format("{}", frame.time_s)},
+                       {"add_to_positions_m", fmt::format("{} {} {}", offset.x, offset.y, offset.z)}});
     }
-    end_progress_line();
+    end_progress();
     if (!options.quiet)
-        print(fmt::format("wrote {}: {} file{}\n", make_absolute_path(options.out), positions.size(),
+        print(fmt::format("wrote {}: {} file{}\n", absolute_path(options.out), positions.size(),
                           positions.size() == 1 ? "" : "s"));
 }
 
-void run_export_command(const ExportOptions& options) {
+void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
     if (options.frames) {
         if (out.has_extension())
             fail<UsageError>("--out {}: found the ending {}; expected a folder, because of --frames",
                              options.out, out.extension().string());
-        return export_frames_as_ply(options);
+        return export_frames(options);
     }
-    const std::optional<std::string> format =
-        find_name_ignoring_case(out.extension().string(), {".ply", ".csv"});
+    const std::optional<std::string> format = find_name(out.extension().string(), {".ply", ".csv"});
     if (!format) {
         const std::string actual_ending =
             out.has_extension() ? "the ending " + out.extension().string() : "no ending";
@@ -71,19 +69,18 @@ void run_export_command(const ExportOptions& options) {
             "--out {}: found {}, expected a name that ends in .ply (surfels) or .csv (the sensor's path)",
             options.out, actual_ending);
     }
-    const TrainedRun run = load_run(options.run);
+    const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     std::string written;
     if (*format == ".ply") {
-        write_surfel_ply(out, copy_scene_with_all_blocks_loaded(run.scene));
+        write_surfels(out, with_all_blocks(run.scene));
         written = fmt::format("{} surfels, {} model{}", count_surfels(run.scene), run.scene.models.size(),
                               run.scene.models.size() == 1 ? "" : "s");
     } else {
-        write_trajectory_csv(out, add_offset_to_track_positions(run.sequence.get_world_from_sensor(0),
-                                                                run.sequence.world_offset_m));
+        write_trajectory(out, shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m));
         written = fmt::format("{} poses", run.sequence.world_from_vehicle.pose.size());
     }
-    if (!options.quiet) print(fmt::format("{}: {}\n", make_absolute_path(options.out), written));
+    if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
 
 constexpr const char* kExportHelp =
@@ -101,7 +98,7 @@ Examples:
 
 }  // namespace
 
-void add_export_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_export(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
     const auto options = std::make_shared<ExportOptions>();
@@ -119,7 +116,7 @@ void add_export_command(CLI::App& app, ParsedCommand& selected_command) {
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_export_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_export(*options); }; });
 }
 
 }  // namespace relidar::cli

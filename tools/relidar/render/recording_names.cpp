@@ -12,17 +12,18 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::string_view kName = "{name}";
+constexpr std::string_view kNamePlaceholder = "{name}";
 
-std::string replace_name_placeholder(std::string text, const std::string& sensor_name) {
-    for (std::size_t at = 0; (at = text.find(kName, at)) != std::string::npos; at += sensor_name.size())
-        text.replace(at, kName.size(), sensor_name);
+std::string replace_name(std::string text, const std::string& sensor_name) {
+    for (std::size_t at = 0; (at = text.find(kNamePlaceholder, at)) != std::string::npos;
+         at += sensor_name.size())
+        text.replace(at, kNamePlaceholder.size(), sensor_name);
     return text;
 }
 
 }  // namespace
 
-void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_names) {
+void add_name_options(CLI::App& command, RecordingNames& parsed_names) {
     command
         .add_option(
             "--topic", parsed_names.topic,
@@ -36,29 +37,28 @@ void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_na
         ->type_name("NAME");
 }
 
-void require_valid_recording_names(const RecordingNames& name_templates,
-                                   const std::vector<std::string>& output_file_formats,
-                                   bool has_several_sensors) {
+void check_recording_names(const RecordingNames& name_templates,
+                           const std::vector<std::string>& output_file_formats, bool has_several_sensors) {
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
-        if (std::ranges::none_of(output_file_formats, is_recording_format))
+        if (std::ranges::none_of(output_file_formats, is_recording))
             fail<UsageError>("{} has no effect on these formats; expected --format mcap or rosbag", option);
-        if (has_several_sensors && text.find(kName) == std::string::npos)
+        if (has_several_sensors && text.find(kNamePlaceholder) == std::string::npos)
             fail<UsageError>("{}: found \"{}\" for all sensors of a rig; expected a text with {}", option,
-                             text, kName);
+                             text, kNamePlaceholder);
     };
     check("--topic", name_templates.topic);
     check("--frame-id", name_templates.frame_id);
 }
 
-void set_topic_and_frame_id(ScanOutputOptions& output_options, const std::string& sensor_name,
-                            const RecordingNames& name_templates) {
-    relidar::set_topic_and_frame_id_from_name(output_options, sensor_name);
+void apply_names(ScanOutputOptions& output_options, const std::string& sensor_name,
+                 const RecordingNames& name_templates) {
+    relidar::name_topics(output_options, sensor_name);
     const std::string name = sensor_name.empty() ? output_options.frame_id : sensor_name;
     if (!name_templates.topic.empty())
-        output_options.topic = replace_name_placeholder(name_templates.topic, make_valid_topic_name(name));
+        output_options.topic = replace_name(name_templates.topic, to_topic_name(name));
     if (!name_templates.frame_id.empty())
-        output_options.frame_id = replace_name_placeholder(name_templates.frame_id, name);
+        output_options.frame_id = replace_name(name_templates.frame_id, name);
 }
 
 }  // namespace relidar::cli

@@ -19,14 +19,13 @@ struct RecordingNames {
     /// {name} is replaced by the name of the sensor. Empty: derived from this name.
     std::string topic, frame_id;
 };
-void add_topic_and_frame_id_options(CLI::App& command, RecordingNames& parsed_names);
+void add_name_options(CLI::App& command, RecordingNames& parsed_names);
 /// @throws UsageError if no recording is written, or if several sensors would get the
 /// same name
-void require_valid_recording_names(const RecordingNames& name_templates,
-                                   const std::vector<std::string>& output_file_formats,
-                                   bool has_several_sensors);
-/// @param sensor_name in the rig or in the log; may be empty
-void set_topic_and_frame_id(ScanOutputOptions& output_options, const std::string& sensor_name,
-                            const RecordingNames& name_templates);
+void check_recording_names(const RecordingNames& name_templates,
+                           const std::vector<std::string>& output_file_formats, bool has_several_sensors);
+/// @param name in the rig or in the log; may be empty
+void apply_names(ScanOutputOptions& output_options, const std::string& name,
+                 const RecordingNames& name_templates);
 
 }  // namespace relidar::cli

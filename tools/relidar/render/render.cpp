@@ -11,8 +11,8 @@
 #include <CLI/CLI.hpp>
 
 #include <relidar/log/channels.hpp>
-#include <relidar/read/packets.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/read/packets.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
@@ -63,9 +63,9 @@ struct RenderOptions {
 constexpr double kFarthestOffset_m = 10'000.0;
 
 /// "x,y,z" or "x,y,z,yaw_deg" in the sensor's frame.
-Pose parse_sensor_offset(const std::string& text) {
+Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
-    const std::vector<double> v = parse_number_list("--offset", text);
+    const std::vector<double> v = parse_list("--offset", text);
     if (v.size() != 3 && v.size() != 4)
         fail<UsageError>("--offset: found {} numbers in \"{}\", expected x,y,z or x,y,z,yaw_deg", v.size(),
                          text);
@@ -83,30 +83,30 @@ Pose parse_sensor_offset(const std::string& text) {
 }
 
 /// Upper and lower case and spaces are allowed.
-std::vector<std::string> parse_file_formats(const std::string& format_list) {
-    const std::vector<std::string> known_formats = list_scan_formats();
+std::vector<std::string> parse_formats(const std::string& format_list) {
+    const std::vector<std::string> known_formats = scan_formats();
     std::vector<std::string> formats;
     for (const std::string& word : split_text(format_list, ',')) {
-        const std::string name = trim_spaces_and_tabs(word);
-        const std::optional<std::string> format = find_name_ignoring_case(name, known_formats);
+        const std::string name = trim_spaces(word);
+        const std::optional<std::string> format = find_name(name, known_formats);
         if (!format)
             fail<UsageError>("--format: \"{}\" is unknown{} (known formats: {})", name,
-                             format_name_suggestion(name, known_formats), fmt::join(known_formats, ", "));
+                             did_you_mean(name, known_formats), fmt::join(known_formats, ", "));
         formats.push_back(*format);
     }
     return formats;
 }
 
-PointCoordinateFrame parse_point_frame(const std::string& name) {
-    if (find_name_ignoring_case(name, {"sensor"})) return PointCoordinateFrame::sensor;
-    if (find_name_ignoring_case(name, {"world"})) return PointCoordinateFrame::world;
+PointCoordinateFrame parse_frame(const std::string& name) {
+    if (find_name(name, {"sensor"})) return PointCoordinateFrame::sensor;
+    if (find_name(name, {"world"})) return PointCoordinateFrame::world;
     fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
-void remove_boxes_of_hidden_scene_parts(ScanOutputOptions& output_options, const TrainedRun& run,
-                                        const std::vector<std::string>& visible_scene_parts) {
+void remove_hidden_boxes(ScanOutputOptions& output_options, const Run& run,
+                         const std::vector<std::string>& visible_scene_parts) {
     if (visible_scene_parts.empty()) return;
-    const std::vector<bool> shown = mark_instances_with_names(run.scene, visible_scene_parts);
+    const std::vector<bool> shown = select_instances(run.scene, visible_scene_parts);
     std::erase_if(output_options.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];
@@ -115,40 +115,38 @@ void remove_boxes_of_hidden_scene_parts(ScanOutputOptions& output_options, const
 }
 
 /// @param rig_sensor_name empty if there is only one sensor
-ScanOutputOptions make_scan_output_format(const RenderOptions& options, const TrainedRun& run,
-                                          const SimulatedSensor& sensor, const Pose& sensor_offset,
-                                          const std::string& rig_sensor_name) {
-    ScanOutputOptions format = make_default_output_options(run, sensor);
+ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, const SimulatedSensor& sensor,
+                              const Pose& sensor_offset, const std::string& rig_sensor_name) {
+    ScanOutputOptions format = default_options(run, sensor);
     format.offset = sensor_offset;
     format.time_shift_ns = options.time_shift_ns;
-    set_topic_and_frame_id(
+    apply_names(
         format,
         rig_sensor_name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : rig_sensor_name,
         options.names);
-    if (!options.trajectory.file.empty()) format.trajectory = make_absolute_path(options.trajectory.file);
-    format.formats = parse_file_formats(options.formats);
-    format.frame = parse_point_frame(options.point_frame);
+    if (!options.trajectory.file.empty()) format.trajectory = absolute_path(options.trajectory.file);
+    format.formats = parse_formats(options.formats);
+    format.frame = parse_frame(options.point_frame);
     format.deskew = options.deskew;
     format.only = options.only;
-    remove_boxes_of_hidden_scene_parts(format, run, options.only);
+    remove_hidden_boxes(format, run, options.only);
     format.sample = options.sample;
     format.weather = parse_weather(options.weather);
     return format;
 }
 
-void require_valid_render_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
-    for (const std::string& format : parse_file_formats(options.formats))
-        if (ranks.size() > 1 && is_recording_format(format))
+void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
+    for (const std::string& format : parse_formats(options.formats))
+        if (ranks.size() > 1 && is_recording(format))
             fail<UsageError>(
                 "--format {}: found {} MPI processes; expected one, because all scans are in one file",
                 format, ranks.size());
-    require_valid_recording_names(options.names, parse_file_formats(options.formats),
-                                  is_rig && !options.merge);
-    parse_point_frame(options.point_frame);
+    check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
+    parse_frame(options.point_frame);
     parse_weather(options.weather);
-    if (options.merge && std::ranges::count(parse_file_formats(options.formats), "pcap") > 0)
+    if (options.merge && std::ranges::count(parse_formats(options.formats), "pcap") > 0)
         throw UsageError("--merge: found --format pcap; packets hold the scan of a single sensor");
-    if (ranks.is_first_mpi_process()) require_folder_for_scans(options.out, options.overwrite);
+    if (ranks.is_first()) check_scan_folder(options.out, options.overwrite);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
     const TrajectoryOptions& t = options.trajectory;
@@ -166,11 +164,11 @@ struct NumberedScanTime {
     double time_s;
 };
 
-std::vector<NumberedScanTime> list_sweeps_of_frames(const TrainedRun& run, const RenderOptions& options,
-                                                    int lidar_index) {
+std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options,
+                                               int lidar_index) {
     std::vector<NumberedScanTime> sweeps;
-    for (const int position : select_frame_indices_by_text(run, options.frames, options.quiet)) {
-        const LidarFrame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
+    for (const int position : select_frames(run, options.frames, options.quiet)) {
+        const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
         if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
@@ -180,41 +178,41 @@ std::vector<NumberedScanTime> list_sweeps_of_frames(const TrainedRun& run, const
     return sweeps;
 }
 
-std::vector<NumberedScanTime> list_sweeps_on_trajectory(const TrainedRun& run, const RenderOptions& options,
-                                                        const PoseTrack& sensor_track, int lidar_index) {
-    const std::vector<double> times_s = list_scan_times_on_trajectory(
-        options.trajectory, sensor_track,
-        1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].get_sweep_period_s());
-    print_notes_if_trajectory_leaves_log(run, sensor_track, times_s);
+std::vector<NumberedScanTime> sweeps_on_path(const Run& run, const RenderOptions& options,
+                                             const PoseTrack& sensor_track, int lidar_index) {
+    const std::vector<double> times_s =
+        scan_times(options.trajectory, sensor_track,
+                   1.0 / run.sequence.lidars[static_cast<std::size_t>(lidar_index)].sweep_period_s());
+    note_leaves_log(run, sensor_track, times_s);
     std::vector<NumberedScanTime> sweeps;
     for (const double t : times_s) sweeps.push_back({static_cast<int>(sweeps.size()), t});
     return sweeps;
 }
 
-std::vector<ScanOutputOptions> make_output_format_per_sensor(
-    const RenderOptions& options, const TrainedRun& run, const std::vector<MountedSimulatedSensor>& targets,
-    const Pose& sensor_offset) {
+std::vector<ScanOutputOptions> format_per_sensor(const RenderOptions& options, const Run& run,
+                                                 const std::vector<MountedSimulatedSensor>& targets,
+                                                 const Pose& sensor_offset) {
     std::vector<ScanOutputOptions> formats;
     for (const MountedSimulatedSensor& target : targets) {
-        formats.push_back(make_scan_output_format(options, run, target.sensor,
-                                                  sensor_offset * target.mounting, target.folder));
+        formats.push_back(
+            scan_format(options, run, target.sensor, sensor_offset * target.mounting, target.folder));
         PacketFormatOptions& packets = formats.back().packets;
         if (target.spinning) packets.sensor = target.spinning;
-        packets.ouster_profile = read_ouster_packet_format(options.sensor);
+        packets.ouster_profile = read_udp_profile(options.sensor);
     }
     return formats;
 }
 
-ScanOutputOptions make_merged_rig_output_options(const RenderOptions& options, const TrainedRun& run,
-                                                 const std::vector<MountedSimulatedSensor>& rig_sensors,
-                                                 const Pose& sensor_offset) {
+ScanOutputOptions merged_format(const RenderOptions& options, const Run& run,
+                                const std::vector<MountedSimulatedSensor>& rig_sensors,
+                                const Pose& sensor_offset) {
     SimulatedSensor rig = rig_sensors.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
     for (const MountedSimulatedSensor& w : rig_sensors) rig.returns = std::max(rig.returns, w.sensor.returns);
     for (const MountedSimulatedSensor& w : rig_sensors)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-    return make_scan_output_format(options, run, rig, sensor_offset, "");
+    return scan_format(options, run, rig, sensor_offset, "");
 }
 
 /// A folder per sensor, or one for merged scans. With a folder per sensor, `recordings`
@@ -225,54 +223,52 @@ struct RenderOutputs {
 };
 
 /// The other MPI processes wait for the first and then open its folders.
-RenderOutputs create_output_folders(const RenderOptions& options, const TrainedRun& run,
-                                    const std::vector<MountedSimulatedSensor>& rendered_sensors,
-                                    const Pose& sensor_offset, const MpiProcessGroup& ranks) {
+RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
+                             const std::vector<MountedSimulatedSensor>& rendered_sensors,
+                             const Pose& sensor_offset, const MpiProcessGroup& ranks) {
     RenderOutputs output;
     std::vector<ScanOutputOptions> sensors;
-    if (!ranks.is_first_mpi_process()) ranks.wait_for_all_ranks();
+    if (!ranks.is_first()) ranks.barrier();
     const auto add = [&](const std::filesystem::path& folder, const ScanOutputOptions& format) {
-        if (!ranks.is_first_mpi_process())
-            return output.folders.push_back(ScanFolderWriter::join_folder_of_other_process(folder, format));
+        if (!ranks.is_first()) return output.folders.push_back(ScanFolderWriter::join_folder(folder, format));
         if (folder != options.out) std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
-    if (options.merge)
-        sensors = {make_merged_rig_output_options(options, run, rendered_sensors, sensor_offset)};
-    else sensors = make_output_format_per_sensor(options, run, rendered_sensors, sensor_offset);
+    if (options.merge) sensors = {merged_format(options, run, rendered_sensors, sensor_offset)};
+    else sensors = format_per_sensor(options, run, rendered_sensors, sensor_offset);
     const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
     // Before files of an earlier rendering are removed.
     for (const MountedSimulatedSensor& sensor : rendered_sensors)
-        if (is_rig && ranks.is_first_mpi_process())
-            require_folder_for_scans(std::filesystem::path(options.out) / sensor.folder, options.overwrite);
-    if (is_rig && ranks.is_first_mpi_process()) output.recordings.emplace(options.out, sensors);
+        if (is_rig && ranks.is_first())
+            check_scan_folder(std::filesystem::path(options.out) / sensor.folder, options.overwrite);
+    if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
-        if (is_rig) std::erase_if(sensors[s].formats, is_recording_format);
+        if (is_rig) std::erase_if(sensors[s].formats, is_recording);
         add(is_rig ? std::filesystem::path(options.out) / rendered_sensors[s].folder
                    : std::filesystem::path(options.out),
             sensors[s]);
     }
-    if (ranks.is_first_mpi_process()) ranks.wait_for_all_ranks();
+    if (ranks.is_first()) ranks.barrier();
     return output;
 }
 
-void finish_output_files(RenderOutputs& output, const MpiProcessGroup& ranks) {
-    if (output.recordings) output.recordings->finish_recording_files();
+void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
+    if (output.recordings) output.recordings->finish();
     for (ScanFolderWriter& folder : output.folders) {
         std::vector<std::string> entries;
-        for (const std::string& of_one : ranks.gather_texts_on_first_rank(
-                 fmt::format("{}", fmt::join(folder.get_summary_entries(), "\n"))))
+        for (const std::string& of_one :
+             ranks.gather_texts(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
             if (!of_one.empty())
                 for (const std::string& entry : split_text(of_one, '\n')) entries.push_back(entry);
-        folder.set_summary_entries(std::move(entries));
-        if (ranks.is_first_mpi_process()) folder.finish_scan_folder();
-        print_note_on_unobserved_space(folder.get_summary_entries(), folder.path().string());
+        folder.set_entries(std::move(entries));
+        if (ranks.is_first()) folder.finish();
+        note_unobserved(folder.entries(), folder.path().string());
     }
 }
 
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const TrainedRun& run, const RenderOptions& options,
+    SweepRenderer(ScanRenderer& renderer, const Run& run, const RenderOptions& options,
                   const std::vector<MountedSimulatedSensor>& targets, const Pose& offset,
                   const PoseTrack& track)
         : renderer_(renderer),
@@ -284,20 +280,20 @@ public:
         for (const MountedSimulatedSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
-    void render_and_write_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
+    void render_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
         const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;
         for (const MountedSimulatedSensor& w : targets_) {
-            throw_if_interrupted();
+            check_interrupt();
             scans.push_back(
                 has_user_trajectory
-                    ? renderer_.render(w.sensor, {sweep.time_s, compute_mounted_track(track_, w.mounting)},
+                    ? renderer_.render(w.sensor, {sweep.time_s, mount_track(track_, w.mounting)},
                                        options_.sample)
                     : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             RenderedScan& scan = scans.back();
             trace_ms_ += scan.trace_ms;
             n_rays_ += double(scan.image.range_m.size());
-            scan.unseen_sides = find_unobserved_actor_sides(scan, run_.scene, run_.sequence);
+            scan.unseen_sides = find_unseen_sides(scan, run_.scene, run_.sequence);
             for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
                 n_returns_ += is_ray_returned(scan.image.drop_prob[i], scan.image.range_m[i]);
             if (scan.unseen_share) {
@@ -311,13 +307,13 @@ public:
     }
     /// @param n_local_sweeps rendered by this process
     /// @param n_total_sweeps rendered by all MPI processes
-    std::string format_render_summary(std::size_t n_local_sweeps, std::size_t n_total_sweeps,
-                                      int n_processes) const {
+    std::string format_summary(std::size_t n_local_sweeps, std::size_t n_total_sweeps,
+                               int n_processes) const {
         const double n = double(n_local_sweeps);
         return fmt::format(
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "
             "per scan, {:.3f} Mrays/s{}\n",
-            n_total_sweeps, n_rays_ / n, options_.out, fmt::join(parse_file_formats(options_.formats), ", "),
+            n_total_sweeps, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
             has_unseen_share_
                 ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
@@ -329,7 +325,7 @@ public:
 
 private:
     ScanRenderer& renderer_;
-    const TrainedRun& run_;
+    const Run& run_;
     const RenderOptions& options_;
     const std::vector<MountedSimulatedSensor>& targets_;
     const Pose offset_;
@@ -339,65 +335,62 @@ private:
     bool has_unseen_share_ = false;
 };
 
-void run_render_command(const RenderOptions& command_options) {
+void run_render(const RenderOptions& command_options) {
     const MpiProcessGroup ranks;
     RenderOptions options = command_options;
-    options.quiet = options.quiet || !ranks.is_first_mpi_process();
-    options.device = ranks.select_device_unless_user_chose(options.device);
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.select_device(options.device);
     const SensorRig rig = read_sensor_rig(options.sensor);
-    require_valid_render_options(options, rig.has_value(), ranks);
-    const Pose offset = parse_sensor_offset(options.offset);
+    check_options(options, rig.has_value(), ranks);
+    const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track =
-        drives ? compute_mounted_track(read_trajectory_csv(options.trajectory.file), offset) : PoseTrack{};
+        drives ? mount_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     // The lock removes a folder that stays empty.
-    if (ranks.is_first_mpi_process()) folder.emplace(options.out);
-    require_settings_used_by_command(options.sets, list_rendering_setting_names(), "render");
-    TrainedRun run = load_run(options.run);
-    parse_and_apply_setting_texts(run.config, options.sets);
-    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
-    if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
+    if (ranks.is_first()) folder.emplace(options.out);
+    check_settings_used(options.sets, render_settings(), "render");
+    Run run = load_run(options.run);
+    apply_settings(run.config, options.sets);
+    run.config = with_max_range(std::move(run.config), run.sequence);
+    if (options.channels) set_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    const int lidar = find_lidar_index_by_name(run.sequence, options.lidar);
-    const auto sweeps = drives ? list_sweeps_on_trajectory(run, options, track, lidar)
-                               : list_sweeps_of_frames(run, options, lidar);
-    const std::vector<MountedSimulatedSensor> targets =
-        list_sensors_of_rig_or_single_sensor(options.sensor, rig, run, lidar);
+    const int lidar = find_lidar(run.sequence, options.lidar);
+    const auto sweeps =
+        drives ? sweeps_on_path(run, options, track, lidar) : sweeps_of_frames(run, options, lidar);
+    const std::vector<MountedSimulatedSensor> targets = list_sensors(options.sensor, rig, run, lidar);
     for (const MountedSimulatedSensor& w : targets)
-        options.time_shift_ns =
-            std::max(options.time_shift_ns,
-                     compute_time_shift_ns(run, w.sensor, drives ? track.time_s.front() : INFINITY));
-    const std::vector<bool> shown = mark_instances_with_names(run.scene, options.only);
-    Device device(convert_to_device_options(options.device));
+        options.time_shift_ns = std::max(
+            options.time_shift_ns, time_shift_of(run, w.sensor, drives ? track.time_s.front() : INFINITY));
+    const std::vector<bool> shown = select_instances(run.scene, options.only);
+    Device device(to_device_options(options.device));
     ScanRenderer renderer(device, run);
-    if (!options.only.empty()) renderer.set_visible_instances(shown);
-    if (options.boxes) renderer.enable_actor_visibility();
+    if (!options.only.empty()) renderer.show_instances(shown);
+    if (options.boxes) renderer.count_actor_rays();
     renderer.set_weather(parse_weather(options.weather));
-    RenderOutputs output = create_output_folders(options, run, targets, offset, ranks);
-    if (std::ranges::any_of(parse_file_formats(options.formats), is_recording_format))
-        print_note_on_time_shift(run.sequence, options.time_shift_ns);
-    if (options.sample) print_notes_on_missing_noise_models(run, lidar);
-    print_rounding_note(run, track, parse_point_frame(options.point_frame));
-    print_sensor_properties_assumed_for_weather(parse_weather(options.weather));
-    for (const MountedSimulatedSensor& w : targets) print_notes_on_sensor(run, renderer, w.sensor);
-    install_interrupt_handlers();
+    RenderOutputs output = create_outputs(options, run, targets, offset, ranks);
+    if (std::ranges::any_of(parse_formats(options.formats), is_recording))
+        note_time_shift(run.sequence, options.time_shift_ns);
+    if (options.sample) note_missing_noise(run, lidar);
+    note_rounding(run, track, parse_frame(options.point_frame));
+    note_weather(parse_weather(options.weather));
+    for (const MountedSimulatedSensor& w : targets) note_sensor(run, renderer, w.sensor);
+    install_handlers();
     TerminalProgress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turning_segments(track));
-    const ProcessGroup::PartRange share = ranks.get_process_group().get_range_of_process(sweeps.size());
+    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, subdivide_turns(track));
+    const ProcessGroup::PartRange share = ranks.group().part_range(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
-        sweep_renderer.render_and_write_sweep(sweeps[i], output);
-        progress.show_step_progress(
-            fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number), i + 1 - share.begin,
-            share.end - share.begin);
+        sweep_renderer.render_sweep(sweeps[i], output);
+        progress.show_step(fmt::format("rendering {} {}:", drives ? "scan" : "frame", sweeps[i].number),
+                           i + 1 - share.begin, share.end - share.begin);
     }
-    end_progress_line();
-    finish_output_files(output, ranks);
+    end_progress();
+    finish_outputs(output, ranks);
     if (!options.quiet)
-        print(sweep_renderer.format_render_summary(share.end - share.begin, sweeps.size(), ranks.size()));
+        print(sweep_renderer.format_summary(share.end - share.begin, sweeps.size(), ranks.size()));
 }
 
-void add_trajectory_options(CLI::App& command, TrajectoryOptions& trajectory) {
+void add_path_options(CLI::App& command, TrajectoryOptions& trajectory) {
     command
         .add_option("--trajectory", trajectory.file,
                     "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
@@ -416,11 +409,10 @@ void add_trajectory_options(CLI::App& command, TrajectoryOptions& trajectory) {
         ->type_name("FIRST:LAST:STEP");
 }
 
-void add_output_file_options(CLI::App& command, RenderOptions& options) {
+void add_file_options(CLI::App& command, RenderOptions& options) {
     command
-        .add_option(
-            "--format", options.formats,
-            fmt::format("{}, separated by commas (default: npz)", fmt::join(list_scan_formats(), ", ")))
+        .add_option("--format", options.formats,
+                    fmt::format("{}, separated by commas (default: npz)", fmt::join(scan_formats(), ", ")))
         ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
@@ -434,14 +426,14 @@ void add_output_file_options(CLI::App& command, RenderOptions& options) {
     command.add_flag("--deskew", options.deskew,
                      "transform all points of a scan to the sensor frame at the time of the scan (in mcap "
                      "and rosbag: of its stamp), as in a motion-compensated log");
-    add_topic_and_frame_id_options(command, options.names);
+    add_name_options(command, options.names);
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");
     command.add_flag("--force", options.overwrite, "replace the rendered scans in DIR");
 }
 
-std::string make_output_files_help_text() {
+std::string output_help() {
     return std::string(
                R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
@@ -458,11 +450,11 @@ instance (npz, exr, ply, pcd): surface at the median range, the number in `relid
 )";
 }
 
-std::string make_channels_help_text() {
+std::string channels_help() {
     std::string text =
         "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
         "rosbag:\n";
-    for (const ChannelInfo& channel : get_optional_channels())
+    for (const ChannelInfo& channel : optional_channels())
         text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
                             channel.unit.empty() ? "" : " [" + channel.unit + "]");
     return text;
@@ -470,7 +462,7 @@ std::string make_channels_help_text() {
 
 }  // namespace
 
-void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_render(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("render", "render scans of a trained run");
     const auto options = std::make_shared<RenderOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
@@ -484,7 +476,7 @@ void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
         ->add_option("--offset", options->offset,
                      "shift the sensor in its own frame: forward, left, up in metres, turn left in degrees")
         ->type_name("X,Y,Z,YAW_DEG");
-    add_trajectory_options(*command, options->trajectory);
+    add_path_options(*command, options->trajectory);
     command
         ->add_option("--lidar", options->lidar,
                      "LiDAR of the log whose frames and mounting are used, by its name in `relidar info` "
@@ -512,20 +504,20 @@ void add_render_command(CLI::App& app, ParsedCommand& selected_command) {
         ->type_name("SEED");
     add_weather_option(*command, options->weather,
                        "all scans; the random seed is the value of --sample, or 0 without it");
-    add_output_file_options(*command, *options);
-    add_setting_override_option(*command, options->sets);
+    add_file_options(*command, *options);
+    add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
     add_quiet_option(*command, options->quiet);
-    command->footer(make_output_files_help_text() + make_channels_help_text() + make_sensor_file_help() +
+    command->footer(output_help() + channels_help() + sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"
                     "  relidar render run --out lane --trajectory trajectory.csv --rate 20 --format pcd\n"
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");
-    const auto run = [options] { run_render_command(*options); };
+    const auto run = [options] { run_render(*options); };
     command->callback([&selected_command, run] { selected_command.run = run; });
 }
 

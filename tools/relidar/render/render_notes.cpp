@@ -15,23 +15,20 @@
 
 namespace relidar::cli {
 
-void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
-                           const SimulatedSensor& sensor) {
-    if (run.config.sensor.rolling_shutter == RollingShutter::automatic &&
-        !fires_rays_at_different_times(sensor, run.config))
+void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSensor& sensor) {
+    if (run.config.sensor.rolling_shutter == RollingShutter::automatic && !is_rolling(sensor, run.config))
         print_note(fmt::format(
             "scans of {} are motion-compensated like the log, without --set sensor.rolling_shutter=true",
             sensor.name));
-    if (run.config.refine.enabled && !run.drop_network.empty() && !renderer.has_drop_network_for(sensor))
+    if (run.config.refine.enabled && !run.drop_network.empty() && !renderer.has_network_for(sensor))
         print_note(fmt::format(
             "the ray-drop network of {} needs {} images of at least {} x {} pixels; scans of {} do without",
-            run.folder.string(), run.drop_network.image,
-            run.drop_network.compute_min_image_rows_and_columns(),
-            run.drop_network.compute_min_image_rows_and_columns(), sensor.name));
+            run.folder.string(), run.drop_network.image, run.drop_network.min_image_size(),
+            run.drop_network.min_image_size(), sensor.name));
 }
 
-void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index) {
-    const auto at = std::size_t(lidar_index);
+void note_missing_noise(const Run& run, int lidar) {
+    const auto at = std::size_t(lidar);
     if (run.sequence.lidars[at].range_noise.sigma_m.empty())
         print_warning(
             fmt::format("run {} has no model of the range noise, so --sample adds no noise to ranges",
@@ -42,29 +39,27 @@ void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index)
                     run.folder.string()));
 }
 
-void print_rounding_note(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
-                         PointCoordinateFrame frame) {
+void note_rounding(const Run& run, const PoseTrack& dataset_from_sensor, PointCoordinateFrame frame) {
     constexpr double kLeastStep_m = 0.01;
     if (frame != PointCoordinateFrame::world) return;
-    const PoseTrack track =
-        dataset_from_sensor.pose.empty()
-            ? add_offset_to_track_positions(run.sequence.world_from_vehicle, run.sequence.world_offset_m)
-            : dataset_from_sensor;
+    const PoseTrack track = dataset_from_sensor.pose.empty()
+                                ? shift_track(run.sequence.world_from_vehicle, run.sequence.world_offset_m)
+                                : dataset_from_sensor;
     double largest_m = 0.0;
     for (const Pose& pose : track.pose)
         for (int axis = 0; axis < 3; ++axis)
             largest_m = std::max(largest_m, std::abs(pose.translation[axis]));
-    if (const double step_m = compute_float_step_m(largest_m); step_m > kLeastStep_m)
+    if (const double step_m = float_step_m(largest_m); step_m > kLeastStep_m)
         print_note(
             fmt::format("--frame world: single precision has steps of {:.3g} m at coordinates of {:.0f} m",
                         step_m, largest_m));
 }
 
-void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns) {
-    if (const std::string note = format_time_shift_note(log, time_shift_ns); !note.empty()) print_note(note);
+void note_time_shift(const Log& log, std::int64_t time_shift_ns) {
+    if (const std::string note = time_shift_note(log, time_shift_ns); !note.empty()) print_note(note);
 }
 
-void print_sensor_properties_assumed_for_weather(const Weather& weather) {
+void note_weather(const Weather& weather) {
     if (weather.is_clear()) return;
     print_note(fmt::format("weather {}: assumes a wavelength of 905 nm, and 3 mrad for unknown divergences",
                            format_weather(weather)));
@@ -73,8 +68,8 @@ void print_sensor_properties_assumed_for_weather(const Weather& weather) {
 namespace {
 
 /// @param sides_json_key key of the list in an entry of scans.json
-void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
-                                          const char* sides_json_key, const char* effect_text) {
+void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
+                       const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {
         std::size_t scans = 0, rays = 0;
     };
@@ -97,14 +92,13 @@ void print_note_on_unobserved_actor_sides(const std::vector<nlohmann::json>& sca
 
 }  // namespace
 
-void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_entries,
-                                    const std::string& scan_folder) {
+void note_unobserved(const std::vector<std::string>& scan_json_entries, const std::string& scan_folder) {
     std::vector<nlohmann::json> scans;
     for (const std::string& entry : scan_json_entries) scans.push_back(nlohmann::json::parse(entry));
-    print_note_on_unobserved_actor_sides(scans, scan_folder, "unseen_sides",
-                                         "pass through such a side, because it has no surfels");
-    print_note_on_unobserved_actor_sides(scans, scan_folder, "completed_sides",
-                                         "hit surfels that were mirrored from the other side of the actor");
+    note_unseen_sides(scans, scan_folder, "unseen_sides",
+                      "pass through such a side, because it has no surfels");
+    note_unseen_sides(scans, scan_folder, "completed_sides",
+                      "hit surfels that were mirrored from the other side of the actor");
     std::size_t n_unseen = 0, n_scans_with_value = 0;
     double worst = 0.0;
     int worst_number = 0;

@@ -12,23 +12,20 @@
 namespace relidar::cli {
 
 /// Motion compensation, and ray-drop networks that do not fit.
-void print_notes_on_sensor(const TrainedRun& run, const ScanRenderer& renderer,
-                           const SimulatedSensor& sensor);
+void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSensor& sensor);
 
 /// Training may not have measured the noise of this LiDAR.
-void print_notes_on_missing_noise_models(const TrainedRun& run, int lidar_index);
+void note_missing_noise(const Run& run, int lidar);
 
 /// Far from the world's origin, single precision is coarse.
 /// @param dataset_from_sensor  path of the sensor; empty: the path of the log
-void print_rounding_note(const TrainedRun& run, const PoseTrack& dataset_from_sensor,
-                         PointCoordinateFrame frame);
-void print_note_on_time_shift(const LidarSequence& log, std::int64_t time_shift_ns);
+void note_rounding(const Run& run, const PoseTrack& dataset_from_sensor, PointCoordinateFrame frame);
+void note_time_shift(const Log& log, std::int64_t time_shift_ns);
 
-void print_sensor_properties_assumed_for_weather(const Weather& weather);
+void note_weather(const Weather& weather);
 
 /// Unobserved space, and unobserved sides of actors.
 /// @param scan_json_entries entries of scans.json
-void print_note_on_unobserved_space(const std::vector<std::string>& scan_json_entries,
-                                    const std::string& scan_folder);
+void note_unobserved(const std::vector<std::string>& scan_json_entries, const std::string& scan_folder);
 
 }  // namespace relidar::cli

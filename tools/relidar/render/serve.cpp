@@ -40,13 +40,13 @@ struct ServeCommandOptions {
 
 constexpr int kLongestQueue = 10'000;
 // For pending calls after Ctrl-C.
-constexpr std::chrono::seconds kPatience{30};
-constexpr std::chrono::milliseconds kLook{100};
+constexpr std::chrono::seconds kMaxDrainTime{30};
+constexpr std::chrono::milliseconds kPollInterval{100};
 // After the GPU is lost, so that the clients receive the error.
-constexpr std::chrono::seconds kFarewell{2};
+constexpr std::chrono::seconds kErrorSendTime{2};
 
 /// No value if the interface is disabled.
-std::optional<serve::PoseTransformOrder> parse_sensorsim_pose_order(const ServeCommandOptions& options) {
+std::optional<serve::PoseTransformOrder> parse_pose_order(const ServeCommandOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
         fail<UsageError>("--api: found '{}', expected sensorsim", options.api);
@@ -60,7 +60,7 @@ std::optional<serve::PoseTransformOrder> parse_sensorsim_pose_order(const ServeC
                      options.pose_order);
 }
 
-serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
+serve::ServerOptions server_options(const ServeCommandOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
         fail<UsageError>("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue);
     if (options.memory_mib < 0)
@@ -70,52 +70,52 @@ serve::ServerOptions make_server_options(const ServeCommandOptions& options) {
     serve::ServerOptions server = options.server;
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
-    server.sensorsim = parse_sensorsim_pose_order(options);
+    server.sensorsim = parse_pose_order(options);
     (void)parse_host_port(server.listen, "--listen", 0);
     server.weather = parse_weather(options.weather);
-    server.device = convert_to_device_options(options.device);
+    server.device = to_device_options(options.device);
     return server;
 }
 
 /// By default, glibc gives each thread its own heap, and gRPC often starts and ends
 /// threads. One thread allocates a scan and another frees it, so that the memory of the
 /// process would grow for hours (docs/service.md).
-void limit_malloc_to_one_arena() {
+void limit_arenas() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
 #endif
 }
 
-void run_serve_command(const ServeCommandOptions& options) {
-    limit_malloc_to_one_arena();
-    raise_open_file_limit_to_maximum();
-    const serve::ServerOptions server_settings = make_server_options(options);
-    if (!options.quiet) print_sensor_properties_assumed_for_weather(server_settings.weather);
+void run_serve(const ServeCommandOptions& options) {
+    limit_arenas();
+    raise_file_limit();
+    const serve::ServerOptions server_settings = server_options(options);
+    if (!options.quiet) note_weather(server_settings.weather);
     const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
-    if (!is_loopback_host(host))
+    if (!is_loopback(host))
         print_note(fmt::format(
             "--listen {}: every client that can reach this address can render and upload, because there is "
             "no authentication{}",
             server_settings.listen,
             server_settings.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
-    install_interrupt_handlers();
+    install_handlers();
     serve::ScanServer server(server_settings);
     if (!options.quiet) {
-        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.list_scene_names(), ", "), host,
-                          server.port(), server.get_device_name()));
+        print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.list_scenes(), ", "), host,
+                          server.port(), server.device_name()));
         // Another program may wait for the line through a pipe.
         std::fflush(stdout);
     }
     while (!is_interrupted()) {
-        if (const std::optional<std::string> loss = server.get_device_loss_message()) {
-            server.stop_and_wait(kFarewell);
+        if (const std::optional<std::string> loss = server.loss_message()) {
+            server.stop_and_wait(kErrorSendTime);
             throw DeviceError(*loss);
         }
-        std::this_thread::sleep_for(kLook);
+        std::this_thread::sleep_for(kPollInterval);
     }
     if (!options.quiet)
         print_note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
-    server.stop_and_wait(kPatience);
+    server.stop_and_wait(kMaxDrainTime);
 }
 
 constexpr const char* kServeHelp =
@@ -130,7 +130,7 @@ Examples:
 
 }  // namespace
 
-void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_serve(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators through gRPC");
     const auto options = std::make_shared<ServeCommandOptions>();
     command
@@ -181,7 +181,7 @@ void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
     add_quiet_option(*command, options->quiet);
     command->footer(kServeHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_serve_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_serve(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -7,7 +7,7 @@
 
 namespace relidar::cli {
 
-void add_serve_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_serve(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command =
         app.add_subcommand("serve", "render scans for simulators through gRPC (not in this build)");
     command->allow_extras();

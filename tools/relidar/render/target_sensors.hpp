@@ -25,11 +25,11 @@ struct MountedSimulatedSensor {
 using SensorRig = std::optional<std::vector<MountedSensor>>;
 
 /// No value for the log's sensor, a grid of rays, and sensors that do not spin.
-std::optional<SpinningSensor> find_spinning_sensor(const std::string& name_or_file,
-                                                   const SimulatedSensor& simulated_sensor);
+std::optional<SpinningSensor> spinning_sensor_of(const std::string& name_or_file,
+                                                 const SimulatedSensor& simulated_sensor);
 
 /// @param sensor_name_or_file  empty means the sensor of the log
-std::vector<MountedSimulatedSensor> list_sensors_of_rig_or_single_sensor(
-    const std::string& sensor_name_or_file, const SensorRig& rig, const TrainedRun& run, int lidar_index);
+std::vector<MountedSimulatedSensor> list_sensors(const std::string& sensor_name_or_file, const SensorRig& rig,
+                                                 const Run& run, int lidar);
 
 }  // namespace relidar::cli

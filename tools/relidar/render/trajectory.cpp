@@ -16,9 +16,9 @@ namespace {
 
 constexpr double kMostScans = 1e6;
 // The log has hardly observed the scene at this distance from its path.
-constexpr double kFar_m = 50.0;
+constexpr double kMaxPathDistance_m = 50.0;
 // Fraction of a step, so that FIRST:LAST:STEP = 0:1:0.1 includes 1.
-constexpr double kSlack = 1e-6;
+constexpr double kStepSlack = 1e-6;
 
 struct TimeSteps {
     double first, last, step;
@@ -26,8 +26,8 @@ struct TimeSteps {
 
 }  // namespace
 
-std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& trajectory_options,
-                                                  const PoseTrack& sensor_track, double log_rate_hz) {
+std::vector<double> scan_times(const TrajectoryOptions& trajectory_options, const PoseTrack& sensor_track,
+                               double log_rate_hz) {
     const double begin = sensor_track.time_s.front(), end = sensor_track.time_s.back();
     if (trajectory_options.rate_hz &&
         !(*trajectory_options.rate_hz > 0.0 && std::isfinite(*trajectory_options.rate_hz)))
@@ -37,7 +37,7 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
     if (!trajectory_options.times.empty()) {
         std::vector<double> numbers;
         for (const std::string& word : split_text(trajectory_options.times, ':'))
-            if (const std::optional<double> number = parse_finite_number(word)) numbers.push_back(*number);
+            if (const std::optional<double> number = parse_finite(word)) numbers.push_back(*number);
         if (numbers.size() != 3 || std::ranges::count(trajectory_options.times, ':') != 2)
             fail<UsageError>(
                 "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
@@ -47,13 +47,13 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         fail<UsageError>("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
                          trajectory_options.times);
-    const double slack_s = kSlack * steps.step;
+    const double slack_s = kStepSlack * steps.step;
     if (steps.first < begin - slack_s || steps.last > end + slack_s) {
         fail<UsageError>(
             "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
             steps.first, steps.last, begin, end);
     }
-    const double n = std::floor((steps.last - steps.first) / steps.step + kSlack) + 1.0;
+    const double n = std::floor((steps.last - steps.first) / steps.step + kStepSlack) + 1.0;
     if (n > kMostScans)
         fail<UsageError>(
             "--trajectory: the options select {:.3g} scans from {} to {} s; expected at most {:.0e} scans", n,
@@ -63,18 +63,17 @@ std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& traje
     return times;
 }
 
-void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack& sensor_track,
-                                          const std::vector<double>& times_s) {
-    const LidarSequence& log = run.sequence;
+void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s) {
+    const Log& log = run.sequence;
     double farthest = 0.0;
     for (const double t : times_s) {
-        const glm::dvec3 sensor_m = sensor_track.interpolate_pose(t).translation - log.world_offset_m;
+        const glm::dvec3 sensor_m = sensor_track.pose_at(t).translation - log.world_offset_m;
         double nearest_m = std::numeric_limits<double>::infinity();
         for (const Pose& pose : log.world_from_vehicle.pose)
             nearest_m = std::min(nearest_m, glm::distance(pose.translation, sensor_m));
         farthest = std::max(farthest, nearest_m);
     }
-    if (farthest > kFar_m) {
+    if (farthest > kMaxPathDistance_m) {
         print_warning(fmt::format(
             "the trajectory is up to {:.0f} m away from the path of the log's sensor (`relidar export {}`)",
             farthest, run.folder.string()));

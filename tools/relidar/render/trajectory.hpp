@@ -10,7 +10,7 @@
 #include <relidar/log/sequence.hpp>
 
 namespace relidar {
-struct TrainedRun;
+struct Run;
 }
 
 namespace relidar::cli {
@@ -26,11 +26,10 @@ struct TrajectoryOptions {
 
 /// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
-std::vector<double> list_scan_times_on_trajectory(const TrajectoryOptions& trajectory_options,
-                                                  const PoseTrack& sensor_track, double log_rate_hz);
+std::vector<double> scan_times(const TrajectoryOptions& trajectory_options, const PoseTrack& sensor_track,
+                               double log_rate_hz);
 
 /// Far from the recorded path, or after the end of the log, when actors do not exist.
-void print_notes_if_trajectory_leaves_log(const TrainedRun& run, const PoseTrack& sensor_track,
-                                          const std::vector<double>& times_s);
+void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

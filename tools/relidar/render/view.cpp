@@ -45,7 +45,7 @@ struct ViewOptions {
 
 constexpr std::chrono::milliseconds kViewPatience{50};
 // For slow browser tabs.
-constexpr std::chrono::seconds kGoodbye{5};
+constexpr std::chrono::seconds kMaxShutdownTime{5};
 
 /// The web page shows these runs under the folder names that the user typed.
 view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
@@ -54,73 +54,69 @@ view::OtherRunsByName load_other_runs(const std::vector<std::string>& folders) {
     return runs;
 }
 
-view::WebServerOptions make_server_options(const ViewOptions& options) {
+view::WebServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
         fail<UsageError>("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
                          options.port, kLastPort);
     view::WebServerOptions server;
     server.address = options.address;
     server.port = options.port;
-    server.assets = view::get_web_page_files();
-    view::require_valid_ip_address(options.address);
-    if (!is_loopback_host(options.address)) server.token = view::make_random_access_token();
+    server.assets = view::web_page_files();
+    view::check_address(options.address);
+    if (!is_loopback(options.address)) server.token = view::make_token();
     return server;
 }
 
-void run_view_command(const ViewOptions& options) {
-    raise_open_file_limit_to_maximum();
+void run_view(const ViewOptions& options) {
+    raise_file_limit();
     // Loading a run takes a long time.
-    const view::WebServerOptions server_settings = make_server_options(options);
-    require_settings_used_by_command(options.sets, list_rendering_setting_names(), "view");
-    TrainedRun run = load_run(options.run);
-    parse_and_apply_setting_texts(run.config, options.sets);
-    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
-    if (options.channels) set_config_value(run.config, "render.channels", *options.channels);
+    const view::WebServerOptions server_settings = server_options(options);
+    check_settings_used(options.sets, render_settings(), "view");
+    Run run = load_run(options.run);
+    apply_settings(run.config, options.sets);
+    run.config = with_max_range(std::move(run.config), run.sequence);
+    if (options.channels) set_value(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
     std::optional<OutputFolder> made;  // Removes the folder at exit if it is still empty.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path save_to =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     const std::filesystem::path folder = std::filesystem::absolute(save_to).lexically_normal();
-    Device device(convert_to_device_options(options.device));
+    Device device(to_device_options(options.device));
     // `session` and `foxglove` send results to the server, which calls them. It is
     // created last and destroyed first.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
-         [&](view::TabId tab, std::string frame) {
-             out->send_scan_and_drop_queued_older_scan(tab, std::move(frame));
-         }});
+         [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
     view::FoxglovePlayer foxglove(
-        session.get_run(), device,
+        session.trained_run(), device,
         {[&](view::ClientId client, std::string text) { out->send_text(client, std::move(text)); },
          [&](view::ClientId client, std::vector<std::string> scan) {
-             out->send_messages_unless_client_is_slow(client, std::move(scan));
+             out->send_batch(client, std::move(scan));
          }});
-    view::WebServer server(server_settings,
-                           {[&](view::ClientId tab) { session.open_tab(tab); },
-                            [&](view::ClientId client, std::string text) {
-                                if (!foxglove.handle_message_if_client_is_known(client, text))
-                                    session.handle_tab_message(client, text);
-                            },
-                            [&](view::ClientId client) {
-                                foxglove.remove_client(client);
-                                session.close_tab(client);
-                            },
-                            [&](view::ClientId client) { foxglove.add_client_and_send_topics(client); }});
+    view::WebServer server(server_settings, {[&](view::ClientId tab) { session.open_tab(tab); },
+                                             [&](view::ClientId client, std::string text) {
+                                                 if (!foxglove.handle_message(client, text))
+                                                     session.handle_message(client, text);
+                                             },
+                                             [&](view::ClientId client) {
+                                                 foxglove.remove_client(client);
+                                                 session.close_tab(client);
+                                             },
+                                             [&](view::ClientId client) { foxglove.add_client(client); }});
     out = &server;
-    install_interrupt_handlers();
-    print(server.get_page_url() + "\n");
+    install_handlers();
+    print(server.page_url() + "\n");
     std::fflush(stdout);
     const char* who = server_settings.token.empty() ? "open this address in a browser"
                                                     : "only clients that know this address have access";
     if (!options.quiet) print_note(fmt::format("{}; Ctrl-C ends the program", who));
-    if (options.open) open_in_browser(server.get_page_url());
-    while (!is_interrupted())
-        session.wait_for_and_run_next_request(foxglove.send_scan_if_due_and_get_wait_time(kViewPatience));
-    session.run_pending_requests_and_stop();
-    server.reject_new_clients_and_close_after_sending(kGoodbye);
+    if (options.open) open_in_browser(server.page_url());
+    while (!is_interrupted()) session.run_next(foxglove.send_due(kViewPatience));
+    session.finish_requests();
+    server.drain(kMaxShutdownTime);
 }
 
 constexpr const char* kViewHelp =
@@ -137,7 +133,7 @@ Examples:
 
 }  // namespace
 
-void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_view(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser and move the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
@@ -160,14 +156,14 @@ void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
         ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
     add_channels_option(*command, options->channels);
-    add_setting_override_option(*command, options->sets);
+    add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
     add_quiet_option(*command, options->quiet);
     command->footer(kViewHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_view_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_view(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -7,7 +7,7 @@
 
 namespace relidar::cli {
 
-void add_view_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_view(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser (not in this build)");
     command->allow_extras();
     command->callback([&selected_command] {

@@ -29,8 +29,8 @@ struct RefineCommandOptions {
 };
 
 /// No value if training starts from the beginning.
-std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommandOptions& options) {
-    const std::filesystem::path folder = get_network_checkpoint_folder(options.run);
+std::optional<Checkpoint> load_checkpoint(const RefineCommandOptions& options) {
+    const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
             print_warning(
@@ -39,7 +39,7 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommand
                             options.run));
         return std::nullopt;
     }
-    std::optional<Checkpoint> start = load_newest_checkpoint(folder, print_warning);
+    std::optional<Checkpoint> start = load_newest(folder, print_warning);
     if (!start)
         print_warning(fmt::format(
             "{} has no checkpoint of its network training, which therefore starts from the beginning",
@@ -48,19 +48,19 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const RefineCommand
 }
 
 /// If the user interrupts, throws an error with the command that resumes the training.
-void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCommandOptions& options,
-                                 const Checkpoint* start_checkpoint) {
+void train_network(Device& device, Run& run, const RefineCommandOptions& options,
+                   const Checkpoint* start_checkpoint) {
     if (start_checkpoint && !options.quiet)
         print(fmt::format("resume  training of the network continues from step {}\n",
                           start_checkpoint->iteration));
-    const std::filesystem::path checkpoints = get_network_checkpoint_folder(run.folder);
-    install_interrupt_handlers();
-    if (train_drop_network_with_progress(device, run, options.quiet,
-                                         {.checkpoints = checkpoints, .start = start_checkpoint}) ==
+    const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
+    install_handlers();
+    if (train_network_with_bar(device, run, options.quiet,
+                               {.checkpoints = checkpoints, .start = start_checkpoint}) ==
         TrainingEndReason::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
-        std::string command = "relidar refine --resume " + quote_word_for_shell(options.run);
-        for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
+        std::string command = "relidar refine --resume " + quote_for_shell(options.run);
+        for (const std::string& word : device_arguments(options.device)) command += " " + word;
         throw Error(ExitCode::interrupted,
                     fmt::format("interrupted: the ray-drop network of run {} is unchanged{}",
                                 run.folder.string(), can_go_on ? "; continue with: " + command : ""));
@@ -68,53 +68,52 @@ void train_and_save_drop_network(Device& device, TrainedRun& run, const RefineCo
     save_run(run);
 }
 
-EvaluationResult score_held_out_frames(Device& device, TrainedRun run, bool use_drop_network, bool quiet) {
+Evaluation score_held_out(Device& device, Run run, bool use_drop_network, bool quiet) {
     run.config.refine.enabled = use_drop_network;
     ScanRenderer renderer(device, run);
     TerminalProgress progress(quiet);
     return evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                           make_interruptible_progress_callback(progress));
+                           interruptible_progress(progress));
 }
 
 /// Writes the scores with the network to metrics.json.
-void score_with_and_without_network(Device& device, const TrainedRun& run,
-                                    const RefineCommandOptions& options) {
-    const EvaluationResult before = score_held_out_frames(device, run, false, options.quiet),
-                           after = score_held_out_frames(device, run, true, options.quiet);
-    end_progress_line();
-    write_text_file(run.folder / "metrics.json",
-                    make_metrics_json(after, run.config,
-                                      {make_absolute_path(run.folder.string()), device.info().name,
-                                       device.peak_allocated_bytes(), 0.0}));
+void compare_scores(Device& device, const Run& run, const RefineCommandOptions& options) {
+    const Evaluation before = score_held_out(device, run, false, options.quiet),
+                     after = score_held_out(device, run, true, options.quiet);
+    end_progress();
+    write_text_file(
+        run.folder / "metrics.json",
+        metrics_json(after, run.config,
+                     {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), 0.0}));
     if (!options.quiet)
-        print(format_metric_tables(after, &before) +
+        print(format_metrics(after, &before) +
               "\nThe column \"baseline\" has the scores without the ray-drop network.\n");
 }
 
-void run_refine_command(const RefineCommandOptions& options) {
+void run_refine(const RefineCommandOptions& options) {
     std::optional<FolderLock> lock;
     if (is_run_folder(options.run)) lock.emplace(options.run);
-    TrainedRun run = load_run(options.run);
-    const std::optional<Checkpoint> start = load_newest_checkpoint_if_resuming(options);
-    if (start) copy_network_settings_into_config(*start, run.config);
-    std::vector<std::string> used = list_rendering_setting_names();
+    Run run = load_run(options.run);
+    const std::optional<Checkpoint> start = load_checkpoint(options);
+    if (start) read_drop_settings(*start, run.config);
+    std::vector<std::string> used = render_settings();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
-    require_settings_used_by_command(options.sets, used, "refine");
-    parse_and_apply_setting_texts(run.config, options.sets);
-    run.config = replace_automatic_max_range(std::move(run.config), run.sequence);
+    check_settings_used(options.sets, used, "refine");
+    apply_settings(run.config, options.sets);
+    run.config = with_max_range(std::move(run.config), run.sequence);
     run.config.refine.enabled = true;
-    create_folder_and_require_writable(run.folder);
-    Device device(convert_to_device_options(options.device));
-    const LidarSequence log = load_dataset(run.config, options.quiet);
-    copy_scans_into_run(run, run.split.train, log);
-    if (!options.no_eval) copy_scans_into_run(run, run.split.test, log);
-    if (start) require_network_training_is_resumable(*start, run);
-    else remove_network_checkpoints(run.folder);
+    prepare_folder(run.folder);
+    Device device(to_device_options(options.device));
+    const Log log = load_dataset(run.config, options.quiet);
+    copy_scans(run, run.split.train, log);
+    if (!options.no_eval) copy_scans(run, run.split.test, log);
+    if (start) check_drop_resume(*start, run);
+    else remove_network_state(run.folder);
 
-    train_and_save_drop_network(device, run, options, start ? &*start : nullptr);
-    if (!options.no_eval && !run.split.test.empty()) score_with_and_without_network(device, run, options);
+    train_network(device, run, options, start ? &*start : nullptr);
+    if (!options.no_eval && !run.split.test.empty()) compare_scores(device, run, options);
     // Removed last, so that --resume can use them if the process is killed earlier.
-    remove_network_checkpoints(run.folder);
+    remove_network_state(run.folder);
 }
 
 constexpr const char* kRefineHelp =
@@ -130,19 +129,19 @@ Examples:
 
 }  // namespace
 
-void add_refine_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_refine(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects the ray-drop of a run");
     const auto options = std::make_shared<RefineCommandOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_flag("--resume", options->resume,
                       "continue an interrupted training, with its settings, from its newest checkpoint");
-    add_setting_override_option(*command, options->sets);
+    add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames after the training");
     add_quiet_option(*command, options->quiet);
     command->footer(kRefineHelp);
     command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_refine_command(*options); }; });
+        [&selected_command, options] { selected_command.run = [options] { run_refine(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -53,7 +53,7 @@ bool is_file(const fs::path& path) {
 }
 
 /// --resume can precede the log or the output folder.
-TrainOptions resolve_log_and_output_folder(TrainOptions options) {
+TrainOptions resolve_paths(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
         options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
@@ -71,42 +71,42 @@ TrainOptions resolve_log_and_output_folder(TrainOptions options) {
 }
 
 /// A resumed training uses its saved settings, unless --preset or --config is given.
-Config make_training_config(const TrainOptions& options) {
+Config training_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     Config config;
     if (!options.resume || options.from_preset || !is_file(saved)) {
-        config = make_config_from_settings(options.settings);
+        config = make_config(options.settings);
     } else {
-        config = load_saved_config(saved);
-        parse_and_apply_setting_texts(config, options.settings.sets);
+        config = load_settings(saved);
+        apply_settings(config, options.settings.sets);
     }
     if (options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
         // 0 means automatic. The resumed training uses the range that was found earlier.
-        config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
+        config.dataset.max_range_m = load_settings(saved).dataset.max_range_m;
     if (contains_run(options.dataset))
         fail<UsageError>(
             "cannot train on {}: it is a run, expected a log; `relidar train --resume RUN` continues the "
             "training of a run",
             options.dataset);
-    if (!options.dataset.empty()) config.dataset.path = make_dataset_path_absolute(options.dataset);
-    if (config.dataset.poses != kNoPoses) config.dataset.poses = make_absolute_path(config.dataset.poses);
-    apply_log_selection_to_config(config, options.part);
+    if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
+    if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
+    apply_selection(config, options.part);
     if (std::string length = options.blocks; !length.empty()) {
         if (length.ends_with('m')) length.pop_back();
-        set_config_value(config, "blocks.length_m", length);
+        set_value(config, "blocks.length_m", length);
     }
-    if (!options.seed.empty()) set_config_value(config, "train.seed", options.seed);
+    if (!options.seed.empty()) set_value(config, "train.seed", options.seed);
     return config;
 }
 
 /// It must have a scene, a report, and at least the requested number of iterations.
-bool is_training_finished(const fs::path& run_folder, const Config& config) {
+bool is_finished(const fs::path& run_folder, const Config& config) {
     return is_file(run_folder / "scene.json") && is_file(run_folder / "report.html") &&
-           read_last_logged_iteration(run_folder) >= config.train.iterations;
+           last_iteration(run_folder) >= config.train.iterations;
 }
 
 /// settings whose names begin with the group
-bool is_setting_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
+bool is_group_equal(const Config& first, const Config& second, std::string_view setting_name_prefix) {
     const std::vector<ConfigKey> x = list_config_keys(first), y = list_config_keys(second);
     for (std::size_t i = 0; i < x.size(); ++i)
         if (x[i].key.starts_with(setting_name_prefix) && x[i].value != y[i].value) return false;
@@ -114,14 +114,13 @@ bool is_setting_group_equal(const Config& first, const Config& second, std::stri
 }
 
 /// @throws UsageError if the run was trained with other settings
-void require_same_settings_as_finished_run(const fs::path& run_folder, const Config& current_config) {
-    const Config trained = load_saved_config(run_folder / kConfigFile);
-    std::string key = find_setting_that_prevents_resuming(trained, current_config);
+void check_same_settings(const fs::path& run_folder, const Config& current_config) {
+    const Config trained = load_settings(run_folder / kConfigFile);
+    std::string key = find_fixed_setting(trained, current_config);
     if (key.empty() && trained.dataset.path != current_config.dataset.path) key = "dataset.path";
     if (key.empty() && trained.dataset.sequence != current_config.dataset.sequence) key = "dataset.sequence";
     for (const char* group : {"refine.", "render."})
-        if (key.empty() && !is_setting_group_equal(trained, current_config, group))
-            key = std::string(group) + "*";
+        if (key.empty() && !is_group_equal(trained, current_config, group)) key = std::string(group) + "*";
     if (!key.empty())
         fail<UsageError>(
             "cannot resume {}: its finished training used another value of the setting {}; expected the same "
@@ -130,20 +129,19 @@ void require_same_settings_as_finished_run(const fs::path& run_folder, const Con
             run_folder.string(), key);
 }
 
-bool has_trained_scene_but_no_report(const fs::path& run_folder, const Config& config) {
+bool lacks_report(const fs::path& run_folder, const Config& config) {
     if (!is_file(run_folder / "scene.json") || is_file(run_folder / "report.html") ||
-        read_last_logged_iteration(run_folder) < config.train.iterations)
+        last_iteration(run_folder) < config.train.iterations)
         return false;
-    const Config trained = load_saved_config(run_folder / kConfigFile);
+    const Config trained = load_settings(run_folder / kConfigFile);
     const auto log_of = [](const DatasetConfig& d) { return std::tie(d.path, d.sequence, d.poses); };
-    return log_of(trained.dataset) == log_of(config.dataset) &&
-           find_setting_that_prevents_resuming(trained, config).empty();
+    return log_of(trained.dataset) == log_of(config.dataset) && find_fixed_setting(trained, config).empty();
 }
 
 /// No value if training starts from the beginning.
-std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const TrainOptions& options) {
+std::optional<Checkpoint> load_checkpoint(const TrainOptions& options) {
     const fs::path folder = options.out;
-    std::optional<Checkpoint> start = load_newest_checkpoint(get_checkpoint_folder(folder), print_warning);
+    std::optional<Checkpoint> start = load_newest(checkpoint_folder(folder), print_warning);
     if (start) return start;
     if (is_file(folder / "report.html"))
         fail<UsageError>(
@@ -155,88 +153,80 @@ std::optional<Checkpoint> load_newest_checkpoint_if_resuming(const TrainOptions&
     return std::nullopt;
 }
 
-void print_frames_and_device_of_training(const LidarSequence& sequence, const TrainTestSplit& split,
-                                         const Device& device, const Checkpoint* checkpoint_to_resume) {
+void print_start(const Log& sequence, const Split& split, const Device& device,
+                 const Checkpoint* checkpoint_to_resume) {
     print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
                       sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
-                      device.get_ray_tracing_backend() == RayTracingBackend::software ? "software traversal"
-                                                                                      : "ray query"));
+                      device.backend() == RayTracingBackend::software ? "software traversal" : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
     if (checkpoint_to_resume)
         print(fmt::format("resume  training continues from iteration {}\n", checkpoint_to_resume->iteration));
     std::fflush(stdout);
 }
 
-std::string format_train_resume_command(const TrainOptions& options) {
-    std::string command = "relidar train --resume " + quote_word_for_shell(options.out);
-    for (const std::string& word : make_device_arguments(options.device)) command += " " + word;
+std::string resume_command(const TrainOptions& options) {
+    std::string command = "relidar train --resume " + quote_for_shell(options.out);
+    for (const std::string& word : device_arguments(options.device)) command += " " + word;
     return command;
 }
 
 /// An error names the last checkpoint and the command that resumes the training.
-TrainResult train_scene_or_throw_with_resume_hint(Device& device, const TrainedRun& run,
-                                                  const TrainOptions& options,
-                                                  const Checkpoint* checkpoint_to_resume,
-                                                  StageTimes& stage_times) {
-    const fs::path checkpoints = get_checkpoint_folder(run.folder);
+TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
+                            const Checkpoint* checkpoint_to_resume, StageTimes& stage_times) {
+    const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
-        return train_scene_with_progress(device, run.sequence, run.split, run.config, run.folder,
-                                         options.quiet,
-                                         {.checkpoints = checkpoints,
-                                          .start = checkpoint_to_resume,
-                                          .stop = {},
-                                          .note = {},
-                                          .stages = &stage_times});
+        return train_scene(device, run.sequence, run.split, run.config, run.folder, options.quiet,
+                           {.checkpoints = checkpoints,
+                            .start = checkpoint_to_resume,
+                            .stop = {},
+                            .note = {},
+                            .stages = &stage_times});
     } catch (const Error& error) {
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
                                               has_checkpoint ? "the last checkpoint is saved; continue with"
                                                              : "start again with",
-                                              format_train_resume_command(options)));
+                                              resume_command(options)));
     }
 }
 
 /// For a user who interrupts a step after the scene was saved.
-Error make_error_with_resume_command(const char* interrupted_step, const TrainedRun& run,
-                                     const TrainOptions& options) {
+Error resume_error(const char* interrupted_step, const Run& run, const TrainOptions& options) {
     return Error(ExitCode::interrupted,
                  fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}",
-                             interrupted_step, run.folder.string(), format_train_resume_command(options)));
+                             interrupted_step, run.folder.string(), resume_command(options)));
 }
 
 /// The steps between the training of the scene and of the network.
-void align_held_out_scans_and_learn_noise_or_throw(Device& device, TrainedRun& run,
-                                                   const TrainOptions& options, StageTimes& stage_times) {
-    if (align_held_out_scans_and_fit_intensity_noise(device, run, options.quiet, stage_times) ==
-        TrainingEndReason::stopped)
-        throw make_error_with_resume_command(
-            "held-out scans were being aligned or intensity noise was being learned", run, options);
+void finish_scene(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
+    if (align_and_fit_noise(device, run, options.quiet, stage_times) == TrainingEndReason::stopped)
+        throw resume_error("held-out scans were being aligned or intensity noise was being learned", run,
+                           options);
 }
 
 /// Empty if the log has no held-out frames.
-EvaluationResult evaluate_held_out_and_write_metrics(Device& device, const TrainedRun& run,
-                                                     const TrainOptions& options) {
+Evaluation score_run(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
     TerminalProgress progress(options.quiet);
     const auto start = std::chrono::steady_clock::now();
-    EvaluationResult evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                                                  make_interruptible_progress_callback(progress));
+    Evaluation evaluation =
+        evaluate_frames(renderer, run.config, run.sequence, run.split.test, interruptible_progress(progress));
     const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    write_text_file(run.folder / "metrics.json",
-                    make_metrics_json(evaluation, run.config,
-                                      {make_absolute_path(run.folder.string()), device.info().name,
-                                       device.peak_allocated_bytes(), seconds}));
+    write_text_file(
+        run.folder / "metrics.json",
+        metrics_json(evaluation, run.config,
+                     {absolute_path(run.folder.string()), device.info().name, device.peak_bytes(), seconds}));
     return evaluation;
 }
 
 /// Without scores if the training was interrupted.
-void score_and_write_training_report(Device& device, const TrainedRun& run, const TrainResult& result,
-                                     const TrainOptions& options, const std::string& command_line,
-                                     StageTimes& stage_times) {
+void write_train_report(Device& device, const Run& run, const TrainResult& result,
+                        const TrainOptions& options, const std::string& command_line,
+                        StageTimes& stage_times) {
     stage_times.start_stage("report");
-    Report report = make_training_report(run, result, device, command_line);
+    Report report = training_report(run, result, device, command_line);
     if (result.interrupted) {
         write_report(run.folder / "report.html", report);
         throw Error(
@@ -244,43 +234,42 @@ void score_and_write_training_report(Device& device, const TrainedRun& run, cons
             fmt::format(
                 "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: {}",
                 result.iterations, run.config.train.iterations, run.folder.string(),
-                format_train_resume_command(options)));
+                resume_command(options)));
     }
-    EvaluationResult evaluation;
+    Evaluation evaluation;
     try {
         stage_times.start_stage("evaluate");
-        evaluation = evaluate_held_out_and_write_metrics(device, run, options);
+        evaluation = score_run(device, run, options);
         stage_times.start_stage("report");
-        add_evaluation_to_report(report, evaluation, run, {"held out", "real"});
-        for (ReportFigure& strip : draw_worst_actor_figures(device, run, evaluation))
+        add_evaluation(report, evaluation, run, {"held out", "real"});
+        for (ReportFigure& strip : draw_worst_actors(device, run, evaluation))
             report.figures.push_back(std::move(strip));
-        if (std::optional<ReportFigure> strip = draw_walking_actor_figure(device, run))
+        if (std::optional<ReportFigure> strip = draw_walker(device, run))
             report.figures.push_back(std::move(*strip));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
-        throw make_error_with_resume_command("held-out frames were scored or drawn", run, options);
+        throw resume_error("held-out frames were scored or drawn", run, options);
     }
-    report.facts.emplace_back("Stages", format_stage_times(stage_times));
+    report.facts.emplace_back("Stages", stage_times_text(stage_times));
     write_report(run.folder / "report.html", report);
-    stage_times.end_running_stage();
-    append_stage_times_to_log(run.folder, stage_times);
+    stage_times.end_stage();
+    append_stage_times(run.folder, stage_times);
     if (options.quiet) return;
     if (!evaluation.frames.empty())
-        print(fmt::format("\n{}all scores: {}\n\n", format_score_summary(evaluation),
-                          make_absolute_path((run.folder / "metrics.json").string())));
+        print(fmt::format("\n{}all scores: {}\n\n", format_scores(evaluation),
+                          absolute_path((run.folder / "metrics.json").string())));
     print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n",
                       count_surfels(run.scene), format_duration(result.train_s),
-                      format_byte_size(result.peak_device_bytes), format_stage_times(stage_times),
-                      make_absolute_path((run.folder / "report.html").string())));
+                      format_bytes(result.peak_device_bytes), stage_times_text(stage_times),
+                      absolute_path((run.folder / "report.html").string())));
 }
 
 /// If the checkpoint belongs to another scene or other settings, prints a note and
 /// returns no value.
-std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run) {
+std::optional<Checkpoint> load_network_state(const Run& run) {
     try {
-        std::optional<Checkpoint> start =
-            load_newest_checkpoint(get_network_checkpoint_folder(run.folder), print_warning);
-        if (start) require_network_training_is_resumable(*start, run);
+        std::optional<Checkpoint> start = load_newest(network_checkpoint_folder(run.folder), print_warning);
+        if (start) check_drop_resume(*start, run);
         return start;
     } catch (const Error& error) {
         print_warning(fmt::format(
@@ -291,87 +280,83 @@ std::optional<Checkpoint> load_matching_network_checkpoint(const TrainedRun& run
 
 /// Only prints a note if the log has no suitable training data, or if the device cannot
 /// run the network.
-void train_and_save_drop_network_if_possible(Device& device, TrainedRun& run, const TrainOptions& options,
-                                             StageTimes& stage_times) {
-    const std::optional<Checkpoint> start = load_matching_network_checkpoint(run);
-    if (!start) remove_network_checkpoints(run.folder);
+void train_drop(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
+    const std::optional<Checkpoint> start = load_network_state(run);
+    if (!start) remove_network_state(run.folder);
     else if (!options.quiet)
         print(fmt::format("resume  training of the ray-drop network continues from step {}\n",
                           start->iteration));
     const auto leave_out = [](const Error& error) {
-        end_progress_line();
+        end_progress();
         print_warning(error.what());
     };
     try {
-        const RayDropTrainingSession session{.checkpoints = get_network_checkpoint_folder(run.folder),
+        const RayDropTrainingSession session{.checkpoints = network_checkpoint_folder(run.folder),
                                              .start = start ? &*start : nullptr,
                                              .stages = &stage_times};
-        if (train_drop_network_with_progress(device, run, options.quiet, session) ==
-            TrainingEndReason::stopped)
-            throw make_error_with_resume_command("the ray-drop network was trained", run, options);
+        if (train_network_with_bar(device, run, options.quiet, session) == TrainingEndReason::stopped)
+            throw resume_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // A resumed training would fail with the same error.
-        remove_network_checkpoints(run.folder);
+        remove_network_state(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
         return leave_out(error);
     }
     save_run(run);
-    remove_network_checkpoints(run.folder);
+    remove_network_state(run.folder);
 }
 
 /// Such as the ray-drop network and the scores.
-void run_steps_missing_after_scene_training(const TrainOptions& options, const Config& config,
-                                            const std::string& command_line) {
+void finish_run(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunOutputFolder folder(options.out, ExistingRunPolicy::keep);
-    TrainedRun run = load_run(options.out);
-    const bool has_network =
-        !run.drop_network.empty() && is_setting_group_equal(run.config, config, "refine.");
+    Run run = load_run(options.out);
+    const bool has_network = !run.drop_network.empty() && is_group_equal(run.config, config, "refine.");
     run.config = config;
-    Device device(convert_to_device_options(options.device));
+    Device device(to_device_options(options.device));
     StageTimes stages;
     stages.start_stage("read");
-    const LidarSequence log = load_dataset(config, options.quiet);
-    copy_scans_into_run(run, run.split.train, log);
-    copy_scans_into_run(run, run.split.test, log);
+    const Log log = load_dataset(config, options.quiet);
+    copy_scans(run, run.split.train, log);
+    copy_scans(run, run.split.test, log);
     if (!options.quiet) {
-        print_frames_and_device_of_training(run.sequence, run.split, device, nullptr);
+        print_start(run.sequence, run.split, device, nullptr);
         print("resume  all iterations are done; continuing with the steps after them\n");
     }
-    install_interrupt_handlers();
-    if (!run.held_out_placed) align_held_out_scans_and_learn_noise_or_throw(device, run, options, stages);
+    install_handlers();
+    if (!run.held_out_placed) finish_scene(device, run, options, stages);
     // A process that was killed may have left them.
-    if (has_network) remove_network_checkpoints(run.folder);
-    else if (config.refine.enabled) train_and_save_drop_network_if_possible(device, run, options, stages);
+    if (has_network) remove_network_state(run.folder);
+    else if (config.refine.enabled) train_drop(device, run, options, stages);
     TrainResult result;
-    result.log = read_training_log_file(run.folder);
+    result.log = read_log(run.folder);
     if (!result.log.empty()) {
         result.iterations = result.log.back().iteration;
         result.train_s = result.log.back().seconds;
     }
-    result.peak_device_bytes = device.peak_allocated_bytes();
-    score_and_write_training_report(device, run, result, options, command_line, stages);
+    result.peak_device_bytes = device.peak_bytes();
+    write_train_report(device, run, result, options, command_line, stages);
 }
 
 /// Removes the results of an earlier training, and saves the settings.
-void remove_old_results_and_save_config(const fs::path& run_folder, const Config& config, bool keep_blocks,
-                                        bool keep_checkpoints) {
-    remove_run_result_files(run_folder);
-    remove_network_checkpoints(run_folder);
-    if (!keep_checkpoints) remove_checkpoints(get_checkpoint_folder(run_folder));
-    if (!keep_blocks) remove_block_folders(run_folder);
+void prepare_run_folder(const fs::path& run_folder, const Config& config, bool keep_blocks,
+                        bool keep_checkpoints) {
+    remove_results(run_folder);
+    remove_network_state(run_folder);
+    if (!keep_checkpoints) remove_checkpoints(checkpoint_folder(run_folder));
+    if (!keep_blocks) remove_blocks(run_folder);
     // If the process is killed, the training can be resumed with them.
     write_text_file(run_folder / kConfigFile, to_toml(config));
 }
 
-void run_train_command(const TrainOptions& command_options, const std::string& command_line) {
+void run_train(const TrainOptions& command_options, const std::string& command_line) {
     const MpiProcessGroup ranks;
-    TrainOptions options = resolve_log_and_output_folder(command_options);
-    options.quiet = options.quiet || !ranks.is_first_mpi_process();
-    options.device = ranks.select_device_unless_user_chose(options.device);
-    Config config = make_training_config(options);
-    if (options.resume && !options.force && is_training_finished(options.out, config)) {
-        require_same_settings_as_finished_run(options.out, config);
+    TrainOptions options = resolve_paths(command_options);
+    options.quiet = options.quiet || !ranks.is_first();
+    options.device = ranks.select_device(options.device);
+    Config config = training_config(options);
+    if (options.resume && !options.force && is_finished(options.out, config)) {
+        check_same_settings(options.out, config);
         if (!options.quiet)
             print(
                 fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
@@ -380,10 +365,9 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
         return;
     }
     const bool resume = options.resume && !options.force;
-    if (!options.no_eval) require_readable_lpips_weights();
-    if (resume && has_trained_scene_but_no_report(options.out, config)) {
-        if (ranks.is_first_mpi_process())
-            run_steps_missing_after_scene_training(options, config, command_line);
+    if (!options.no_eval) check_lpips_weights();
+    if (resume && lacks_report(options.out, config)) {
+        if (ranks.is_first()) finish_run(options, config, command_line);
         return;
     }
     const bool in_blocks = config.blocks.length_m > 0.0;
@@ -392,45 +376,38 @@ void run_train_command(const TrainOptions& command_options, const std::string& c
             "training with {} MPI processes needs --blocks, because the processes share the blocks of a log",
             ranks.size());
     std::optional<RunOutputFolder> folder;
-    if (ranks.is_first_mpi_process())
+    if (ranks.is_first())
         folder.emplace(options.out, options.force    ? ExistingRunPolicy::replace
                                     : options.resume ? ExistingRunPolicy::keep
                                                      : ExistingRunPolicy::refuse);
-    if (resume && in_blocks) require_same_settings_as_all_trained_blocks(options.out, config);
-    std::optional<Checkpoint> start =
-        resume && !in_blocks ? load_newest_checkpoint_if_resuming(options) : std::nullopt;
-    Device device(convert_to_device_options(options.device));
+    if (resume && in_blocks) check_blocks(options.out, config);
+    std::optional<Checkpoint> start = resume && !in_blocks ? load_checkpoint(options) : std::nullopt;
+    Device device(to_device_options(options.device));
     StageTimes stages;
     stages.start_stage("read");
-    LidarSequence sequence = load_dataset(config, options.quiet);
-    config = replace_automatic_max_range(std::move(config), sequence);
-    const TrainTestSplit split =
-        split_frames_into_train_and_test(sequence, config.dataset.test_every, config.dataset.test_frames);
-    if (!options.quiet)
-        print_frames_and_device_of_training(sequence, split, device, start ? &*start : nullptr);
-    install_interrupt_handlers();
-    prepare_log_for_training_with_progress(sequence, split, config, options.quiet, ranks.get_process_group(),
-                                           &stages);
-    if (start) require_training_is_resumable(*start, sequence, split, config);
-    if (folder)
-        remove_old_results_and_save_config(folder->path(), config, resume && in_blocks, start.has_value());
-    ranks.wait_for_all_ranks();
-    TrainedRun run{options.out, config, std::move(sequence), split, {}, {}};
+    Log sequence = load_dataset(config, options.quiet);
+    config = with_max_range(std::move(config), sequence);
+    const Split split = split_frames(sequence, config.dataset.test_every, config.dataset.test_frames);
+    if (!options.quiet) print_start(sequence, split, device, start ? &*start : nullptr);
+    install_handlers();
+    prepare_log(sequence, split, config, options.quiet, ranks.group(), &stages);
+    if (start) check_resume(*start, sequence, split, config);
+    if (folder) prepare_run_folder(folder->path(), config, resume && in_blocks, start.has_value());
+    ranks.barrier();
+    Run run{options.out, config, std::move(sequence), split, {}, {}};
     if (in_blocks) stages.start_stage("train");
-    TrainResult result =
-        in_blocks
-            ? train_blocks(device, run, {ranks, options.quiet, format_train_resume_command(options)})
-            : train_scene_or_throw_with_resume_hint(device, run, options, start ? &*start : nullptr, stages);
-    if (!ranks.is_first_mpi_process()) return;
-    end_progress_line();
+    TrainResult result = in_blocks
+                             ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
+                             : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
+    if (!ranks.is_first()) return;
+    end_progress();
     start.reset();
-    if (!in_blocks) move_result_into_run(run, result);
+    if (!in_blocks) move_result(run, result);
     stages.start_stage("save");
     save_run(run);
-    if (!result.interrupted) align_held_out_scans_and_learn_noise_or_throw(device, run, options, stages);
-    if (config.refine.enabled && !result.interrupted)
-        train_and_save_drop_network_if_possible(device, run, options, stages);
-    score_and_write_training_report(device, run, result, options, command_line, stages);
+    if (!result.interrupted) finish_scene(device, run, options, stages);
+    if (config.refine.enabled && !result.interrupted) train_drop(device, run, options, stages);
+    write_train_report(device, run, result, options, command_line, stages);
 }
 
 constexpr const char* kTrainHelp =
@@ -448,12 +425,12 @@ Examples:
 
 }  // namespace
 
-void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
+void add_train(CLI::App& app, ParsedCommand& selected_command) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
     command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
-    add_frames_and_sequence_options(*command, options->part);
+    add_log_options(*command, options->part);
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
         ->type_name("S");
@@ -477,7 +454,7 @@ void add_train_command(CLI::App& app, ParsedCommand& selected_command) {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;
         selected_command.run = [&selected_command, options] {
-            run_train_command(*options, selected_command.command_line);
+            run_train(*options, selected_command.command_line);
         };
     });
 }

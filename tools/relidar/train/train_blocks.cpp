@@ -23,23 +23,23 @@ namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
 /// between the blocks of a scene
-bool may_setting_differ_between_blocks(const std::string& setting_key) {
+bool may_differ(const std::string& setting_key) {
     // Each block lists only the actors in its part of the log.
-    constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
-                               "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
+    constexpr std::array kFreeSettings{"dataset.path",           "dataset.memory_mib", "train.log_every",
+                                       "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
-    return std::find(kFree.begin(), kFree.end(), setting_key) != kFree.end() ||
+    return std::find(kFreeSettings.begin(), kFreeSettings.end(), setting_key) != kFreeSettings.end() ||
            std::any_of(kFreeGroups.begin(), kFreeGroups.end(),
                        [&](const char* group) { return setting_key.starts_with(group); });
 }
 
 /// @throws DataError if the block was trained with other settings
-void require_same_settings_as_trained_block(const fs::path& block_folder, const Config& trained_block_config,
-                                            const Config& current_config) {
+void check_block_settings(const fs::path& block_folder, const Config& trained_block_config,
+                          const Config& current_config) {
     const std::vector<ConfigKey> was = list_config_keys(trained_block_config),
                                  is = list_config_keys(current_config);
     for (std::size_t i = 0; i < is.size(); ++i)
-        if (!may_setting_differ_between_blocks(is[i].key) && was[i].value != is[i].value)
+        if (!may_differ(is[i].key) && was[i].value != is[i].value)
             fail(
                 "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same value, or "
                 "--force to train all blocks again",
@@ -47,13 +47,11 @@ void require_same_settings_as_trained_block(const fs::path& block_folder, const 
 }
 
 /// @throws DataError if the block was trained on other frames
-void require_same_frames_as_trained_block(const TrainedRun& trained_block,
-                                          const BlockTrainingLog& current_block_log) {
-    const auto is_same = [](const LidarFrame& first, const LidarFrame& second) {
+void check_block_frames(const Run& trained_block, const BlockTrainingLog& current_block_log) {
+    const auto is_same = [](const Frame& first, const Frame& second) {
         return first.index == second.index && first.lidar == second.lidar;
     };
-    const std::vector<LidarFrame>&was = trained_block.sequence.frames,
-          &is = current_block_log.sequence.frames;
+    const std::vector<Frame>&was = trained_block.sequence.frames, &is = current_block_log.sequence.frames;
     if (trained_block.split.train != current_block_log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
         fail(
@@ -66,7 +64,7 @@ void require_same_frames_as_trained_block(const TrainedRun& trained_block,
 /// Sums up the times and averages the losses of all blocks.
 class BlockTrainTotals {
 public:
-    void add_block_progress_to_sums(const std::vector<TrainProgress>& block_progress) {
+    void add_progress(const std::vector<TrainProgress>& block_progress) {
         ++n_;
         if (!block_progress.empty()) seconds_ += block_progress.back().seconds;
         for (std::size_t i = 0; i < block_progress.size(); ++i) {
@@ -79,13 +77,13 @@ public:
             for (std::size_t k = 0; k < line.terms.size(); ++k) line.terms[k] += block_progress[i].terms[k];
         }
     }
-    void add_block_result_to_sums(const TrainResult& result) {
-        add_block_progress_to_sums(result.log);
+    void add_result(const TrainResult& result) {
+        add_progress(result.log);
         sum_.initialise_s += result.initialise_s;
         sum_.peak_device_bytes = std::max(sum_.peak_device_bytes, result.peak_device_bytes);
         sum_.times.add_times(result.times);
     }
-    TrainResult average_train_results_of_blocks(int n_iterations) {
+    TrainResult average(int n_iterations) {
         for (TrainProgress& line : sum_.log) {
             line.n_iterations = n_iterations;
             line.loss /= double(n_);
@@ -105,13 +103,13 @@ private:
 
 class BlockTrainer {
 public:
-    BlockTrainer(Device& device, TrainedRun& run, const BlockTrainingOptions& training)
+    BlockTrainer(Device& device, Run& run, const BlockTrainingOptions& training)
         : device_(device),
           run_(run),
           how_(training),
-          blocks_(plan_training_blocks(run.sequence, run.split, run.config.blocks)) {}
+          blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
 
-    TrainResult train_all_blocks() {
+    TrainResult train_all() {
         if (!how_.quiet)
             print(fmt::format(
                 "blocks  {} blocks of {:.1f} m each; each block also uses the sweeps up to {:g} m outside "
@@ -124,60 +122,58 @@ public:
         // finished, or trained by another MPI process
         std::vector<std::size_t> others;
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
-            folders.push_back(get_blocks_folder(run_.folder) / fmt::format("{:03}", k));
-            if (!train_block_if_not_done_or_locked(k, folders.back())) others.push_back(k);
+            folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
+            if (!train_block(k, folders.back())) others.push_back(k);
         }
-        how_.ranks.wait_for_all_ranks();
-        if (!how_.ranks.is_first_mpi_process()) return {};
-        for (const std::size_t k : others)
-            total_.add_block_progress_to_sums(read_training_log_file(folders[k]));
-        join_trained_blocks(run_, blocks_, folders);
-        train_actors_in_joined_scene();
-        TrainResult result = total_.average_train_results_of_blocks(run_.config.train.iterations);
-        write_training_log_file(run_.folder, result.log);
+        how_.ranks.barrier();
+        if (!how_.ranks.is_first()) return {};
+        for (const std::size_t k : others) total_.add_progress(read_log(folders[k]));
+        join_blocks(run_, blocks_, folders);
+        train_joined_actors();
+        TrainResult result = total_.average(run_.config.train.iterations);
+        write_log(run_.folder, result.log);
         return result;
     }
 
 private:
     /// Does nothing if the block is already trained, or if another MPI process trains it.
     /// @return true if this call has trained the block
-    bool train_block_if_not_done_or_locked(std::size_t block_index, const fs::path& block_folder) {
+    bool train_block(std::size_t block_index, const fs::path& block_folder) {
         std::error_code failed;
         // Locking the folder reports the same error below.
         fs::create_directories(block_folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::try_lock_folder(block_folder);
         if (!lock) return false;
-        BlockTrainingLog log =
-            copy_frames_and_boxes_of_block(run_.sequence, run_.split, blocks_[block_index], run_.config);
+        BlockTrainingLog log = cut_log(run_.sequence, run_.split, blocks_[block_index], run_.config);
         if (fs::is_regular_file(block_folder / "scene.json", failed)) {
-            const TrainedRun trained = load_run(block_folder);
-            require_same_frames_as_trained_block(trained, log);
+            const Run trained = load_run(block_folder);
+            check_block_frames(trained, log);
             // Left over if an earlier process was killed.
-            remove_checkpoints(get_checkpoint_folder(block_folder));
+            remove_checkpoints(checkpoint_folder(block_folder));
             return false;
         }
-        print_block_start(block_index, log);
+        print_start(block_index, log);
         const auto start = Clock::now();
         try {
-            TrainResult result = train_or_resume_block(log, block_folder);
-            end_progress_line();
-            total_.add_block_result_to_sums(result);
-            save_trained_block(block_index, std::move(log), block_folder, result);
+            TrainResult result = train_or_resume(log, block_folder);
+            end_progress();
+            total_.add_result(result);
+            save_block(block_index, std::move(log), block_folder, result);
         } catch (const Error& error) {
-            throw Error(error.code(), append_resume_command(fmt::format("block {} of {}: {}", block_index + 1,
-                                                                        blocks_.size(), error.what())));
+            throw Error(error.code(), with_resume_hint(fmt::format("block {} of {}: {}", block_index + 1,
+                                                                   blocks_.size(), error.what())));
         }
         seconds_ += std::chrono::duration<double>(Clock::now() - start).count();
         ++trained_;
         return true;
     }
 
-    void train_actors_in_joined_scene() {
+    void train_joined_actors() {
         TerminalProgress progress(how_.quiet);
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
-            progress.show_progress_text(
+            progress.show_text(
                 fmt::format("training the actors of all blocks, step {}/{}  {:.2f} steps/s  remaining {}",
                             step, n_steps, step / s, format_duration(s / step * (n_steps - step))),
                 step == n_steps);
@@ -186,44 +182,43 @@ private:
             if (relidar::train_actors(device_, run_, {show, is_interrupted}) == TrainingEndReason::stopped)
                 throw Error(ExitCode::interrupted, "interrupted while the actors of all blocks were trained");
         } catch (const Error& error) {
-            throw Error(error.code(), append_resume_command(error.what()));
+            throw Error(error.code(), with_resume_hint(error.what()));
         }
-        end_progress_line();
+        end_progress();
     }
 
     /// If a block or a checkpoint is saved.
-    std::string append_resume_command(const std::string& error_message) const {
+    std::string with_resume_hint(const std::string& error_message) const {
         std::error_code failed;
         bool has_saved_block = is_interrupted();
-        for (const auto& entry : fs::directory_iterator(get_blocks_folder(run_.folder), failed))
+        for (const auto& entry : fs::directory_iterator(blocks_folder(run_.folder), failed))
             has_saved_block |= fs::exists(entry.path() / "scene.json", failed) ||
-                               !list_checkpoints(get_checkpoint_folder(entry.path())).empty();
+                               !list_checkpoints(checkpoint_folder(entry.path())).empty();
         if (!has_saved_block) return error_message;
         return fmt::format("{}; the trained blocks are saved; continue with: {}", error_message, how_.resume);
     }
 
-    void save_trained_block(std::size_t block_index, BlockTrainingLog block_log, const fs::path& block_folder,
-                            TrainResult& result) const {
-        TrainedRun part{
-            block_folder, block_log.config, std::move(block_log.sequence), block_log.split, {}, {}};
-        move_result_into_run(part, result);
-        remove_surfels_of_other_blocks(part.scene, run_.sequence, blocks_, block_index);
+    void save_block(std::size_t block_index, BlockTrainingLog block_log, const fs::path& block_folder,
+                    TrainResult& result) const {
+        Run part{block_folder, block_log.config, std::move(block_log.sequence), block_log.split, {}, {}};
+        move_result(part, result);
+        keep_block_surfels(part.scene, run_.sequence, blocks_, block_index);
         save_run(part);
-        remove_checkpoints(get_checkpoint_folder(block_folder));
+        remove_checkpoints(checkpoint_folder(block_folder));
     }
 
-    TrainResult train_or_resume_block(const BlockTrainingLog& block_log, const fs::path& block_folder) const {
-        const fs::path checkpoints = get_checkpoint_folder(block_folder);
-        const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, print_warning);
+    TrainResult train_or_resume(const BlockTrainingLog& block_log, const fs::path& block_folder) const {
+        const fs::path checkpoints = checkpoint_folder(block_folder);
+        const std::optional<Checkpoint> start = load_newest(checkpoints, print_warning);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
-        TrainResult result = train_scene_with_progress(device_, block_log.sequence, block_log.split,
-                                                       block_log.config, block_folder, how_.quiet, session);
+        TrainResult result = train_scene(device_, block_log.sequence, block_log.split, block_log.config,
+                                         block_folder, how_.quiet, session);
         if (!result.interrupted) return result;
         throw Error(ExitCode::interrupted, fmt::format("interrupted after iteration {} of {}",
                                                        result.iterations, block_log.config.train.iterations));
     }
 
-    void print_block_start(std::size_t block_index, const BlockTrainingLog& block_log) const {
+    void print_start(std::size_t block_index, const BlockTrainingLog& block_log) const {
         if (how_.quiet) return;
         const double left_s =
             trained_ > 0 ? seconds_ / double(trained_) * double(blocks_.size() - block_index) : 0.0;
@@ -236,7 +231,7 @@ private:
     }
 
     Device& device_;
-    TrainedRun& run_;
+    Run& run_;
     const BlockTrainingOptions how_;
     const std::vector<TrajectoryBlock> blocks_;
     BlockTrainTotals total_;
@@ -246,19 +241,19 @@ private:
 
 }  // namespace
 
-void require_same_settings_as_all_trained_blocks(const fs::path& run_folder, const Config& config) {
+void check_blocks(const fs::path& run_folder, const Config& config) {
     std::error_code failed;
     std::vector<fs::path> folders;
-    for (const auto& entry : fs::directory_iterator(get_blocks_folder(run_folder), failed))
+    for (const auto& entry : fs::directory_iterator(blocks_folder(run_folder), failed))
         if (fs::is_regular_file(entry.path() / "scene.json", failed)) folders.push_back(entry.path());
     std::sort(folders.begin(), folders.end());
     for (const fs::path& folder : folders) {
-        require_same_settings_as_trained_block(folder, load_saved_config(folder / "config.toml"), config);
+        check_block_settings(folder, load_settings(folder / "config.toml"), config);
     }
 }
 
-TrainResult train_blocks(Device& device, TrainedRun& run, const BlockTrainingOptions& block_options) {
-    return BlockTrainer(device, run, block_options).train_all_blocks();
+TrainResult train_blocks(Device& device, Run& run, const BlockTrainingOptions& block_options) {
+    return BlockTrainer(device, run, block_options).train_all();
 }
 
 }  // namespace relidar::cli

@@ -24,10 +24,9 @@ struct BlockTrainingOptions {
 /// largest memory peak
 /// @throws Error with exit code 130 after Ctrl-C
 /// @throws DataError if a block was trained with other settings or frames
-TrainResult train_blocks(Device& device, TrainedRun& run, const BlockTrainingOptions& block_options);
+TrainResult train_blocks(Device& device, Run& run, const BlockTrainingOptions& block_options);
 
 /// @throws DataError that names the first block with other settings
-void require_same_settings_as_all_trained_blocks(const std::filesystem::path& run_folder,
-                                                 const Config& config);
+void check_blocks(const std::filesystem::path& folder, const Config& config);
 
 }  // namespace relidar::cli

@@ -18,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string format_progress_json_line(const TrainProgress& progress_entry) {
+std::string progress_json(const TrainProgress& progress_entry) {
     nlohmann::ordered_json json = {{"iteration", progress_entry.iteration},
                                    {"seconds", progress_entry.seconds},
                                    {"iterations_per_second", progress_entry.iterations_per_second},
@@ -26,7 +26,7 @@ std::string format_progress_json_line(const TrainProgress& progress_entry) {
     for (std::size_t k = 0; k < progress_entry.terms.size(); ++k)
         json[kLossTermNames[k]] = progress_entry.terms[k];
     json["surfels"] = progress_entry.n_surfels;
-    if (const DensifyReport& d = progress_entry.densified; d.added || d.count_removed_surfels())
+    if (const DensifyReport& d = progress_entry.densified; d.added || d.n_removed())
         json["densified"] = {{"added", d.added},     {"clones_wanted", d.clones}, {"splits_wanted", d.splits},
                              {"invalid", d.invalid}, {"faint", d.faint},          {"large", d.large},
                              {"outside", d.outside}};
@@ -34,32 +34,32 @@ std::string format_progress_json_line(const TrainProgress& progress_entry) {
     return json.dump() + "\n";
 }
 
-std::string format_training_log(const std::vector<TrainProgress>& log_entries) {
+std::string format_log(const std::vector<TrainProgress>& log_entries) {
     std::string text;
-    for (const TrainProgress& p : log_entries) text += format_progress_json_line(p);
+    for (const TrainProgress& p : log_entries) text += progress_json(p);
     return text;
 }
 
 /// If the disk is full, prints a note only once. At the end,
-/// rewrite_log_if_write_failed() tries to write the complete file again.
+/// repair() tries to write the complete file again.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& earlier_entries) : path_(std::move(path)) {
-        write_text_file(path_, format_training_log(earlier_entries));
+        write_text_file(path_, format_log(earlier_entries));
         file_.open(path_, std::ios::binary | std::ios::app);
     }
-    void append_and_flush_log_entry(const TrainProgress& progress) {
-        if (lost_ || (file_ << format_progress_json_line(progress)).flush()) return;
+    void append(const TrainProgress& progress) {
+        if (lost_ || (file_ << progress_json(progress)).flush()) return;
         lost_ = true;
         print_warning(
             fmt::format("cannot write {}, because the disk is full or the folder was removed; training "
                         "continues without it",
                         path_.string()));
     }
-    void rewrite_log_if_write_failed(const std::vector<TrainProgress>& log_entries) {
+    void repair(const std::vector<TrainProgress>& log_entries) {
         if (!lost_) return;
         try {
-            write_text_file(path_, format_training_log(log_entries));
+            write_text_file(path_, format_log(log_entries));
         } catch (const DataError& error) {
             print_warning(error.what());
         }
@@ -72,11 +72,11 @@ private:
 };
 
 /// Prints how far the scans moved. After Ctrl-C, the scans keep their previous poses.
-void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool quiet) {
+void align_held_out(Device& device, Run& run, bool quiet) {
     TerminalProgress progress(quiet);
-    const HeldOutPoseReport placed = estimate_held_out_vehicle_poses(
-        device, run, {make_terminal_progress_callback(progress), is_interrupted});
-    end_progress_line();
+    const HeldOutPoseReport placed =
+        register_held_out(device, run, {progress_callback(progress), is_interrupted});
+    end_progress();
     if (quiet || placed.scans == 0) return;
     print(
         fmt::format("corrected the poses of {} of {} held-out scans by {:.1f} mm (median), at most {:.1f} "
@@ -87,32 +87,28 @@ void align_held_out_scans_with_progress(Device& device, TrainedRun& run, bool qu
 
 }  // namespace
 
-void prepare_log_for_training_with_progress(LidarSequence& sequence, const TrainTestSplit& split,
-                                            const Config& config, bool quiet,
-                                            const ProcessGroup& process_group, StageTimes* stage_times) {
+void prepare_log(Log& sequence, const Split& split, const Config& config, bool quiet,
+                 const ProcessGroup& process_group, StageTimes* stage_times) {
     TerminalProgress progress(quiet);
     const auto report_line = [&](const std::string& line) {
-        constexpr std::string_view kWarning = "warning: ";
-        if (line.starts_with(kWarning)) return print_warning(line.substr(kWarning.size()));
+        constexpr std::string_view kWarningPrefix = "warning: ";
+        if (line.starts_with(kWarningPrefix)) return print_warning(line.substr(kWarningPrefix.size()));
         if (quiet) return;
-        end_progress_line();
+        end_progress();
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log_for_training(
-        sequence, split, config,
-        {report_line, is_interrupted, make_terminal_progress_callback(progress), stage_times, process_group});
+    prepare_log(sequence, split, config,
+                {report_line, is_interrupted, progress_callback(progress), stage_times, process_group});
 }
 
-TrainResult train_scene_with_progress(Device& device, const LidarSequence& sequence,
-                                      const TrainTestSplit& split, const Config& config,
-                                      const fs::path& run_folder, bool quiet, TrainSession session) {
-    return_freed_memory_to_system();
-    LogFile log(run_folder / "log.jsonl",
+TrainResult train_scene(Device& device, const Log& sequence, const Split& split, const Config& config,
+                        const fs::path& folder, bool quiet, TrainSession session) {
+    release_freed_memory();
+    LogFile log(folder / "log.jsonl",
                 session.start ? read_training_log(*session.start, config) : std::vector<TrainProgress>{});
     TerminalProgress progress(quiet);
-    session.progress = [show = make_terminal_progress_callback(progress)](std::string_view description,
-                                                                          double done) {
+    session.progress = [show = progress_callback(progress)](std::string_view description, double done) {
         if (is_interrupted())
             throw Error(ExitCode::interrupted, "interrupted before the first iteration of training");
         show(description, done);
@@ -123,87 +119,84 @@ TrainResult train_scene_with_progress(Device& device, const LidarSequence& seque
         device, sequence, split, config,
         [&](const TrainProgress& p) {
             if (!p.densified.note.empty()) print_note(p.densified.note);
-            progress.show_progress_text(format_progress_line(p), p.iteration == p.n_iterations);
-            log.append_and_flush_log_entry(p);
+            progress.show_text(progress_line(p), p.iteration == p.n_iterations);
+            log.append(p);
             return true;
         },
         session);
-    log.rewrite_log_if_write_failed(result.log);
+    log.repair(result.log);
     return result;
 }
 
-TrainingEndReason align_held_out_scans_and_fit_intensity_noise(Device& device, TrainedRun& run, bool quiet,
-                                                               StageTimes& stage_times) {
+TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, StageTimes& stage_times) {
     stage_times.start_stage("place");
-    align_held_out_scans_with_progress(device, run, quiet);
+    align_held_out(device, run, quiet);
     stage_times.start_stage("scatter");
     TerminalProgress progress(quiet);
     // After Ctrl-C, the noise of the intensities remains unknown.
-    run.intensity_scatter = fit_intensity_scatter_model_per_lidar(
-        device, run, {make_terminal_progress_callback(progress), is_interrupted});
-    end_progress_line();
+    run.intensity_scatter = learn_scatter(device, run, {progress_callback(progress), is_interrupted});
+    end_progress();
     if (is_interrupted()) return TrainingEndReason::stopped;
     stage_times.start_stage("save");
     save_run(run);
     return TrainingEndReason::finished;
 }
 
-TrainingEndReason train_drop_network_with_progress(Device& device, TrainedRun& run, bool quiet,
-                                                   RayDropTrainingSession session) {
+TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
+                                         RayDropTrainingSession session) {
     TerminalProgress progress(quiet);
-    session.progress = make_terminal_progress_callback(progress);
+    session.progress = progress_callback(progress);
     session.stop = is_interrupted;
     session.note = print_warning;
     session.step = [&](const RayDropTrainProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
-        progress.show_progress_text(
-            fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining {}  loss "
-                        "(cross-entropy) {}  accuracy {:.4f}",
-                        p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds, format_duration(eta_s),
-                        format_four_significant_digits(p.entropy), p.accuracy),
-            p.step == p.n_steps);
+        progress.show_text(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining "
+                                       "{}  loss (cross-entropy) {}  accuracy {:.4f}",
+                                       p.epoch, p.n_epochs, p.step, p.n_steps, p.step / p.seconds,
+                                       format_duration(eta_s), format_number(p.entropy), p.accuracy),
+                           p.step == p.n_steps);
     };
-    RayDropNetwork network = train_ray_drop_network_of_run(device, run, session);
-    end_progress_line();
+    RayDropNetwork network = train_drops(device, run, session);
+    end_progress();
     if (network.empty()) return TrainingEndReason::stopped;
     run.drop_network = std::move(network);
     return TrainingEndReason::finished;
 }
 
-std::string format_progress_line(const TrainProgress& progress) {
+std::string progress_line(const TrainProgress& progress) {
     std::string terms;
     for (std::size_t k = 0; k < progress.terms.size(); ++k) {
         if (progress.terms[k] != 0.0)
             terms += fmt::format("{}{} {}", terms.empty() ? "" : " ", kLossTermNames[k],
-                                 format_four_significant_digits(progress.terms[k]));
+                                 format_number(progress.terms[k]));
     }
     return fmt::format("iteration {}/{}  {:.2f} iterations/s  remaining {}  loss {} ({})", progress.iteration,
                        progress.n_iterations, progress.iterations_per_second, format_duration(progress.eta_s),
-                       format_four_significant_digits(progress.loss), terms);
+                       format_number(progress.loss), terms);
 }
 
-std::string format_stage_times(const StageTimes& stage_times) {
+std::string stage_times_text(const StageTimes& stage_times) {
     std::vector<std::string> words;
     for (const StageTimes::Stage& stage : stage_times.stages())
         if (stage.seconds >= 0.1) words.push_back(fmt::format("{} {:.1f} s", stage.name, stage.seconds));
     return fmt::format("{}", fmt::join(words, ", "));
 }
 
-void append_stage_times_to_log(const fs::path& run_folder, const StageTimes& stage_times) {
+void append_stage_times(const fs::path& folder, const StageTimes& stage_times) {
     nlohmann::ordered_json seconds = nlohmann::ordered_json::object();
     for (const StageTimes::Stage& stage : stage_times.stages()) seconds[stage.name] = stage.seconds;
-    std::ofstream file(run_folder / "log.jsonl", std::ios::binary | std::ios::app);
+    std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
     if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
         print_warning(fmt::format("cannot write the times of the training stages to {}",
-                                  (run_folder / "log.jsonl").string()));
+                                  (folder / "log.jsonl").string()));
 }
 
-void write_training_log_file(const fs::path& run_folder, const std::vector<TrainProgress>& log_entries) {
-    write_text_file(run_folder / "log.jsonl", format_training_log(log_entries));
+void write_log(const fs::path& folder, const std::vector<TrainProgress>& log_entries) {
+    write_text_file(folder / "log.jsonl", format_log(log_entries));
 }
 
-std::vector<TrainProgress> read_training_log_file(const fs::path& run_folder) {
-    std::ifstream file(run_folder / "log.jsonl", std::ios::binary);
+std::vector<TrainProgress> read_log(const fs::path& folder) {
+    std::ifstream file(folder / "log.jsonl", std::ios::binary);
     std::vector<TrainProgress> lines;
     for (std::string line; std::getline(file, line);) {
         const nlohmann::json json = nlohmann::json::parse(line, nullptr, false);
@@ -222,8 +215,8 @@ std::vector<TrainProgress> read_training_log_file(const fs::path& run_folder) {
     return lines;
 }
 
-int read_last_logged_iteration(const fs::path& run_folder) {
-    const std::vector<TrainProgress> lines = read_training_log_file(run_folder);
+int last_iteration(const fs::path& folder) {
+    const std::vector<TrainProgress> lines = read_log(folder);
     return lines.empty() ? 0 : lines.back().iteration;
 }
 

@@ -8,9 +8,9 @@
 namespace relidar {
 namespace {
 
-constexpr int kNesting = 3;  // maximum nesting of lists: rows, columns, vectors
+constexpr int kMaxListNesting = 3;  // maximum nesting of lists: rows, columns, vectors
 
-nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
+nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
     auto json = nlohmann::ordered_json::array();
     for (const glm::vec3& v : vectors) {
         json.push_back(v.x);
@@ -22,8 +22,7 @@ nlohmann::ordered_json make_vectors_json(const ScanArray<glm::vec3>& vectors) {
 
 /// Returns the member `rows`, or the length of the outer list of nested directions, or 1.
 std::size_t count_ray_rows(const JsonField& field) {
-    if (field.has_member("rows"))
-        return std::size_t(field.at("rows").get_integer_in_range(1, std::int64_t(kMaxRays)));
+    if (field.has_member("rows")) return std::size_t(field.at("rows").integer_in(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");
     const bool is_image = list.is_array() && list.size() > 0 && list.at(std::size_t(0)).is_array() &&
                           list.at(std::size_t(0)).size() > 0 &&
@@ -35,14 +34,13 @@ struct RayTableFunctions {
     using Pattern = RayTable;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        field.require_only_known_members({"directions", "origin", "time", "ring", "rows", "divergence",
-                                          "divergence_mrad", "divergence_rad", "name", "min_range_m",
-                                          "max_range_m"});
+        field.check_members({"directions", "origin", "time", "ring", "rows", "divergence", "divergence_mrad",
+                             "divergence_rad", "name", "min_range_m", "max_range_m"});
         const auto list = [&](const char* key) {
-            return field.has_member(key) ? field.at(key).get_flattened_numbers(kNesting)
+            return field.has_member(key) ? field.at(key).flat_numbers(kMaxListNesting)
                                          : std::vector<double>{};
         };
-        sensor_files::RayFileArrays c{.direction = field.at("directions").get_flattened_numbers(kNesting),
+        sensor_files::RayFileArrays c{.direction = field.at("directions").flat_numbers(kMaxListNesting),
                                       .origin = list("origin"),
                                       .time_s = list("time"),
                                       .channel = list("ring"),
@@ -51,20 +49,18 @@ struct RayTableFunctions {
         c.rows = int(rows);
         c.columns = int(std::min(c.direction.size() / 3 / rows, kMaxRays));
         std::optional<double> of_all_mrad;
-        if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").get_number();
-        c.divergence_rad = sensor_files::select_per_ray_or_common_divergence(list("divergence"), of_all_mrad,
-                                                                             field.get_location_for_errors());
-        if (field.has_member("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").get_number()};
-        c.limits = {field.has_member("min_range_m") ? field.at("min_range_m").get_number() : c.limits.min_m,
-                    field.has_member("max_range_m") ? field.at("max_range_m").get_number() : c.limits.max_m};
-        return sensor_files::make_sensor_from_ray_arrays(
-            c, field.has_member("name") ? field.at("name").get_string() : default_name,
-            field.get_location_for_errors());
+        if (field.has_member("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").number();
+        c.divergence_rad = sensor_files::choose_divergence(list("divergence"), of_all_mrad, field.location());
+        if (field.has_member("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").number()};
+        c.limits = {field.has_member("min_range_m") ? field.at("min_range_m").number() : c.limits.min_m,
+                    field.has_member("max_range_m") ? field.at("max_range_m").number() : c.limits.max_m};
+        return sensor_files::make_ray_sensor(
+            c, field.has_member("name") ? field.at("name").text() : default_name, field.location());
     }
     static nlohmann::ordered_json write(const RayTable& rays) {
         nlohmann::ordered_json json = {{"rows", rays.rows},
-                                       {"directions", make_vectors_json(rays.direction)},
-                                       {"origin", make_vectors_json(rays.origin)},
+                                       {"directions", vectors_json(rays.direction)},
+                                       {"origin", vectors_json(rays.origin)},
                                        {"time", rays.time_offset_s},
                                        {"ring", rays.channel}};
         if (rays.ray_divergence_rad.empty()) json["divergence_rad"] = rays.divergence_rad;
@@ -77,8 +73,8 @@ struct RayTableFunctions {
 
 }  // namespace
 
-PatternKind make_ray_table_pattern_kind() {
-    return make_scan_pattern_kind<RayTableFunctions>(
+PatternKind ray_table_kind() {
+    return make_kind<RayTableFunctions>(
         "rays", "directions: [[x, y, z], ...], origin: [[x, y, z], ...], time: [...], ring: [...]");
 }
 

@@ -12,8 +12,8 @@ namespace relidar {
 using namespace sensor;
 
 RayTable make_rays(const RosetteSensor& rosette, double time_s) {
-    require_allowed_ray_count(rosette.name, rosette.n_rays);
-    require_finite_sum_and_valid_period(
+    check_ray_count(rosette.name, rosette.n_rays);
+    check_finite_sum(
         rosette.name,
         rosette.deflection_rad + rosette.first_hz + rosette.second_hz + rosette.divergence_rad + time_s,
         rosette.period_s);
@@ -28,7 +28,7 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
         const double left = rosette.deflection_rad * (std::cos(first) + std::cos(second));
         const double up = rosette.deflection_rad * (std::sin(first) + std::sin(second));
         const double bent = std::hypot(left, up), share = bent > 0.0 ? std::sin(bent) / bent : 1.0;
-        append_ray_from_sensor_origin(rays, {std::cos(bent), left * share, up * share}, offset_s, 0);
+        add_ray(rays, {std::cos(bent), left * share, up * share}, offset_s, 0);
     }
     return rays;
 }
@@ -39,14 +39,14 @@ struct RosetteFunctions {
     using Pattern = RosetteSensor;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        require_only_known_sensor_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
-        const auto [name, limits, period_s, divergence_rad] = read_common_sensor_members(field, default_name);
+        check_members(field, {"rays", "first_hz", "second_hz"}, {"deflection"});
+        const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
         return {name, "", limits,
                 RosetteSensor{.name = name,
-                              .deflection_rad = read_angle_member_as_rad(field, "deflection", 45.0),
-                              .first_hz = field.at("first_hz").get_number_in_range(-1e5, 1e5),
-                              .second_hz = field.at("second_hz").get_number_in_range(-1e5, 1e5),
-                              .n_rays = int(field.at("rays").get_integer_in_range(1, std::int64_t(kMaxRays))),
+                              .deflection_rad = read_angle_rad(field, "deflection", 45.0),
+                              .first_hz = field.at("first_hz").number_in(-1e5, 1e5),
+                              .second_hz = field.at("second_hz").number_in(-1e5, 1e5),
+                              .n_rays = int(field.at("rays").integer_in(1, std::int64_t(kMaxRays))),
                               .period_s = period_s,
                               .divergence_rad = divergence_rad}};
     }
@@ -66,8 +66,8 @@ struct RosetteFunctions {
 
 }  // namespace
 
-PatternKind make_rosette_pattern_kind() {
-    return make_scan_pattern_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
+PatternKind rosette_kind() {
+    return make_kind<RosetteFunctions>("rosette", "rays, deflection_deg, first_hz, second_hz");
 }
 
 }  // namespace relidar

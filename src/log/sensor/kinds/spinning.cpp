@@ -20,36 +20,34 @@ constexpr double kMaxAngle_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
 
 Beam read_beam(const JsonField& field) {
-    field.require_only_known_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg",
-                                      "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m",
-                                      "intensity_gain", "intensity_offset", "range_offset_m"});
+    field.check_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg", "azimuth_offset_rad",
+                         "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
+                         "intensity_offset", "range_offset_m"});
     const auto number = [&](const char* key, double default_value, double most) {
-        return read_number_member_or_default(field, key, default_value, -most, most);
+        return read_number_or(field, key, default_value, -most, most);
     };
-    return {
-        .elevation_rad = read_angle_member_as_rad(field, "elevation", 90.0),
-        .azimuth_offset_rad = read_angle_member_or_default_rad(field, "azimuth_offset", 0.0, kMaxAngle_deg),
-        .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
-        .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
-        .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
-        .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
-        .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
-        .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
+    return {.elevation_rad = read_angle_rad(field, "elevation", 90.0),
+            .azimuth_offset_rad = read_angle_or_rad(field, "azimuth_offset", 0.0, kMaxAngle_deg),
+            .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
+            .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
+            .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
+            .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
+            .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
+            .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
 }
 
 void read_beams(const JsonField& field, SpinningSensor& sensor) {
     const JsonField beams = field.at("beams");
     for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
     if (sensor.beams.empty() || sensor.beams.size() > kMostBeams)
-        beams.throw_field_error(fmt::format("found {} beams", sensor.beams.size()),
-                                fmt::format("expected 1 to {}", kMostBeams));
+        beams.reject(fmt::format("found {} beams", sensor.beams.size()),
+                     fmt::format("expected 1 to {}", kMostBeams));
     if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
-        beams.throw_field_error("found the lowest beam first", "expected the highest beam first");
-    sensor.columns = int(field.at("columns").get_integer_in_range(1, 1'000'000));
+        beams.reject("found the lowest beam first", "expected the highest beam first");
+    sensor.columns = int(field.at("columns").integer_in(1, 1'000'000));
     if (sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays)
-        beams.throw_field_error(
-            fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
-            fmt::format("expected at most {} rays", kMaxRays));
+        beams.reject(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
+                     fmt::format("expected at most {} rays", kMaxRays));
 }
 
 nlohmann::ordered_json make_beam_json(const Beam& beam) {
@@ -72,19 +70,18 @@ struct SpinningFunctions {
 
     /// The beams can be missing, if only the scans of a LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        require_only_known_sensor_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
+        check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;
-        const auto common = read_common_sensor_members(field, default_name, 0.0);
+        const auto common = read_common(field, default_name, 0.0);
         sensor.name = common.name;
         sensor.period_s = common.period_s;
         sensor.min_range_m = common.limits.min_m;
         sensor.max_range_m = common.limits.max_m;
         sensor.divergence_rad = common.divergence_rad;
-        if (field.has_member("clockwise")) sensor.clockwise = field.at("clockwise").get_boolean();
+        if (field.has_member("clockwise")) sensor.clockwise = field.at("clockwise").boolean();
         if (field.has_member("beams")) read_beams(field, sensor);
         const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
-        sensor.first_azimuth_rad =
-            read_angle_member_or_default_rad(field, "first_azimuth", middle, kMaxAngle_deg);
+        sensor.first_azimuth_rad = read_angle_or_rad(field, "first_azimuth", middle, kMaxAngle_deg);
         return {sensor.name, "", common.limits, std::move(sensor)};
     }
     static nlohmann::ordered_json write(const SpinningSensor& sensor) {
@@ -106,9 +103,9 @@ struct SpinningFunctions {
 
 }  // namespace
 
-PatternKind make_spinning_pattern_kind() {
-    return make_scan_pattern_kind<SpinningFunctions>(
-        "spinning", "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
+PatternKind spinning_kind() {
+    return make_kind<SpinningFunctions>("spinning",
+                                        "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
 }
 
 }  // namespace relidar

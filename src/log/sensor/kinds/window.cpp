@@ -15,8 +15,8 @@ namespace relidar {
 using namespace sensor;
 
 RayTable make_rays(const WindowScanSensor& window) {
-    require_allowed_ray_count(window.name, double(window.rows) * double(window.columns));
-    require_finite_sum_and_valid_period(
+    check_ray_count(window.name, double(window.rows) * double(window.columns));
+    check_finite_sum(
         window.name,
         window.left_rad + window.right_rad + window.top_rad + window.bottom_rad + window.divergence_rad,
         window.period_s);
@@ -27,15 +27,12 @@ RayTable make_rays(const WindowScanSensor& window) {
     rays.columns = window.columns;
     rays.divergence_rad = float(window.divergence_rad);
     for (int row = 0; row < window.rows; ++row) {
-        const double elevation =
-                         compute_evenly_spaced_value(window.top_rad, window.bottom_rad, row, window.rows),
+        const double elevation = spaced_value(window.top_rad, window.bottom_rad, row, window.rows),
                      c = std::cos(elevation);
         for (int column = 0; column < window.columns; ++column) {
-            const double azimuth =
-                compute_evenly_spaced_value(window.left_rad, window.right_rad, column, window.columns);
+            const double azimuth = spaced_value(window.left_rad, window.right_rad, column, window.columns);
             const double time_s = ((column + 0.5) / window.columns - 0.5) * window.period_s;
-            append_ray_from_sensor_origin(
-                rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
+            add_ray(rays, {c * std::cos(azimuth), c * std::sin(azimuth), std::sin(elevation)}, time_s, row);
         }
     }
     return rays;
@@ -47,20 +44,20 @@ struct WindowScanFunctions {
     using Pattern = WindowScanSensor;
 
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
-        require_only_known_sensor_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
-        const auto [name, limits, period_s, divergence_rad] = read_common_sensor_members(field, default_name);
+        check_members(field, {"rows", "columns"}, {"left", "right", "top", "bottom"});
+        const auto [name, limits, period_s, divergence_rad] = read_common(field, default_name);
         const WindowScanSensor window{.name = name,
-                                      .rows = int(field.at("rows").get_integer_in_range(1, 65535)),
-                                      .columns = int(field.at("columns").get_integer_in_range(1, 1'000'000)),
-                                      .left_rad = read_angle_member_as_rad(field, "left", 180.0),
-                                      .right_rad = read_angle_member_as_rad(field, "right", 180.0),
-                                      .top_rad = read_angle_member_as_rad(field, "top", 90.0),
-                                      .bottom_rad = read_angle_member_as_rad(field, "bottom", 90.0),
+                                      .rows = int(field.at("rows").integer_in(1, 65535)),
+                                      .columns = int(field.at("columns").integer_in(1, 1'000'000)),
+                                      .left_rad = read_angle_rad(field, "left", 180.0),
+                                      .right_rad = read_angle_rad(field, "right", 180.0),
+                                      .top_rad = read_angle_rad(field, "top", 90.0),
+                                      .bottom_rad = read_angle_rad(field, "bottom", 90.0),
                                       .period_s = period_s,
                                       .divergence_rad = divergence_rad};
         if (std::size_t(window.rows) * std::size_t(window.columns) > kMaxRays)
-            field.throw_field_error(fmt::format("found {} rows x {} columns", window.rows, window.columns),
-                                    fmt::format("expected at most {} rays", kMaxRays));
+            field.reject(fmt::format("found {} rows x {} columns", window.rows, window.columns),
+                         fmt::format("expected at most {} rays", kMaxRays));
         return {name, "", limits, window};
     }
     static nlohmann::ordered_json write(const WindowScanSensor& window) {
@@ -79,9 +76,9 @@ struct WindowScanFunctions {
 
 }  // namespace
 
-PatternKind make_scanning_window_pattern_kind() {
-    return make_scan_pattern_kind<WindowScanFunctions>(
-        "window", "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
+PatternKind window_kind() {
+    return make_kind<WindowScanFunctions>("window",
+                                          "rows, columns, left_deg, right_deg, top_deg, bottom_deg");
 }
 
 }  // namespace relidar

@@ -14,15 +14,15 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/clouds.hpp>
 #include <relidar/log/log_time.hpp>
+#include <relidar/read/clouds.hpp>
 #include "base/codecs/feather.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
-#include "read/scans/broken_scans.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/argoverse2/vlp32c_pair.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/scans/broken_scans.hpp"
 
 namespace relidar {
 namespace {
@@ -43,7 +43,7 @@ struct SweepFile {
 
 std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     std::vector<SweepFile> sweeps;
-    for (const fs::path& path : list_folder_entries(folder)) {
+    for (const fs::path& path : list_folder(folder)) {
         if (path.extension() != ".feather") continue;
         const std::string stem = path.stem().string();
         std::int64_t time_ns = 0;
@@ -63,14 +63,14 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
 }
 
 /// Reads a quaternion w x y z and a translation in metres from each row.
-std::vector<Pose> read_pose_from_each_row(const Feather& table) {
+std::vector<Pose> read_row_poses(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
     const char* translation[] = {"tx_m", "ty_m", "tz_m"};
-    for (int i = 0; i < 4; ++i) q[i] = table.read_number_column(quaternion[i]);
-    for (int i = 0; i < 3; ++i) t[i] = table.read_number_column(translation[i]);
+    for (int i = 0; i < 4; ++i) q[i] = table.read_numbers(quaternion[i]);
+    for (int i = 0; i < 3; ++i) t[i] = table.read_numbers(translation[i]);
     std::vector<Pose> poses;
-    for (std::size_t i = 0; i < table.get_row_count(); ++i) {
+    for (std::size_t i = 0; i < table.row_count(); ++i) {
         const glm::dquat rotation(q[0][i], q[1][i], q[2][i], q[3][i]);
         if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3))
             fail("{}, columns 'qw' to 'qz': the rotation quaternion in row {} has length {}, expected 1",
@@ -82,8 +82,8 @@ std::vector<Pose> read_pose_from_each_row(const Feather& table) {
 
 std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
     const Feather table(calibration_file);
-    const std::vector<std::string> names = table.read_text_column("sensor_name");
-    const std::vector<Pose> poses = read_pose_from_each_row(table);
+    const std::vector<std::string> names = table.read_texts("sensor_name");
+    const std::vector<Pose> poses = read_row_poses(table);
     std::vector<Lidar> lidars;
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
@@ -93,58 +93,57 @@ std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
         // Seen from above, both LiDARs rotate clockwise. The lower one is mounted upside
         // down.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
-        lidars.push_back({name, make_vlp32c_sensor(upright), mounted});
+        lidars.push_back({name, make_vlp32c(upright), mounted});
     }
     return lidars;
 }
 
-double to_seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
+double seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
     return double(time_ns - origin_ns) * 1e-9;
 }
 
 /// Interpolates the vehicle poses (city frame) at the times of the sweeps.
-PoseTrack read_poses_at_sweeps(const fs::path& pose_file, const std::vector<SweepFile>& sweeps,
-                               std::int64_t origin_ns) {
+PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<SweepFile>& sweeps,
+                           std::int64_t origin_ns) {
     const Feather table(pose_file);
-    const std::vector<std::int64_t> times_ns = table.read_integer_column("timestamp_ns");
-    PoseTrack trajectory{{}, read_pose_from_each_row(table)};
+    const std::vector<std::int64_t> times_ns = table.read_integers("timestamp_ns");
+    PoseTrack trajectory{{}, read_row_poses(table)};
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
             fail("{}, column 'timestamp_ns': row {} is {} after {}, expected increasing times", table.name(),
                  i, times_ns[i], times_ns[i - 1]);
-        trajectory.time_s.push_back(to_seconds_since(times_ns[i], origin_ns));
+        trajectory.time_s.push_back(seconds_since(times_ns[i], origin_ns));
     }
     PoseTrack at_sweeps;
     for (const SweepFile& sweep : sweeps) {
-        const double time_s = to_seconds_since(sweep.time_ns, origin_ns);
+        const double time_s = seconds_since(sweep.time_ns, origin_ns);
         if (!trajectory.contains_time(time_s))
             fail(
                 "{}, column 'timestamp_ns': found no pose at {}, which is the time of a sweep; expected "
                 "poses for all sweeps",
                 table.name(), sweep.time_ns);
-        at_sweeps.append(time_s, trajectory.interpolate_pose(time_s));
+        at_sweeps.append(time_s, trajectory.pose_at(time_s));
     }
     return at_sweeps;
 }
 
 RawSweep read_sweep(const fs::path& file) {
     const Feather table(file);
-    if (table.get_row_count() == 0)
-        throw DataError(table.name() + ": the file has no points, expected a sweep");
+    if (table.row_count() == 0) throw DataError(table.name() + ": the file has no points, expected a sweep");
     RawSweep sweep;
-    const std::vector<double> x = table.read_number_column("x"), y = table.read_number_column("y"),
-                              z = table.read_number_column("z");
-    sweep.intensity = table.read_number_column("intensity");
-    sweep.laser = table.read_integer_column("laser_number");
-    sweep.offset_ns = table.read_integer_column("offset_ns");
+    const std::vector<double> x = table.read_numbers("x"), y = table.read_numbers("y"),
+                              z = table.read_numbers("z");
+    sweep.intensity = table.read_numbers("intensity");
+    sweep.laser = table.read_integers("laser_number");
+    sweep.offset_ns = table.read_integers("offset_ns");
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
         if (!(glm::length(sweep.point_m[i]) < kFarthestHit_m))
             fail("{}: point {} is ({}, {}, {}), expected coordinates in metres of at most {}", table.name(),
                  i, x[i], y[i], z[i], kFarthestHit_m);
-        if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasers)
+        if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasersPerLidar)
             fail("{}, column 'laser_number': row {} is {}, expected 0 to {}", table.name(), i, sweep.laser[i],
-                 2 * kLasers - 1);
+                 2 * kLasersPerLidar - 1);
         if (std::abs(sweep.offset_ns[i]) > kLongestOffset_ns)
             fail("{}, column 'offset_ns': row {} is {}, expected at most {} nanoseconds", table.name(), i,
                  sweep.offset_ns[i], kLongestOffset_ns);
@@ -156,33 +155,32 @@ RawSweep read_sweep(const fs::path& file) {
 using LidarSweepPairs = std::vector<std::array<LidarSweepPoints, 2>>;
 
 LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
-                            const PoseTrack& vehicle_track, const ProgressReporter& progress,
+                            const PoseTrack& vehicle_track, const Progress& progress,
                             ScanErrorCollector& broken_scans) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
-        broken_scans.call_and_record_scan_errors(at, [&] {
-            halves = find_laser_group_of_each_lidar(
-                read_sweep(files[at].path), {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
+        broken_scans.guard(at, [&] {
+            halves = match_laser_groups(read_sweep(files[at].path),
+                                        {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
-    for (std::size_t l = 0; l < 2; ++l)
-        ways[l] = compute_mounted_track(vehicle_track, lidars[l].vehicle_from_sensor);
+    for (std::size_t l = 0; l < 2; ++l) ways[l] = mount_track(vehicle_track, lidars[l].vehicle_from_sensor);
     LidarSweepPairs sweeps(files.size());
-    parallel_for_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
-        broken_scans.call_and_record_scan_errors(at, [&] {
+    progress_for(files.size(), progress, "reading sweeps", [&](std::size_t at) {
+        broken_scans.guard(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
             for (std::size_t l = 0; l < 2; ++l)
-                sweeps[at][l] = extract_points_of_laser_group(raw, halves->at(l), lidars[l], ways[l],
-                                                              vehicle_track.time_s[at]);
+                sweeps[at][l] =
+                    extract_group(raw, halves->at(l), lidars[l], ways[l], vehicle_track.time_s[at]);
         });
     });
     return sweeps;
 }
 
-void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFile>& sweep_files,
-                             const PoseTrack& vehicle_poses, LidarSweepPairs lidar_sweep_points,
-                             const ProgressReporter& progress, const ScanErrorCollector& broken_scans) {
-    broken_scans.note_broken_scans_or_throw_if_all_broken(sequence, sweep_files.size());
+void add_sweeps(Log& sequence, const std::vector<SweepFile>& sweep_files, const PoseTrack& vehicle_poses,
+                LidarSweepPairs lidar_sweep_points, const Progress& progress,
+                const ScanErrorCollector& broken_scans) {
+    broken_scans.report_broken(sequence, sweep_files.size());
     std::vector<LidarSweepPoints*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < sweep_files.size(); ++at) {
@@ -205,31 +203,28 @@ void append_sweeps_as_frames(LidarSequence& sequence, const std::vector<SweepFil
     if (missing > 0)
         sequence.notes.push_back(fmt::format(
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
-    parallel_for_with_progress(
-        of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t index) {
-            LidarFrame& frame = sequence.frames[index];
-            frame.scan = assign_points_to_rays_of_spinning_scan(
-                of_frame[index]->points, sequence.get_lidar(frame).sensor, of_frame[index]->sweep);
-            *of_frame[index] = {};
-        });
+    progress_for(of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t index) {
+        Frame& frame = sequence.frames[index];
+        frame.scan =
+            spinning_scan(of_frame[index]->points, sequence.lidar_of(frame).sensor, of_frame[index]->sweep);
+        *of_frame[index] = {};
+    });
 }
 
 /// In the file, a box is in the vehicle frame at the time of its sweep.
-std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
-                                                const std::vector<SweepFile>& sweeps,
-                                                const PoseTrack& vehicle_poses) {
+std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file, const std::vector<SweepFile>& sweeps,
+                                       const PoseTrack& vehicle_poses) {
     const Feather table(annotation_file);
-    const std::vector<std::int64_t> times_ns = table.read_integer_column("timestamp_ns");
-    const std::vector<std::string> ids = table.read_text_column("track_uuid"),
-                                   categories = table.read_text_column("category");
-    const std::vector<double> length = table.read_number_column("length_m"),
-                              width = table.read_number_column("width_m"),
-                              height = table.read_number_column("height_m");
-    const std::vector<Pose> vehicle_from_box = read_pose_from_each_row(table);
+    const std::vector<std::int64_t> times_ns = table.read_integers("timestamp_ns");
+    const std::vector<std::string> ids = table.read_texts("track_uuid"),
+                                   categories = table.read_texts("category");
+    const std::vector<double> length = table.read_numbers("length_m"), width = table.read_numbers("width_m"),
+                              height = table.read_numbers("height_m");
+    const std::vector<Pose> vehicle_from_box = read_row_poses(table);
     std::map<std::int64_t, std::size_t> sweep_at;
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweep_at[sweeps[i].time_ns] = i;
     std::vector<BoxLabel> labels;
-    for (std::size_t i = 0; i < table.get_row_count(); ++i) {
+    for (std::size_t i = 0; i < table.row_count(); ++i) {
         const glm::dvec3 size_m(length[i], width[i], height[i]);
         if (!(std::min({size_m.x, size_m.y, size_m.z}) > 0.0))
             fail("{}, columns 'length_m' to 'height_m': row {} is {} x {} x {}, expected all above 0",
@@ -248,8 +243,8 @@ std::vector<BoxTrack> read_box_tracks_at_sweeps(const fs::path& annotation_file,
 
 }  // namespace
 
-LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
+Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar");
     const FrameRange& range = options.frames;
@@ -260,8 +255,8 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
                          range.end, n_sweeps - 1);
     const std::vector<SweepFile> sweeps(all.begin() + first_sweep, all.begin() + end_sweep);
     const PoseTrack vehicle_track =
-        read_poses_at_sweeps(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
-    LidarSequence sequence;
+        read_sweep_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
+    Log sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -272,13 +267,13 @@ LidarSequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& 
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (does_path_exist(folder / "annotations.feather"))
-        sequence.boxes = read_box_tracks_at_sweeps(folder / "annotations.feather", sweeps, vehicle_track);
+        sequence.boxes = read_sweep_boxes(folder / "annotations.feather", sweeps, vehicle_track);
     else sequence.notes.push_back("annotations.feather is missing, so this log has no labels");
     ScanErrorCollector broken(options.skip_broken);
     LidarSweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
-    append_sweeps_as_frames(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
-    kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
-    move_world_origin_of_log(sequence);
+    add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
+    kitti::replace_poses(sequence, options.poses_file);
+    centre_log(sequence);
     return sequence;
 }
 

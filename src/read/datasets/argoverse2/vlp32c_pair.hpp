@@ -11,7 +11,7 @@
 
 namespace relidar::argoverse2 {
 
-constexpr int kLasers = 32;  ///< lasers per LiDAR
+constexpr int kLasersPerLidar = 32;  ///< lasers per LiDAR
 
 /// The points of a sweep with the values and units of the file.
 struct RawSweep {
@@ -23,12 +23,11 @@ struct RawSweep {
 
 /// VLP-32C with the beam angles of the data sheet, highest beam first.
 /// @param clockwise  in the sensor frame, seen from +z
-SpinningSensor make_vlp32c_sensor(bool clockwise);
+SpinningSensor make_vlp32c(bool clockwise);
 
 /// Returns for each LiDAR 0 if it has the lasers 0 to 31, or 1 for 32 to 63: the
 /// assignment for which elevations of points and lasers agree best.
-std::array<int, 2> find_laser_group_of_each_lidar(const RawSweep& sweep,
-                                                  const std::array<Pose, 2>& vehicle_from_lidar);
+std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
 
 struct LidarSweepPoints {
     /// with rings, times and firings, in the frame of the LiDAR at the time of each point
@@ -39,7 +38,7 @@ struct LidarSweepPoints {
 /// firings without points, for example where the vehicle blocks all beams.
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
-LidarSweepPoints extract_points_of_laser_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
-                                               const PoseTrack& world_from_sensor, double sweep_time_s);
+LidarSweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                               const PoseTrack& world_from_sensor, double sweep_time_s);
 
 }  // namespace relidar::argoverse2

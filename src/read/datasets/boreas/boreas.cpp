@@ -35,24 +35,24 @@ constexpr double kClearlyForward = 0.05;
 constexpr double kClearlyLevel = 0.7;
 // Steps of at least a metre that the vertical motion needs.
 constexpr std::size_t kFewestSteps = 50;
-constexpr double kBrightest = 255.0;
+constexpr double kMaxIntensity = 255.0;
 
 struct ForwardDirection {
     glm::dvec3 direction{1.0, 0.0, 0.0};
     bool is_known = false;
 
-    double compute_forward_azimuth_rad() const { return std::atan2(direction.y, direction.x); }
+    double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
 /// Reads T_applanix_lidar.txt: a 4x4 transform from the LiDAR to the Applanix frame (x
 /// right, y forward, z up).
-ForwardDirection read_forward_direction(const fs::path& calibration_file) {
+ForwardDirection read_forward(const fs::path& calibration_file) {
     if (!does_path_exist(calibration_file)) return {};
     const auto m = parse_numbers(read_text_file(calibration_file));
     if (!m || m->size() != 16)
         fail("{}: found {}, expected 4 lines of 4 numbers", calibration_file.string(),
              m ? fmt::format("{} numbers", m->size()) : "a word that is not a number");
-    const Pose applanix_from_lidar = check_rotation_and_make_pose(*m, calibration_file.string());
+    const Pose applanix_from_lidar = make_pose(*m, calibration_file.string());
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
@@ -68,9 +68,8 @@ constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-y
                                                  {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                                  {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
-PoseTrack make_lidar_pose_track(const std::vector<read::StampedPoseRow>& pose_rows,
-                                const read::StampedLog& log,
-                                const EulerAngleConvention& angle_convention) {
+PoseTrack make_lidar_track(const std::vector<read::StampedPoseRow>& pose_rows, const read::StampedLog& log,
+                           const EulerAngleConvention& angle_convention) {
     const double sign = angle_convention.sign;
     PoseTrack track;
     for (const read::StampedPoseRow& row : pose_rows) {
@@ -81,32 +80,29 @@ PoseTrack make_lidar_pose_track(const std::vector<read::StampedPoseRow>& pose_ro
             angle_convention.yaw_first
                 ? glm::conjugate(make_rotation(-sign * yaw_rad, -sign * pitch_rad, -sign * roll_rad))
                 : make_rotation(sign * yaw_rad, sign * pitch_rad, sign * roll_rad);
-        track.append(log.convert_stamp_to_seconds(row.stamp),
-                     {enu_from_lidar, {position[0], position[1], position[2]}});
+        track.append(log.seconds_of(row.stamp), {enu_from_lidar, {position[0], position[1], position[2]}});
     }
     return track;
 }
 
 /// 1 is perfect.
-double compute_forward_motion_score(const read::DrivingDirection& driving,
-                                    const ForwardDirection& forward) {
+double score_motion(const read::DrivingDirection& driving, const ForwardDirection& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
 /// Uses another angle convention than the documented one if the vehicle then drives more
 /// exactly forward or moves less up and down.
-PoseTrack read_boreas_poses(const fs::path& pose_file, const read::StampedLog& log,
+PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
                             const ForwardDirection& forward_direction, Notes& notes) {
-    const std::vector<read::StampedPoseRow> rows =
-        read::read_timestamped_number_rows(pose_file, kPoseNumbers);
+    const std::vector<read::StampedPoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
     const EulerAngleConvention* best_order = nullptr;
     PoseTrack best;
     read::DrivingDirection of_best;
     for (const EulerAngleConvention& order : kAngleOrders) {
-        PoseTrack track = make_lidar_pose_track(rows, log, order);
-        const read::DrivingDirection driving = read::estimate_driving_direction(track);
-        const double gain = compute_forward_motion_score(driving, forward_direction) -
-                            compute_forward_motion_score(of_best, forward_direction);
+        PoseTrack track = make_lidar_track(rows, log, order);
+        const read::DrivingDirection driving = read::driving_direction(track);
+        const double gain =
+            score_motion(driving, forward_direction) - score_motion(of_best, forward_direction);
         const bool is_leveler =
             driving.n_steps >= kFewestSteps && driving.rise_spread < kClearlyLevel * of_best.rise_spread;
         if (best_order && gain <= kClearlyForward && !(gain >= -kClearlyForward && is_leveler)) continue;
@@ -119,53 +115,51 @@ PoseTrack read_boreas_poses(const fs::path& pose_file, const read::StampedLog& l
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
                         best_order->name));
-    if (of_best.n_steps > 0)
-        read::add_note_unless_driving_forward(notes,
-                                                 compute_forward_motion_score(of_best, forward_direction));
+    if (of_best.n_steps > 0) read::note_driving(notes, score_motion(of_best, forward_direction));
     return best;
 }
 
 }  // namespace
 
-LidarSequence load_boreas_dataset(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
+Log load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
     const fs::path folder = fs::canonical(log_folder);
-    LidarSequence sequence;
+    Log sequence;
     const std::string name = folder.filename().string();
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
     read::StampedLog log{kMicrosecond,
-                            read::list_timestamped_scan_files(folder / "lidar"),
-                            {},
-                            folder / "applanix/lidar_poses.csv",
-                            kMostGap_s};
-    read::require_pose_file_or_poses_option(log.poses_file, options);
-    ForwardDirection forward = read_forward_direction(folder / "calib/T_applanix_lidar.txt");
+                         read::list_stamped_files(folder / "lidar"),
+                         {},
+                         folder / "applanix/lidar_poses.csv",
+                         kMostGap_s};
+    read::check_pose_source(log.poses_file, options);
+    ForwardDirection forward = read_forward(folder / "calib/T_applanix_lidar.txt");
     if (does_path_exist(log.poses_file)) {
         log.world_from_vehicle = read_boreas_poses(log.poses_file, log, forward, sequence.notes);
-        const glm::dvec3 driven = read::estimate_driving_direction(log.world_from_vehicle).mean;
+        const glm::dvec3 driven = read::driving_direction(log.world_from_vehicle).mean;
         if (!forward.is_known && driven != glm::dvec3(0.0)) forward = {driven, true};
     }
     if (!forward.is_known)
         sequence.notes.push_back(
             "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
     // Rotates the sensor frame of all poses so that its x axis points forward.
-    const Pose lidar_from_turned{make_rotation(forward.compute_forward_azimuth_rad(), 0.0, 0.0), {}};
+    const Pose lidar_from_turned{make_rotation(forward.azimuth_rad(), 0.0, 0.0), {}};
     for (Pose& pose : log.world_from_vehicle.pose) pose = pose * lidar_from_turned;
     sequence.conventions = fmt::format(
         "LiDAR frame: x forward, y left, z up, in metres (rotated about z by {:.2f} degrees relative to "
         "Boreas). Times are seconds after the first scan. The time of a frame is the middle of its sweep. "
         "Points are not motion-compensated. World frame: x east, y north, z up.",
-        -forward.compute_forward_azimuth_rad() * 180.0 / kPi);
+        -forward.azimuth_rad() * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = read::add_frames_and_get_scan_files(sequence, log, options);
+    const std::vector<fs::path> files = read::add_frames(sequence, log, options);
     read::PointFileFormat format;
     format.units.columns = {"x", "y", "z", "intensity", "ring", "time"};
-    format.units.intensity_max = kBrightest;
-    format.turned_rad = -forward.compute_forward_azimuth_rad();
-    read::read_scans_of_frames(sequence, files, format, options);
+    format.units.intensity_max = kMaxIntensity;
+    format.turned_rad = -forward.azimuth_rad();
+    read::read_frame_scans(sequence, files, format, options);
     return sequence;
 }
 

@@ -13,9 +13,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/json_field.hpp"
-#include "read/scans/folder_head.hpp"
-#include "read/kitti/log_files.hpp"
 #include "log/sequence/match_sweeps.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/scans/folder_head.hpp"
 #include "read/scans/pose_conventions.hpp"
 
 namespace relidar::read {
@@ -27,18 +27,18 @@ namespace fs = std::filesystem;
 constexpr double kMostScansPerPose = 20.0;
 // Frames may be this much outside the times of the poses, about one sweep.
 constexpr double kMostBeyond_s = 0.1;
-constexpr double kLargestOfTrack = 1e12;  // maximum value of all lengths and times
-constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
+constexpr double kMaxTrackValue = 1e12;        // maximum value of all lengths and times
+constexpr double kUnitLengthTolerance = 1e-3;  // tolerance of a quaternion's length
 
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
 std::string_view strip_comment(const std::string& line) {
-    return trim_blanks_at_both_ends(std::string_view(line).substr(0, line.find('#')));
+    return trim(std::string_view(line).substr(0, line.find('#')));
 }
 
 std::vector<std::string_view> split_at_spaces(std::string_view line) {
     std::vector<std::string_view> words;
-    for (line = trim_blanks_at_both_ends(line); !line.empty(); line = trim_blanks_at_both_ends(line)) {
+    for (line = trim(line); !line.empty(); line = trim(line)) {
         const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
         words.push_back(line.substr(0, end));
         line.remove_prefix(end);
@@ -48,26 +48,25 @@ std::vector<std::string_view> split_at_spaces(std::string_view line) {
 
 /// Column names are in a comment that contains "qw", or in a line whose first word is not
 /// a number.
-bool is_line_of_column_names(const std::string& line) {
-    const std::vector<std::string_view> words = split_at_spaces(
-        trim_blanks_at_both_ends(line).substr(trim_blanks_at_both_ends(line).starts_with('#') ? 1 : 0));
+bool is_header_line(const std::string& line) {
+    const std::vector<std::string_view> words =
+        split_at_spaces(trim(line).substr(trim(line).starts_with('#') ? 1 : 0));
     if (strip_comment(line).empty()) return std::find(words.begin(), words.end(), "qw") != words.end();
     return !words.empty() && !parse_number(words[0]);
 }
 
 /// Returns the column index of each name in kPoseNames. Accepts the names of the TUM
 /// format, too.
-std::vector<int> find_pose_columns(const std::string& header_line, const std::string& error_location) {
+std::vector<int> pose_columns(const std::string& header_line, const std::string& place) {
     std::vector<std::string_view> words =
-        split_at_spaces(trim_blanks_at_both_ends(header_line)
-                            .substr(trim_blanks_at_both_ends(header_line).starts_with('#') ? 1 : 0));
+        split_at_spaces(trim(header_line).substr(trim(header_line).starts_with('#') ? 1 : 0));
     for (std::string_view& word : words) {
         if (word == "timestamp" || word == "time") word = "time_s";
         if (word == "tx" || word == "ty" || word == "tz") word.remove_prefix(1);
     }
-    const std::vector<int> at = find_column_indices(words, kPoseNames, error_location);
+    const std::vector<int> at = find_columns(words, kPoseNames, place);
     for (std::size_t c = 0; c < at.size(); ++c)
-        if (at[c] < 0) fail("{}: the column '{}' is missing", error_location, kPoseNames[c]);
+        if (at[c] < 0) fail("{}: the column '{}' is missing", place, kPoseNames[c]);
     return at;
 }
 
@@ -78,40 +77,38 @@ struct PoseRows {
 };
 
 std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count_or_zero,
-                                   const std::string& error_location) {
+                                   const std::string& place) {
     const auto v = parse_numbers(strip_comment(line));
     if (!v ||
         (expected_count_or_zero > 0 ? v->size() != expected_count_or_zero : v->size() != 7 && v->size() != 8))
-        fail("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", error_location,
-             shorten_for_error_message(line));
-    if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kLargestOfTrack; }))
-        fail("{}: found '{}', expected finite numbers of at most {}{}", error_location,
-             shorten_for_error_message(line), kLargestOfTrack,
-             v->front() > kLargestOfTrack ? ", and a time in seconds" : "");
+        fail("{}: found '{}', expected 8 numbers: time_s x y z qw qx qy qz", place, quote(line));
+    if (!std::all_of(v->begin(), v->end(), [](double value) { return std::abs(value) <= kMaxTrackValue; }))
+        fail("{}: found '{}', expected finite numbers of at most {}{}", place, quote(line), kMaxTrackValue,
+             v->front() > kMaxTrackValue ? ", and a time in seconds" : "");
     return *v;
 }
 
 /// Without times, x y z and a quaternion would be read as a time, a position and three
 /// angles.
-void throw_if_pose_rows_lack_times(const PoseRows& pose_rows, const std::string& file_name) {
+void require_row_times(const PoseRows& pose_rows, const std::string& name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
-        return row.size() == 7 &&
-               std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <= kUnit;
+        return row.size() == 7 && std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <=
+                                      kUnitLengthTolerance;
     };
     if (!pose_rows.rows.empty() && std::ranges::all_of(pose_rows.rows, ends_with_quaternion))
         fail(
             "{}: the poses have no times, because each line has seven numbers and the last four are a "
             "quaternion; expected 8 numbers: time_s x y z qw qx qy qz",
-            file_name);
+            name);
 }
 
-PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::string& file_name) {
+PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::string& name) {
     PoseRows rows;
     std::vector<int> at;
     for (std::size_t i = 0; i < lines.size(); ++i) {
-        const std::string where = fmt::format("{} line {}", file_name, i + 1);
-        if (rows.rows.empty() && is_line_of_column_names(lines[i])) {
-            at = find_pose_columns(lines[i], where);
+        const std::string where = fmt::format("{} line {}", name, i + 1);
+        if (rows.rows.empty() && is_header_line(lines[i])) {
+            at = pose_columns(lines[i], where);
             rows.has_names = true;
             continue;
         }
@@ -126,17 +123,17 @@ PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::strin
                  rows.rows.back()[0]);
         if (row.size() == 8) {
             const double length = glm::length(glm::dquat(row[4], row[5], row[6], row[7]));
-            if (!(std::abs(length - 1.0) <= kUnit))
+            if (!(std::abs(length - 1.0) <= kUnitLengthTolerance))
                 fail("{}: found a quaternion of length {}, expected length 1", where, length);
         }
         rows.rows.push_back(std::move(row));
     }
-    throw_if_pose_rows_lack_times(rows, file_name);
+    require_row_times(rows, name);
     return rows;
 }
 
 template <class RotationOf>
-PoseTrack make_pose_track_of_rows(const PoseRows& pose_rows, const RotationOf& rotation_of_row) {
+PoseTrack make_row_track(const PoseRows& pose_rows, const RotationOf& rotation_of_row) {
     PoseTrack track;
     for (const std::vector<double>& row : pose_rows.rows)
         track.append(row[0], {glm::normalize(rotation_of_row(row)), {row[1], row[2], row[3]}});
@@ -144,8 +141,7 @@ PoseTrack make_pose_track_of_rows(const PoseRows& pose_rows, const RotationOf& r
 }
 
 /// A pose file may contain sensor-from-world poses.
-std::vector<PoseInterpretation> append_inverse_interpretations(
-    std::vector<PoseInterpretation> interpretations) {
+std::vector<PoseInterpretation> add_inverses(std::vector<PoseInterpretation> interpretations) {
     const std::size_t n = interpretations.size();
     for (std::size_t k = 0; k < n; ++k) {
         PoseTrack track = interpretations[k].world_from_vehicle;
@@ -158,7 +154,7 @@ std::vector<PoseInterpretation> append_inverse_interpretations(
 
 /// Returns all meanings of the numbers, such as another order of the quaternion. The
 /// documented one is first.
-std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& pose_rows) {
+std::vector<PoseInterpretation> list_conventions(const PoseRows& pose_rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
         return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
@@ -166,37 +162,35 @@ std::vector<PoseInterpretation> list_possible_pose_conventions(const PoseRows& p
     std::vector<PoseInterpretation> readings;
     if (pose_rows.rows[0].size() == 8) {
         const std::string named = "columns in the order of the header line";
-        readings.push_back({pose_rows.has_names ? named : kScalarFirst,
-                            make_pose_track_of_rows(
-                                pose_rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
+        readings.push_back(
+            {pose_rows.has_names ? named : kScalarFirst,
+             make_row_track(pose_rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
         if (!pose_rows.has_names)
-            readings.push_back({kScalarLast, make_pose_track_of_rows(pose_rows, [](const Row& r) {
+            readings.push_back({kScalarLast, make_row_track(pose_rows, [](const Row& r) {
                                     return glm::dquat(r[7], r[4], r[5], r[6]);
                                 })});
     } else {
-        readings.push_back(
-            {"roll, pitch and yaw in radians",
-             make_pose_track_of_rows(pose_rows, [&](const Row& r) { return angles(r, 1.0); })});
-        readings.push_back(
-            {"roll, pitch and yaw in degrees",
-             make_pose_track_of_rows(pose_rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
+        readings.push_back({"roll, pitch and yaw in radians",
+                            make_row_track(pose_rows, [&](const Row& r) { return angles(r, 1.0); })});
+        readings.push_back({"roll, pitch and yaw in degrees",
+                            make_row_track(pose_rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
     }
-    return append_inverse_interpretations(std::move(readings));
+    return add_inverses(std::move(readings));
 }
 
 /// Returns a hint if poses do not cover the frames: another unit, leap seconds or another
 /// clock.
-std::string describe_clock_difference(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
-                                      bool is_plain_folder) {
+std::string clock_hint(const PoseTrack& track, const std::vector<HeaderFrame>& frames, bool is_plain_folder) {
     // maximum relative difference of equal times or durations in different units
-    constexpr double kSame = 0.3;
+    constexpr double kMaxRelativeDifference = 0.3;
     const double pose_span_s = track.time_s.back() - track.time_s.front(),
                  frame_span_s = frames.back().time_s - frames.front().time_s;
     double per_second = 1.0;
     for (const char* unit : {"milliseconds", "microseconds", "nanoseconds"}) {
         per_second *= 1000.0;
         const auto is_longer = [&](double longer_s, double shorter_s) {
-            return shorter_s > 0.0 && std::abs(longer_s / per_second / shorter_s - 1.0) < kSame;
+            return shorter_s > 0.0 &&
+                   std::abs(longer_s / per_second / shorter_s - 1.0) < kMaxRelativeDifference;
         };
         const bool is_pose = is_longer(pose_span_s, frame_span_s);
         if (is_pose || is_longer(frame_span_s, pose_span_s))
@@ -221,81 +215,76 @@ std::string describe_clock_difference(const PoseTrack& track, const std::vector<
            "the time of the first scan from the times of the poses";
 }
 
-std::vector<Pose> interpolate_poses_at_frames(const PoseTrack& track,
-                                              const std::vector<SequenceHeaderFrame>& frames,
-                                              const std::string& file_name, bool is_plain_folder) {
+std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<HeaderFrame>& frames,
+                                  const std::string& name, bool is_plain_folder) {
     std::vector<Pose> poses;
-    for (const SequenceHeaderFrame& frame : frames) {
+    for (const HeaderFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
             fail("{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
-                 file_name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
-                 describe_clock_difference(track, frames, is_plain_folder));
-        poses.push_back(track.interpolate_pose(frame.time_s));
+                 name, track.time_s.front(), track.time_s.back(), frame.number, frame.time_s,
+                 clock_hint(track, frames, is_plain_folder));
+        poses.push_back(track.pose_at(frame.time_s));
     }
     return poses;
 }
 
 /// Notes poses that are much farther apart than the scans, usually because of a wrong
 /// unit.
-void add_note_if_poses_are_sparse(const PoseTrack& track, const std::vector<SequenceHeaderFrame>& frames,
-                                  const std::string& file_name, Notes& notes) {
-    std::vector<double> frame_times_s;
-    for (const SequenceHeaderFrame& frame : frames)
-        if (frame.lidar == frames.front().lidar) frame_times_s.push_back(frame.time_s);
-    if (track.time_s.size() < 2 || frame_times_s.size() < 2) return;
-    const double pose_step_s = compute_median_interval_s(track.time_s),
-                 frame_step_s = compute_median_interval_s(frame_times_s);
+void note_sparse_poses(const PoseTrack& track, const std::vector<HeaderFrame>& frames,
+                       const std::string& name, Notes& notes) {
+    std::vector<double> times_s;
+    for (const HeaderFrame& frame : frames)
+        if (frame.lidar == frames.front().lidar) times_s.push_back(frame.time_s);
+    if (track.time_s.size() < 2 || times_s.size() < 2) return;
+    const double pose_step_s = median_interval_s(track.time_s), frame_step_s = median_interval_s(times_s);
     if (pose_step_s > kMostScansPerPose * frame_step_s)
         notes.push_back(
             fmt::format("{}: poses are {:.3g} s apart, but scans are {:.3g} s apart, and poses in between "
                         "are interpolated; check the unit of the times",
-                        file_name, pose_step_s, frame_step_s));
+                        name, pose_step_s, frame_step_s));
 }
 
-double find_label_time_s(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
-    if (label.has_member("time_s"))
-        return label.at("time_s").get_number_in_range(-kLargestOfTrack, kLargestOfTrack);
-    const std::int64_t number = label.at("frame").get_integer_in_range(0, 99999999);
+double label_time_s(const JsonField& label, const std::vector<HeaderFrame>& all_frames) {
+    if (label.has_member("time_s")) return label.at("time_s").number_in(-kMaxTrackValue, kMaxTrackValue);
+    const std::int64_t number = label.at("frame").integer_in(0, 99999999);
     const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
-                                    [&](const SequenceHeaderFrame& f) { return f.number == number; });
+                                    [&](const HeaderFrame& f) { return f.number == number; });
     if (frame == all_frames.end())
-        label.at("frame").throw_field_error(fmt::format("found frame {}", number),
-                                            "expected the number of a frame of the log");
+        label.at("frame").reject(fmt::format("found frame {}", number),
+                                 "expected the number of a frame of the log");
     return frame->time_s;
 }
 
 Pose read_label_pose(const JsonField& label) {
-    const auto p = label.at("position").get_numbers<3>();
+    const auto p = label.at("position").numbers<3>();
     const glm::dvec3 position(p[0], p[1], p[2]);
     if (label.has_member("yaw_deg") && label.has_member("quaternion"))
-        label.throw_field_error("found both \"yaw_deg\" and \"quaternion\"", "expected one of the two keys");
+        label.reject("found both \"yaw_deg\" and \"quaternion\"", "expected one of the two keys");
     if (label.has_member("yaw_deg"))
-        return {glm::angleAxis(label.at("yaw_deg").get_number_in_range(-1e6, 1e6) * kPi / 180.0,
-                               glm::dvec3(0, 0, 1)),
+        return {glm::angleAxis(label.at("yaw_deg").number_in(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
-    const auto q = label.at("quaternion").get_numbers<4>();
+    const auto q = label.at("quaternion").numbers<4>();
     // check_sequence() checks the quaternion's length
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 
-BoxLabel read_box_label(const JsonField& label, const std::vector<SequenceHeaderFrame>& all_frames) {
-    label.require_only_known_members(
+BoxLabel read_box_label(const JsonField& label, const std::vector<HeaderFrame>& all_frames) {
+    label.check_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
-    const auto size = label.at("size").get_numbers<3>();
-    return {label.at("track").get_short_single_line_string(kLongestName),
-            label.at("category").get_short_single_line_string(kLongestName),
+    const auto size = label.at("size").numbers<3>();
+    return {label.at("track").short_text(kLongestName),
+            label.at("category").short_text(kLongestName),
             {size[0], size[1], size[2]},
-            find_label_time_s(label, all_frames),
+            label_time_s(label, all_frames),
             read_label_pose(label)};
 }
 
 }  // namespace
 
-std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
-                                                  const std::vector<SequenceHeaderFrame>& frames,
-                                                  const OverlapScanPairReader& read_scan_pairs_for_pose_check,
-                                                  Notes& notes) {
+std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<HeaderFrame>& frames,
+                                            const OverlapScanPairReader& read_scan_pairs_for_pose_check,
+                                            Notes& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
     std::vector<std::string> lines = split_lines(read_text_file(pose_file));
     for (std::string& line : lines) std::ranges::replace(line, ',', ' ');
@@ -307,40 +296,37 @@ std::optional<std::vector<Pose>> read_frame_poses(const fs::path& pose_file,
         const PoseRows rows = parse_pose_rows(lines, pose_file.string());
         if (rows.rows.empty())
             fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
-        const std::vector<PoseInterpretation> readings = list_possible_pose_conventions(rows);
+        const std::vector<PoseInterpretation> readings = list_conventions(rows);
         // Only relidar writes these names, so the meaning is certain.
         const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
-        const std::size_t k = is_certain
-                                  ? 0
-                                  : choose_pose_interpretation(readings, read_scan_pairs_for_pose_check,
-                                                               pose_file.string(), notes);
-        add_note_if_poses_are_sparse(readings[k].world_from_vehicle, frames, pose_file.string(), notes);
+        const std::size_t k =
+            is_certain ? 0
+                       : choose_poses(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes);
+        note_sparse_poses(readings[k].world_from_vehicle, frames, pose_file.string(), notes);
         // Only plain folders give pairs of scans.
-        return interpolate_poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string(),
-                                           bool(read_scan_pairs_for_pose_check));
+        return poses_at_frames(readings[k].world_from_vehicle, frames, pose_file.string(),
+                               bool(read_scan_pairs_for_pose_check));
     }
     std::vector<int> numbers;
-    for (const SequenceHeaderFrame& frame : frames) numbers.push_back(frame.number);
-    std::vector<Pose> poses = kitti::read_pose_matrices(pose_file, numbers);
+    for (const HeaderFrame& frame : frames) numbers.push_back(frame.number);
+    std::vector<Pose> poses = kitti::read_matrices(pose_file, numbers);
     PoseTrack track;  // one pose per time; LiDARs of the same sweep share a pose
     for (std::size_t i = 0; i < frames.size(); ++i)
         if (track.time_s.empty() || frames[i].time_s != track.time_s.back())
             track.append(frames[i].time_s, poses[i]);
-    const std::vector<PoseInterpretation> readings =
-        append_inverse_interpretations({{"matrices", std::move(track)}});
-    if (choose_pose_interpretation(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes) > 0)
+    const std::vector<PoseInterpretation> readings = add_inverses({{"matrices", std::move(track)}});
+    if (choose_poses(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;
 }
 
-std::vector<BoxTrack> read_box_tracks(const fs::path& path,
-                                      const std::vector<SequenceHeaderFrame>& loaded_frames,
-                                      const std::vector<SequenceHeaderFrame>& all_frames) {
+std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<HeaderFrame>& loaded_frames,
+                                      const std::vector<HeaderFrame>& all_frames) {
     if (!does_path_exist(path)) return {};
     const std::string file = path.string();
     const nlohmann::json json = parse_json(read_text_file(file), file);
     const JsonField root(json, file, "");
-    root.require_only_known_members({"boxes"});
+    root.check_members({"boxes"});
     const JsonField boxes = root.at("boxes");
     const double first_s = loaded_frames.front().time_s, last_s = loaded_frames.back().time_s;
     const bool from_start = first_s == all_frames.front().time_s, to_end = last_s == all_frames.back().time_s;

@@ -9,24 +9,24 @@
 
 #include "base/fail.hpp"
 #include "base/files.hpp"
+#include "read/files/scan_npz.hpp"
+#include "read/kitti/log_files.hpp"
 #include "read/scans/folder_head.hpp"
 #include "read/scans/folder_points.hpp"
-#include "read/kitti/log_files.hpp"
-#include "read/files/scan_npz.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using read::SequenceHeaderFrame;
+using read::HeaderFrame;
 
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
-std::vector<SequenceHeaderFrame> select_requested_frames(const read::SequenceHeader& sequence_header,
-                                                         const DatasetOptions& options, Notes& notes) {
-    std::vector<SequenceHeaderFrame> frames;
+std::vector<HeaderFrame> select_frames(const read::SequenceHeader& header, const DatasetOptions& options,
+                                       Notes& notes) {
+    std::vector<HeaderFrame> frames;
     std::size_t n_missing = 0;
-    for (const SequenceHeaderFrame& frame : sequence_header.frames) {
+    for (const HeaderFrame& frame : header.frames) {
         if (!options.frames.contains(frame.number)) continue;
         const bool there = does_path_exist(frame.scan);
         if (!there && !options.allow_missing_scans)
@@ -35,51 +35,49 @@ std::vector<SequenceHeaderFrame> select_requested_frames(const read::SequenceHea
         if (there) frames.push_back(frame);
     }
     if (frames.empty())
-        fail<UsageError>("frames {}:{} select no existing scan of {}; {} scans are missing",
-                         options.frames.begin,
-                         options.frames.end < 0 ? "" : std::to_string(options.frames.end),
-                         sequence_header.name, n_missing);
+        fail<UsageError>(
+            "frames {}:{} select no existing scan of {}; {} scans are missing", options.frames.begin,
+            options.frames.end < 0 ? "" : std::to_string(options.frames.end), header.name, n_missing);
     if (n_missing > 0)
         notes.push_back(fmt::format("{} scans of the list in sequence.json are missing", n_missing));
     return frames;
 }
 
-std::vector<glm::vec3> read_points_of_image(const read::SequenceHeader& sequence_header,
-                                            const SequenceHeaderFrame& frame) {
-    read::PointFileUnits units = sequence_header.units;
+std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, const HeaderFrame& frame) {
+    read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
-    const read::SequenceHeaderLidar& lidar = sequence_header.lidars[std::size_t(frame.lidar)];
-    const Scan scan = read::read_scan_image(frame.scan, {units, sequence_header.motion_compensated,
-                                                           lidar.lowest_first, lidar.lidar, frame.time_s});
+    const read::SequenceHeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
+    const Scan scan = read::read_scan_image(
+        frame.scan, {units, header.motion_compensated, lidar.lowest_first, lidar.lidar, frame.time_s});
     std::vector<glm::vec3> points;
     for (std::size_t i = 0; i < scan.range_m.size(); ++i)
-        if (scan.range_m[i] > 0.0f) points.push_back(scan.compute_return_point_in_sensor_frame(i));
+        if (scan.range_m[i] > 0.0f) points.push_back(scan.return_point(i));
     return points;
 }
 
 /// Reads consecutive scans of the first LiDAR, evenly spread over the log. Skips
 /// unreadable files.
-read::OverlapScanPairs read_consecutive_scan_pairs(const read::SequenceHeader& sequence_header,
-                                                     const std::vector<SequenceHeaderFrame>& frames) {
-    constexpr std::size_t kPairs = 4;
+read::OverlapScanPairs read_scan_pairs(const read::SequenceHeader& header,
+                                       const std::vector<HeaderFrame>& frames) {
+    constexpr std::size_t kScanPairs = 4;
     read::OverlapScanPairs pairs;
-    std::vector<const SequenceHeaderFrame*> of_first;
-    for (const SequenceHeaderFrame& frame : frames)
+    std::vector<const HeaderFrame*> of_first;
+    for (const HeaderFrame& frame : frames)
         if (frame.lidar == 0) of_first.push_back(&frame);
-    const Pose& mounting = sequence_header.lidars[0].lidar.vehicle_from_sensor;
-    const auto read_points = [&](const SequenceHeaderFrame& frame) {
-        if (read::is_image_file(frame.scan)) return read_points_of_image(sequence_header, frame);
-        const read::PointTable table = read::read_point_file(frame.scan, sequence_header.units.columns);
-        read::PointFileUnits units = sequence_header.units;
+    const Pose& mounting = header.lidars[0].lidar.vehicle_from_sensor;
+    const auto read_points = [&](const HeaderFrame& frame) {
+        if (read::is_image_file(frame.scan)) return read_image_points(header, frame);
+        const read::PointTable table = read::read_point_file(frame.scan, header.units.columns);
+        read::PointFileUnits units = header.units;
         units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
-        return read::convert_table_to_points(table, units, frame.time_s, frame.scan.string()).position_m;
+        return read::convert_table(table, units, frame.time_s, frame.scan.string()).position_m;
     };
-    const auto read = [&](const SequenceHeaderFrame& frame) {
+    const auto read = [&](const HeaderFrame& frame) {
         std::vector<glm::vec3> points = read_points(frame);
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
         return points;
     };
-    const std::size_t n = of_first.empty() ? 0 : std::min(kPairs, of_first.size() - 1);
+    const std::size_t n = of_first.empty() ? 0 : std::min(kScanPairs, of_first.size() - 1);
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = k * (of_first.size() - 1) / n;
         try {
@@ -94,16 +92,15 @@ read::OverlapScanPairs read_consecutive_scan_pairs(const read::SequenceHeader& s
 
 /// Returns identity poses if poses.txt is missing or damaged and the user selected other
 /// poses.
-std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
-                                                   const read::SequenceHeader& sequence_header,
-                                                   const std::vector<SequenceHeaderFrame>& frames,
-                                                   const DatasetOptions& options, Notes& notes) {
+std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::SequenceHeader& header,
+                                     const std::vector<HeaderFrame>& frames, const DatasetOptions& options,
+                                     Notes& notes) {
     const fs::path file = folder / read::kPosesFile;
-    const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
+    const auto pairs = [&] { return read_scan_pairs(header, frames); };
     Notes unused_notes;
     try {
-        if (const auto poses = read::read_frame_poses(file, frames, pairs,
-                                                        options.poses_file.empty() ? notes : unused_notes))
+        if (const auto poses =
+                read::load_poses(file, frames, pairs, options.poses_file.empty() ? notes : unused_notes))
             return *poses;
     } catch (const DataError& error) {
         if (options.poses_file.empty()) throw;
@@ -120,30 +117,30 @@ std::vector<Pose> read_vehicle_poses_or_identities(const fs::path& folder,
 }
 
 /// The boxes move with the vehicle.
-void replace_vehicle_poses(LidarSequence& sequence, const read::SequenceHeader& sequence_header,
-                           const std::vector<SequenceHeaderFrame>& frames, const fs::path& pose_file) {
+void replace_poses(Log& sequence, const read::SequenceHeader& header, const std::vector<HeaderFrame>& frames,
+                   const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (pose_file == kNoPoses) {
         track.pose.resize(track.time_s.size());
         sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
-        const auto pairs = [&] { return read_consecutive_scan_pairs(sequence_header, frames); };
+        const auto pairs = [&] { return read_scan_pairs(header, frames); };
         const std::optional<std::vector<Pose>> poses =
-            read::read_frame_poses(pose_file, frames, pairs, sequence.notes);
+            read::load_poses(pose_file, frames, pairs, sequence.notes);
         if (!poses) fail("{}: no such file, expected poses (dataset.poses)", pose_file.string());
         for (std::size_t i = 0; i < frames.size(); ++i)
             if (i == 0 || frames[i].time_s != frames[i - 1].time_s) track.pose.push_back((*poses)[i]);
     }
-    set_vehicle_poses(sequence, track);
+    set_trajectory(sequence, track);
 }
 
 }  // namespace
 
-LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder, "a folder with sequence.json");
+Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "a folder with sequence.json");
     const fs::path folder = fs::canonical(log_folder);
-    const read::SequenceHeader head = read::read_log_description(folder, options.max_range_m);
-    LidarSequence sequence;
+    const read::SequenceHeader head = read::read_header(folder, options.max_range_m);
+    Log sequence;
     sequence.name = head.name;
     sequence.source = log_folder.string();
     sequence.conventions = head.conventions;
@@ -151,19 +148,17 @@ LidarSequence load_plain_folder(const fs::path& log_folder, const DatasetOptions
     sequence.notes = head.notes;
     sequence.lidars.clear();
     for (const read::SequenceHeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
-    const std::vector<SequenceHeaderFrame> frames = select_requested_frames(head, options, sequence.notes);
-    const std::vector<Pose> poses =
-        read_vehicle_poses_or_identities(folder, head, frames, options, sequence.notes);
+    const std::vector<HeaderFrame> frames = select_frames(head, options, sequence.notes);
+    const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         add_frame(sequence, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
         files.push_back(frames[i].scan);
     }
     sequence.boxes = read::read_box_tracks(folder / read::kBoxesFile, frames, head.frames);
-    if (!options.poses_file.empty()) replace_vehicle_poses(sequence, head, frames, options.poses_file);
-    if (head.world_offset_m && options.poses_file.empty())
-        move_world_origin_of_log(sequence, *head.world_offset_m);
-    else move_world_origin_of_log(sequence);
+    if (!options.poses_file.empty()) replace_poses(sequence, head, frames, options.poses_file);
+    if (head.world_offset_m && options.poses_file.empty()) centre_log(sequence, *head.world_offset_m);
+    else centre_log(sequence);
     const read::ScanLayout layout{
         {head.lidars.begin(), head.lidars.end()}, head.motion_compensated, /*is_described=*/true};
     read::read_scans(sequence, layout, head.units, files, options);

@@ -16,8 +16,8 @@
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/progress_blocks.hpp"
-#include "read/scans/folder_head.hpp"
 #include "read/files/scan_npz.hpp"
+#include "read/scans/folder_head.hpp"
 
 namespace relidar {
 namespace {
@@ -30,9 +30,7 @@ Json make_json(const glm::dquat& quaternion) {
     return {quaternion.w, quaternion.x, quaternion.y, quaternion.z};
 }
 
-std::string make_sensor_file_name(std::size_t lidar_index) {
-    return fmt::format("sensor_{}.json", lidar_index);
-}
+std::string sensor_file_name(std::size_t lidar_index) { return fmt::format("sensor_{}.json", lidar_index); }
 
 Json make_json(const Lidar& lidar, std::size_t lidar_index) {
     const Pose& mounting = lidar.vehicle_from_sensor;
@@ -41,20 +39,20 @@ Json make_json(const Lidar& lidar, std::size_t lidar_index) {
         {"vehicle_from_sensor",
          {{"translation", make_json(mounting.translation)}, {"quaternion", make_json(mounting.rotation)}}},
         {"spins", !lidar.sensor.beams.empty()},
-        {"sensor", lidar.pattern ? Json(make_sensor_file_name(lidar_index))
-                                 : Json::parse(format_sensor_json(get_nominal_sensor(lidar)))}};
+        {"sensor", lidar.pattern ? Json(sensor_file_name(lidar_index))
+                                 : Json::parse(format_sensor_json(sensor_of(lidar)))}};
 }
 
-std::string make_scan_file_name(const LidarSequence& sequence, const LidarFrame& frame) {
+std::string scan_file_name(const Log& sequence, const Frame& frame) {
     if (sequence.lidars.size() == 1) return fmt::format("scans/{:06}.npz", frame.index);
     return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
 }
 
-std::string make_sequence_json_text(const LidarSequence& sequence) {
+std::string sequence_json(const Log& sequence) {
     Notes notes = sequence.notes;
     std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
-    Json json = {{"format", read::kFormat},
-                 {"version", read::kVersion},
+    Json json = {{"format", read::kLogFormat},
+                 {"version", read::kLogVersion},
                  {"relidar", RELIDAR_VERSION},
                  {"name", sequence.name},
                  {"conventions", sequence.conventions},
@@ -66,31 +64,30 @@ std::string make_sequence_json_text(const LidarSequence& sequence) {
                  {"frames", Json::array()}};
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         json["lidars"].push_back(make_json(sequence.lidars[l], l));
-    for (const LidarFrame& frame : sequence.frames)
+    for (const Frame& frame : sequence.frames)
         json["frames"].push_back({{"number", frame.index},
                                   {"time_s", frame.time_s},
-                                  {"lidar", sequence.get_lidar(frame).name},
-                                  {"scan", make_scan_file_name(sequence, frame)}});
+                                  {"lidar", sequence.lidar_of(frame).name},
+                                  {"scan", scan_file_name(sequence, frame)}});
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-std::string format_poses_file(const LidarSequence& sequence) {
-    const PoseTrack track =
-        add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
+std::string poses_text(const Log& sequence) {
+    const PoseTrack track = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
     std::string text = "# time_s x y z qw qx qy qz\n";
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const auto& [q, t] = track.pose[i];
-        text += format_number_text(track.time_s[i]);
-        for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + format_number_text(v);
+        text += number_text(track.time_s[i]);
+        for (const double v : {t.x, t.y, t.z, q.w, q.x, q.y, q.z}) text += " " + number_text(v);
         text += "\n";
     }
     return text;
 }
 
-std::string format_boxes_json(const LidarSequence& sequence) {
+std::string boxes_json(const Log& sequence) {
     Json json = {{"boxes", Json::array()}};
     for (const BoxTrack& box : sequence.boxes) {
-        const PoseTrack track = add_offset_to_track_positions(box.world_from_box, sequence.world_offset_m);
+        const PoseTrack track = shift_track(box.world_from_box, sequence.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
             json["boxes"].push_back({{"track", box.id},
                                      {"category", box.category},
@@ -102,17 +99,17 @@ std::string format_boxes_json(const LidarSequence& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-bool is_entry_of_saved_log(const fs::path& entry) {
+bool is_log_entry(const fs::path& entry) {
     const std::string name = entry.filename().string();
     if (name == read::kHeadFile || name == read::kPosesFile || name == read::kBoxesFile) return true;
     if (name.starts_with("sensor_") && entry.extension() == ".json") return true;
-    return name == "scans" && std::ranges::all_of(list_folder_entries(entry), [](const fs::path& scan) {
+    return name == "scans" && std::ranges::all_of(list_folder(entry), [](const fs::path& scan) {
                return scan.extension() == ".npz";
            });
 }
 
-void require_writable_target_folder(const fs::path& folder, bool overwrite) {
-    if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder_entries(folder).empty())) return;
+void require_target(const fs::path& folder, bool overwrite) {
+    if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !does_path_exist(folder / read::kHeadFile))
         fail<UsageError>(
             "{}: this path exists and does not contain a log with {}, expected a new name or an empty folder",
@@ -121,8 +118,8 @@ void require_writable_target_folder(const fs::path& folder, bool overwrite) {
         fail<UsageError>(
             "{}: this folder exists and contains a log, expected a new name; use --force to replace the log",
             folder.string());
-    for (const fs::path& entry : list_folder_entries(folder))
-        if (!is_entry_of_saved_log(entry))
+    for (const fs::path& entry : list_folder(folder))
+        if (!is_log_entry(entry))
             fail<UsageError>(
                 "cannot replace the log in {}: {} is not a file that relidar writes, and would be deleted; "
                 "expected another folder",
@@ -131,27 +128,23 @@ void require_writable_target_folder(const fs::path& folder, bool overwrite) {
 
 }  // namespace
 
-void save_folder(const LidarSequence& sequence, const fs::path& target_folder,
-                 const LogFolderOptions& options) {
+void save_folder(const Log& sequence, const fs::path& target_folder, const LogFolderOptions& options) {
     const fs::path normalized_target = (fs::absolute(target_folder) / "").lexically_normal().parent_path();
-    require_writable_target_folder(normalized_target, options.overwrite);
+    require_target(normalized_target, options.overwrite);
     const StagedFolder staged(normalized_target);
     fs::create_directory(staged.path() / "scans");
-    parallel_for_with_progress(
-        sequence.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
-            const LidarFrame& frame = sequence.frames[index];
-            read::write_scan_npz(staged.path() / make_scan_file_name(sequence, frame), frame.scan,
-                                   !sequence.rolling_shutter);
-        });
+    progress_for(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
+        const Frame& frame = sequence.frames[index];
+        read::write_scan_npz(staged.path() / scan_file_name(sequence, frame), frame.scan,
+                             !sequence.rolling_shutter);
+    });
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
-            write_text_file(staged.path() / make_sensor_file_name(l),
-                            format_sensor_json(get_nominal_sensor(lidar)) + "\n");
-    if (options.poses) write_text_file(staged.path() / read::kPosesFile, format_poses_file(sequence));
-    if (!sequence.boxes.empty())
-        write_text_file(staged.path() / read::kBoxesFile, format_boxes_json(sequence));
-    write_text_file(staged.path() / read::kHeadFile, make_sequence_json_text(sequence));
-    staged.move_folder_and_replace_existing();
+            write_text_file(staged.path() / sensor_file_name(l), format_sensor_json(sensor_of(lidar)) + "\n");
+    if (options.poses) write_text_file(staged.path() / read::kPosesFile, poses_text(sequence));
+    if (!sequence.boxes.empty()) write_text_file(staged.path() / read::kBoxesFile, boxes_json(sequence));
+    write_text_file(staged.path() / read::kHeadFile, sequence_json(sequence));
+    staged.replace_folder();
 }
 
 }  // namespace relidar

@@ -32,8 +32,7 @@ struct BeamPolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
-    const std::vector<const ScanWithRings*>& scans) {
+std::array<BeamPolarPoints, kRings> collect_polar(const std::vector<const ScanWithRings*>& scans) {
     std::array<BeamPolarPoints, kRings> polar;
     for (const ScanWithRings* scan : scans)
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
@@ -51,9 +50,8 @@ std::array<BeamPolarPoints, kRings> convert_far_points_to_polar_by_ring(
 /// Returns the mean of exp(2 pi i (azimuth - lateral_offset_m / distance) / tick) over
 /// every `point_stride`-th point. Its argument is the phase of the azimuths; its absolute
 /// value is 1 if all points fit the ticks.
-std::complex<double> compute_mean_encoder_tick_phase(const BeamPolarPoints& beam_points,
-                                                     double encoder_tick_rad, double lateral_offset_m,
-                                                     std::size_t point_stride) {
+std::complex<double> mean_tick_phase(const BeamPolarPoints& beam_points, double encoder_tick_rad,
+                                     double lateral_offset_m, std::size_t point_stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
     for (std::size_t i = 0; i < beam_points.azimuth_rad.size(); i += point_stride, ++n)
@@ -71,8 +69,7 @@ struct TickGridPhase {
 
 /// Least squares of azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n
 /// integer.
-void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& polar,
-                                   double encoder_tick_rad) {
+void refine_phase(TickGridPhase& phase, const BeamPolarPoints& polar, double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
         const double u = polar.inverse_rho[i];
@@ -94,21 +91,20 @@ void refine_phase_by_least_squares(TickGridPhase& phase, const BeamPolarPoints& 
     phase.phase_rad += (se - left * su) / n;
 }
 
-TickGridPhase fit_azimuth_phase_of_beam(const BeamPolarPoints& polar, double encoder_tick_rad) {
+TickGridPhase fit_beam_phase(const BeamPolarPoints& polar, double encoder_tick_rad) {
     TickGridPhase best;
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
-        const std::complex<double> mean =
-            compute_mean_encoder_tick_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
+        const std::complex<double> mean = mean_tick_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
         // searches the lateral offset from -60 to 60 mm
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
-    const std::complex<double> none = compute_mean_encoder_tick_phase(polar, encoder_tick_rad, 0.0, stride);
+    const std::complex<double> none = mean_tick_phase(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
-    if (best.left_m != 0.0) refine_phase_by_least_squares(best, polar, encoder_tick_rad);
+    if (best.left_m != 0.0) refine_phase(best, polar, encoder_tick_rad);
     return best;
 }
 
@@ -117,12 +113,12 @@ struct TickGridPhasesByRing {
     double concentration = 0.0;  ///< mean over the points
 };
 
-TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
-    const std::array<BeamPolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
+TickGridPhasesByRing fit_phases(const std::array<BeamPolarPoints, kRings>& polar_rings,
+                                double encoder_tick_rad) {
     TickGridPhasesByRing phases;
     parallel_for(kRings, [&](int k) {
         const std::size_t at = std::size_t(k);
-        phases.ring[at] = fit_azimuth_phase_of_beam(polar_rings[at], encoder_tick_rad);
+        phases.ring[at] = fit_beam_phase(polar_rings[at], encoder_tick_rad);
     });
     double n = 0;
     for (std::size_t k = 0; k < kRings; ++k) {
@@ -135,7 +131,7 @@ TickGridPhasesByRing fit_encoder_tick_phase_of_each_ring(
 
 /// Uses the mean azimuth step within a beam. Ignores steps longer than 1.5 medians, which
 /// contain dropped rays.
-int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& scans) {
+int estimate_firings(const std::vector<const ScanWithRings*>& scans) {
     std::vector<double> steps;
     for (const ScanWithRings* scan : scans)
         for (std::size_t i = 1; i < scan->points.size(); ++i) {
@@ -156,8 +152,7 @@ int estimate_firings_per_revolution(const std::vector<const ScanWithRings*>& sca
 
 using EncoderTicksByBeam = std::vector<std::vector<int>>;
 
-EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
-                                                  const BeamFiringGrid& firing_grid) {
+EncoderTicksByBeam compute_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
     EncoderTicksByBeam ticks(kRings);
     std::vector<BeamRayGenerator> beams;
     for (std::size_t k = 0; k < kRings; ++k)
@@ -165,17 +160,17 @@ EncoderTicksByBeam compute_encoder_ticks_per_beam(const ScanWithRings& scan,
             Beam{.azimuth_offset_rad = firing_grid.offset_rad[k], .origin_left_m = firing_grid.left_m[k]});
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        ticks[k].push_back(firing_grid.head.find_nearest_encoder_tick(
-            beams[k].compute_head_azimuth(glm::dvec3(scan.points[i]))));
+        ticks[k].push_back(
+            firing_grid.head.nearest_tick(beams[k].azimuth_facing(glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
 
 /// Returns [scans][ticks] flags of ticks with returns of at least `min_beams` beams.
 /// @param tick_shift_of_each_beam  subtracted from the ticks of the beam
-std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
-    const std::vector<EncoderTicksByBeam>& ticks_of_scans, const std::vector<int>& tick_shift_of_each_beam,
-    int n_ticks, int min_beams) {
+std::vector<std::vector<char>> flag_fired_ticks(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
+                                                const std::vector<int>& tick_shift_of_each_beam, int n_ticks,
+                                                int min_beams) {
     std::vector<std::vector<char>> pattern;
     for (const EncoderTicksByBeam& scan : ticks_of_scans) {
         std::vector<int> count(static_cast<std::size_t>(n_ticks));
@@ -189,7 +184,7 @@ std::vector<std::vector<char>> flag_ticks_with_returns_of_enough_beams(
 }
 
 /// The argument is at most one turn outside of [0, n_ticks).
-int wrap_encoder_tick(int tick, int n_ticks) {
+int wrap_tick(int tick, int n_ticks) {
     if (tick < 0) return tick + n_ticks;
     return tick >= n_ticks ? tick - n_ticks : tick;
 }
@@ -197,9 +192,8 @@ int wrap_encoder_tick(int tick, int n_ticks) {
 /// Returns the offset of a beam that moves most returns to ticks with returns of other
 /// beams, or 0 if no offset is clearly better.
 /// @param is_tick_fired  [scans][ticks]
-int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
-                                     const std::vector<std::vector<char>>& is_tick_fired, int n_ticks,
-                                     int max_shift) {
+int find_tick_offset(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
+                     const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
     std::size_t n = 0;
     for (const EncoderTicksByBeam& scan : ticks_of_scans) n += scan[ring].size();
     std::size_t most = 0, at_zero = 0;
@@ -209,7 +203,7 @@ int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& tick
         std::size_t hits = 0;
         for (std::size_t s = 0; s < ticks_of_scans.size(); ++s)
             for (const int t : ticks_of_scans[s][ring]) {
-                const int moved = wrap_encoder_tick(t - shift, n_ticks);
+                const int moved = wrap_tick(t - shift, n_ticks);
                 hits += std::size_t(is_tick_fired[s][std::size_t(moved)]);
             }
         if (i == 0) at_zero = hits;
@@ -221,8 +215,7 @@ int find_encoder_tick_offset_of_ring(const std::vector<EncoderTicksByBeam>& tick
     return most > at_zero + n / 100 ? best : 0;
 }
 
-std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
-                                              int n_ticks) {
+std::vector<int> find_tick_shifts(const std::vector<EncoderTicksByBeam>& ticks_of_scans, int n_ticks) {
     const int reach = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
     for (std::size_t k = 1; k < kRings; ++k)
@@ -232,22 +225,21 @@ std::vector<int> find_tick_shift_of_each_ring(const std::vector<EncoderTicksByBe
         for (std::size_t k = 0; k < kRings; ++k)
             if (k != fullest) scan[k].clear();
     std::vector<int> shift(kRings, 0);
-    auto pattern = flag_ticks_with_returns_of_enough_beams(reference, shift, n_ticks, 1);
+    auto pattern = flag_fired_ticks(reference, shift, n_ticks, 1);
     // Pass 1 aligns all beams with the beam that has the most points, pass 2 with the
     // ticks that have returns of kMinLasers beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
-            shift[std::size_t(k)] =
-                find_encoder_tick_offset_of_ring(ticks_of_scans, std::size_t(k), pattern, n_ticks, reach);
+            shift[std::size_t(k)] = find_tick_offset(ticks_of_scans, std::size_t(k), pattern, n_ticks, reach);
         });
-        pattern = flag_ticks_with_returns_of_enough_beams(ticks_of_scans, shift, n_ticks, kMinLasers);
+        pattern = flag_fired_ticks(ticks_of_scans, shift, n_ticks, kMinLasers);
     }
     return shift;
 }
 
 }  // namespace
 
-std::vector<Beam> BeamFiringGrid::make_beams_with_fitted_elevations(const BeamCones& cones) const {
+std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
         const double elevation = std::atan(cones[k].tan_el);
@@ -256,17 +248,17 @@ std::vector<Beam> BeamFiringGrid::make_beams_with_fitted_elevations(const BeamCo
     return beams;
 }
 
-BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans) {
+BeamFiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
     // minimum concentration of azimuths at encoder ticks
     constexpr double kMinConcentration = 0.8;
-    const std::array<BeamPolarPoints, kRings> polar = convert_far_points_to_polar_by_ring(scans);
+    const std::array<BeamPolarPoints, kRings> polar = collect_polar(scans);
     BeamFiringGrid lattice;
     lattice.head.n_ticks = kEncoderTicks;
-    TickGridPhasesByRing phases = fit_encoder_tick_phase_of_each_ring(polar, 2.0 * kPi / kEncoderTicks);
+    TickGridPhasesByRing phases = fit_phases(polar, 2.0 * kPi / kEncoderTicks);
     if (phases.concentration < kMinConcentration) {
-        lattice.head.n_ticks = estimate_firings_per_revolution(scans);
+        lattice.head.n_ticks = estimate_firings(scans);
         lattice.every_tick = true;
-        phases = fit_encoder_tick_phase_of_each_ring(polar, 2.0 * kPi / lattice.head.n_ticks);
+        phases = fit_phases(polar, 2.0 * kPi / lattice.head.n_ticks);
     }
     if (phases.concentration < kMinConcentration) return lattice;
 
@@ -276,11 +268,10 @@ BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& sca
     }
     if (!lattice.every_tick) {
         std::vector<EncoderTicksByBeam> ticks;
-        for (const ScanWithRings* scan : scans)
-            ticks.push_back(compute_encoder_ticks_per_beam(*scan, lattice));
-        const std::vector<int> shift = find_tick_shift_of_each_ring(ticks, lattice.head.n_ticks);
+        for (const ScanWithRings* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
+        const std::vector<int> shift = find_tick_shifts(ticks, lattice.head.n_ticks);
         for (std::size_t k = 0; k < kRings; ++k)
-            lattice.offset_rad[k] += shift[k] * lattice.head.compute_azimuth_per_tick_rad();
+            lattice.offset_rad[k] += shift[k] * lattice.head.tick_step_rad();
     }
     // The head faces the mean direction of the beams.
     const double mean_rad =
@@ -290,16 +281,14 @@ BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& sca
     return lattice;
 }
 
-std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
-    const auto pattern = flag_ticks_with_returns_of_enough_beams(
-        {compute_encoder_ticks_per_beam(scan, firing_grid)}, std::vector<int>(kRings, 0),
-        firing_grid.head.n_ticks, kMinLasers);
+std::vector<int> find_fired_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
+    const auto pattern = flag_fired_ticks({compute_ticks(scan, firing_grid)}, std::vector<int>(kRings, 0),
+                                          firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;
     for (int t = 0; t < firing_grid.head.n_ticks; ++t)
         if (firing_grid.every_tick || pattern[0][std::size_t(t)]) firings.push_back(t);
     std::sort(firings.begin(), firings.end(), [&](int first, int second) {
-        return firing_grid.head.compute_azimuth_of_encoder_tick_rad(first) >
-               firing_grid.head.compute_azimuth_of_encoder_tick_rad(second);
+        return firing_grid.head.tick_azimuth_rad(first) > firing_grid.head.tick_azimuth_rad(second);
     });
     return firings;
 }

@@ -30,14 +30,14 @@ struct BeamFiringGrid {
     std::array<double, kRings> left_m{};
 
     /// Combines the offsets of this grid with the elevations and heights of `cones`.
-    std::vector<Beam> make_beams_with_fitted_elevations(const BeamCones& cones) const;
+    std::vector<Beam> make_beams(const BeamCones& cones) const;
 };
 
 /// If the azimuths fit no grid, returns equal steps and zero offsets.
-BeamFiringGrid fit_beam_firing_grid(const std::vector<const ScanWithRings*>& scans);
+BeamFiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans);
 
 /// Returns the ticks at which the head fired, in order of time: clockwise from azimuth
 /// +pi.
-std::vector<int> find_fired_encoder_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid);
+std::vector<int> find_fired_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid);
 
 }  // namespace relidar::kitti

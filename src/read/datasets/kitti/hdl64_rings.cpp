@@ -23,17 +23,17 @@ struct RhoHeightSample {
     double rho_m, z_m;
 };
 
-double compute_height_residual_m(const BeamCone& cone, const RhoHeightSample& sample) {
+double height_residual_m(const BeamCone& cone, const RhoHeightSample& sample) {
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
 /// Least squares of z = z0 + rho tan(elevation) with the horizontal distance rho. Ignores
 /// points more than max_residual_m above or below `previous_line`.
-BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
-                             double max_residual_m) {
+BeamCone fit_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
+                     double max_residual_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const RhoHeightSample& s : samples) {
-        if (std::abs(compute_height_residual_m(previous_line, s)) > max_residual_m) continue;
+        if (std::abs(height_residual_m(previous_line, s)) > max_residual_m) continue;
         n += 1;
         sr += s.rho_m;
         sz += s.z_m;
@@ -48,15 +48,14 @@ BeamCone fit_line_to_inliers(const std::vector<RhoHeightSample>& samples, const 
     return {(sz - slope * sr) / n, slope, std::size_t(n)};
 }
 
-BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
-    BeamCone cone = fit_line_to_inliers(samples, {}, INFINITY);
+BeamCone fit_cone(const std::vector<RhoHeightSample>& samples) {
+    BeamCone cone = fit_inliers(samples, {}, INFINITY);
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
-        for (const RhoHeightSample& s : samples)
-            error.push_back(std::abs(compute_height_residual_m(cone, s)));
+        for (const RhoHeightSample& s : samples) error.push_back(std::abs(height_residual_m(cone, s)));
         // Standard deviation of a normal distribution from the median absolute error.
         const double sigma = 1.4826 * compute_median(std::move(error));
-        cone = fit_line_to_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
+        cone = fit_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
@@ -65,13 +64,10 @@ BeamCone fit_beam_cone_robustly(const std::vector<RhoHeightSample>& samples) {
 /// slope * (tan_elevation - mean_tan). The means are over the fitted beams.
 struct LaserHeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
-    double compute_height_m(double tan_elevation) const {
-        return mean_z0 + slope * (tan_elevation - mean_tan);
-    }
+    double height_at_m(double tan_elevation) const { return mean_z0 + slope * (tan_elevation - mean_tan); }
 };
 
-LaserHeightFit fit_beam_height_to_tan_elevation(const BeamCones& cones,
-                                                const std::vector<std::size_t>& fitted_rings) {
+LaserHeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
     LaserHeightFit line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : fitted_rings) {
@@ -89,13 +85,12 @@ LaserHeightFit fit_beam_height_to_tan_elevation(const BeamCones& cones,
 
 /// Median of tan(elevation) over the points of a beam whose distances are too similar for
 /// a line. Its height is that of the block.
-double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>& samples,
-                                              const LaserHeightFit& block_height_fit,
-                                              double initial_tan_elevation) {
+double tan_elevation_at(const std::vector<RhoHeightSample>& samples, const LaserHeightFit& block_height_fit,
+                        double initial_tan_elevation) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].z_m - block_height_fit.compute_height_m(initial_tan_elevation)) /
+            slope[i] = (samples[i].z_m - block_height_fit.height_at_m(initial_tan_elevation)) /
                        std::max(samples[i].rho_m, 0.1);
         initial_tan_elevation = compute_median(slope);
     }
@@ -103,18 +98,18 @@ double estimate_tan_elevation_at_known_height(const std::vector<RhoHeightSample>
 }
 
 /// Uses the fitted beams in the same half of the 64 beams.
-void estimate_missing_beam_cones(BeamCones& cones,
-                                 const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
-                                 const std::string& error_location) {
+void fill_missing_cones(BeamCones& cones,
+                        const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
+                        const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
         for (std::size_t k = first; k < first + kRings / 2; ++k)
             if (cones[k].n > 0) good.push_back(k);
         if (good.size() < 2)
-            throw DataError(error_location +
+            throw DataError(where +
                             ": fewer than two beams of a block of 32 beams have enough returns, expected a "
                             "log of an HDL-64E");
-        const LaserHeightFit line = fit_beam_height_to_tan_elevation(cones, good);
+        const LaserHeightFit line = fit_heights(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
@@ -122,16 +117,15 @@ void estimate_missing_beam_cones(BeamCones& cones,
             const double along = (double(k) - double(a)) / double(b - a);
             cones[k].tan_el = cones[a].tan_el + (cones[b].tan_el - cones[a].tan_el) * along;
             if (samples_of_rings[k].size() >= 16)
-                cones[k].tan_el =
-                    estimate_tan_elevation_at_known_height(samples_of_rings[k], line, cones[k].tan_el);
-            cones[k].z0_m = line.compute_height_m(cones[k].tan_el);
+                cones[k].tan_el = tan_elevation_at(samples_of_rings[k], line, cones[k].tan_el);
+            cones[k].z0_m = line.height_at_m(cones[k].tan_el);
         }
     }
 }
 
 /// Returns the ring whose cone has the smallest median distance from consecutive points.
-int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_point, std::size_t end_point,
-                                const BeamCones& cones) {
+int find_nearest_ring(const ScanWithRings& scan, std::size_t begin_point, std::size_t end_point,
+                      const BeamCones& cones) {
     const std::size_t step = std::max<std::size_t>((end_point - begin_point) / 32, 1);
     int best = 0;
     double least = INFINITY;
@@ -139,8 +133,7 @@ int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_poi
         std::vector<double> error;
         for (std::size_t i = begin_point; i < end_point; i += step) {
             const glm::dvec4 p(scan.points[i]);
-            error.push_back(
-                std::abs(compute_height_residual_m(cones[std::size_t(k)], {std::hypot(p.x, p.y), p.z})));
+            error.push_back(std::abs(height_residual_m(cones[std::size_t(k)], {std::hypot(p.x, p.y), p.z})));
         }
         if (const double middle = compute_median(std::move(error)); middle < least) {
             least = middle;
@@ -152,7 +145,7 @@ int find_nearest_ring_of_points(const ScanWithRings& scan, std::size_t begin_poi
 
 }  // namespace
 
-ScanWithRings split_points_into_rings(std::vector<glm::vec4> points) {
+ScanWithRings split_rings(std::vector<glm::vec4> points) {
     ScanWithRings scan;
     scan.points = std::move(points);
     scan.ring.resize(scan.points.size());
@@ -168,8 +161,7 @@ ScanWithRings split_points_into_rings(std::vector<glm::vec4> points) {
     return scan;
 }
 
-BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
-                                const std::string& error_location) {
+BeamCones fit_ring_cones(const std::vector<const ScanWithRings*>& scans, const std::string& where) {
     std::array<std::vector<RhoHeightSample>, kRings> samples;
     int most = 0;
     for (const ScanWithRings* scan : scans) {
@@ -185,20 +177,20 @@ BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
         fail(
             "{}: found {} rings in the order of the file, expected 64 rings of an HDL-64E, stored one after "
             "another",
-            error_location, most);
+            where, most);
     BeamCones cones;
-    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_beam_cone_robustly(samples[k]);
-    estimate_missing_beam_cones(cones, samples, error_location);
+    for (std::size_t k = 0; k < kRings; ++k) cones[k] = fit_cone(samples[k]);
+    fill_missing_cones(cones, samples, where);
     return cones;
 }
 
-void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones) {
+void correct_rings(ScanWithRings& scan, const BeamCones& cones) {
     const std::size_t n = scan.points.size();
     if (scan.n_rings != kRings && scan.n_rings != kRings + 1)
         for (std::size_t begin = 0; begin < n;) {
             std::size_t end = begin + 1;
             while (end < n && scan.ring[end] == scan.ring[begin]) ++end;
-            const auto ring = std::uint8_t(find_nearest_ring_of_points(scan, begin, end, cones));
+            const auto ring = std::uint8_t(find_nearest_ring(scan, begin, end, cones));
             std::fill(scan.ring.begin() + static_cast<std::ptrdiff_t>(begin),
                       scan.ring.begin() + static_cast<std::ptrdiff_t>(end), ring);
             begin = end;
@@ -207,8 +199,8 @@ void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones) {
         const glm::dvec4 p(scan.points[i]);
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
         const RhoHeightSample s{std::hypot(p.x, p.y), p.z};
-        if (std::abs(compute_height_residual_m(cones[scan.ring[i - 1]], s)) <
-            std::abs(compute_height_residual_m(cones[scan.ring[i]], s)))
+        if (std::abs(height_residual_m(cones[scan.ring[i - 1]], s)) <
+            std::abs(height_residual_m(cones[scan.ring[i]], s)))
             scan.ring[i] = scan.ring[i - 1];
     }
 }

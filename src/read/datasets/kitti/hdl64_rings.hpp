@@ -35,15 +35,14 @@ using BeamCones = std::array<BeamCone, kRings>;
 /// The file stores ring after ring, each starting at the forward direction. A new ring
 /// begins where the azimuth changes from the 4th to the 1st quadrant. Ring numbers are
 /// limited to 63.
-ScanWithRings split_points_into_rings(std::vector<glm::vec4> points);
+ScanWithRings split_rings(std::vector<glm::vec4> points);
 
 /// Uses robust least squares and all complete scans (64 rings).
 /// @throws DataError if no scan is complete, or too few rings have enough returns
-BeamCones fit_cone_of_each_ring(const std::vector<const ScanWithRings*>& scans,
-                                const std::string& error_location);
+BeamCones fit_ring_cones(const std::vector<const ScanWithRings*>& scans, const std::string& where);
 
 /// Moves points to the ring whose cone is nearer. Counting rings fails if a beam has no
 /// returns, or if the last point of a ring was rounded to azimuth 0.
-void correct_ring_numbers(ScanWithRings& scan, const BeamCones& cones);
+void correct_rings(ScanWithRings& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

@@ -18,9 +18,9 @@
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/list_text.hpp"
-#include "read/lidar_rt_benchmark.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/lidar_rt_benchmark.hpp"
 #include "read/readers.hpp"
 
 namespace relidar {
@@ -38,7 +38,7 @@ struct RequestedDrive {
 
 std::vector<std::string> list_drives(const fs::path& folder) {
     std::vector<std::string> names;
-    for (const fs::path& drive : list_folder_entries(folder))
+    for (const fs::path& drive : list_folder(folder))
         if (does_path_exist(drive / "velodyne_points")) names.push_back(drive.filename().string());
     if (names.empty())
         fail("{}: found no drive, expected folders *_drive_*_sync/velodyne_points", folder.string());
@@ -47,7 +47,7 @@ std::vector<std::string> list_drives(const fs::path& folder) {
 
 RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    const RequestedDriveFrames part = find_requested_drive_and_frames(options, kKitti360Benchmark);
+    const RequestedDriveFrames part = find_drive(options, kKitti360Benchmark);
     if (part.drive.empty()) {
         RequestedDrive drive{drives.front(), part.frames};
         if (drives.size() > 1)
@@ -61,26 +61,24 @@ RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& option
     fail<UsageError>(
         "dataset.sequence: found '{}', expected the name or number of a drive in {} ({}), or ks1 to ks4 or "
         "kd1 to kd6, which are the static and dynamic parts of drive 0000 in the LiDAR-RT paper",
-        shorten_for_error_message(options.sequence), folder.string(),
-        shorten_for_error_message(fmt::format("{}", fmt::join(drives, ", "))));
+        quote(options.sequence), folder.string(), quote(fmt::format("{}", fmt::join(drives, ", "))));
 }
 
 /// Some frames have no pose.
-std::map<int, Pose> read_lidar_pose_per_frame(const fs::path& dataset_folder, const std::string& drive_name) {
+std::map<int, Pose> read_lidar_poses(const fs::path& dataset_folder, const std::string& drive_name) {
     const fs::path calibration = dataset_folder / "calibration";
-    const Pose imu_from_cam0 = read_transform_of_key(calibration / "calib_cam_to_pose.txt", "image_00");
-    const Pose velo_from_cam0 = read_pose_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
-    std::map<int, Pose> poses =
-        read_poses_by_frame_number(dataset_folder / "data_poses" / drive_name / "poses.txt");
+    const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
+    const Pose velo_from_cam0 = read_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
+    std::map<int, Pose> poses = read_numbered_poses(dataset_folder / "data_poses" / drive_name / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
 }
 
 /// Interpolates a missing pose if its neighbours are at most half a second apart, or if
 /// the car stands still.
-std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by_frame, int frame_number) {
+std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int frame_number) {
     constexpr int kMaxFrameGap = 5;
-    constexpr double kStanding_m = 0.2;
+    constexpr double kMaxStandingMotion_m = 0.2;
     const auto after = poses_by_frame.lower_bound(frame_number);
     if (after == poses_by_frame.end()) return std::nullopt;
     if (after->first == frame_number) return after->second;
@@ -88,45 +86,40 @@ std::optional<Pose> find_or_interpolate_pose(const std::map<int, Pose>& poses_by
     const auto before = std::prev(after);
     const int apart = after->first - before->first;
     if (apart > kMaxFrameGap &&
-        glm::distance(before->second.translation, after->second.translation) > kStanding_m)
+        glm::distance(before->second.translation, after->second.translation) > kMaxStandingMotion_m)
         return std::nullopt;
     return interpolate(before->second, after->second, double(frame_number - before->first) / apart);
 }
 
-void add_frames_with_pose(LidarSequence& sequence, const std::vector<int>& frame_numbers,
-                          const std::vector<double>& frame_times_s,
-                          const std::map<int, Pose>& poses_by_frame) {
+void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std::vector<double>& times_s,
+                      const std::map<int, Pose>& poses_by_frame) {
     std::vector<int> between, without;
-    for (std::size_t i = 0; i < frame_numbers.size(); ++i) {
-        const std::optional<Pose> pose = find_or_interpolate_pose(poses_by_frame, frame_numbers[i]);
-        if (!pose) without.push_back(frame_numbers[i]);
-        else if (!poses_by_frame.contains(frame_numbers[i])) between.push_back(frame_numbers[i]);
-        if (pose) add_frame(sequence, frame_numbers[i], frame_times_s[i], *pose);
+    for (std::size_t i = 0; i < numbers.size(); ++i) {
+        const std::optional<Pose> pose = pose_of_frame(poses_by_frame, numbers[i]);
+        if (!pose) without.push_back(numbers[i]);
+        else if (!poses_by_frame.contains(numbers[i])) between.push_back(numbers[i]);
+        if (pose) add_frame(sequence, numbers[i], times_s[i], *pose);
     }
     if (sequence.frames.empty())
         fail("{}: none of the frames {} to {} has a pose, expected frames between {} and {}", sequence.name,
-             frame_numbers.front(), frame_numbers.back(), poses_by_frame.begin()->first,
-             poses_by_frame.rbegin()->first);
+             numbers.front(), numbers.back(), poses_by_frame.begin()->first, poses_by_frame.rbegin()->first);
     if (!between.empty())
         sequence.notes.push_back(fmt::format(
             "poses of these frames are interpolated, because data_poses does not contain them: {}",
-            format_number_list(between)));
+            list_text(between)));
     if (!without.empty())
-        sequence.notes.push_back(fmt::format("frames that are skipped, because they have no pose: {}",
-                                             format_number_list(without)));
+        sequence.notes.push_back(
+            fmt::format("frames that are skipped, because they have no pose: {}", list_text(without)));
 }
 
 /// Boxes are in the world of the dataset, so they are left out if only the user has
 /// poses.
-void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folder,
-                          const RequestedDrive& drive, const std::vector<int>& frame_numbers,
-                          const fs::path& user_pose_file) {
-    const std::vector<double> time_s = read_relative_frame_times_s(
-        dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", frame_numbers,
-        sequence);
+void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const RequestedDrive& drive,
+                          const std::vector<int>& numbers, const fs::path& user_pose_file) {
+    const std::vector<double> time_s = read_frame_times(
+        dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", numbers, sequence);
     if (user_pose_file.empty() || does_path_exist(dataset_folder / "data_poses" / drive.name)) {
-        add_frames_with_pose(sequence, frame_numbers, time_s,
-                             read_lidar_pose_per_frame(dataset_folder, drive.name));
+        add_posed_frames(sequence, numbers, time_s, read_lidar_poses(dataset_folder, drive.name));
         fs::path labels;  // prefers the folder train_full to the smaller folder train
         for (const char* set : {"train_full", "train"}) {
             const fs::path file = dataset_folder / "data_3d_bboxes" / set / (drive.name + ".xml");
@@ -134,24 +127,23 @@ void add_frames_and_boxes(LidarSequence& sequence, const fs::path& dataset_folde
         }
         if (labels.empty())
             sequence.notes.push_back("data_3d_bboxes is missing, so this drive has no labels");
-        else sequence.boxes = read_kitti_360_boxes(labels, sequence.frames);
+        else sequence.boxes = read_360_boxes(labels, sequence.frames);
     } else {
-        for (std::size_t i = 0; i < frame_numbers.size(); ++i)
-            add_frame(sequence, frame_numbers[i], time_s[i], {});
+        for (std::size_t i = 0; i < numbers.size(); ++i) add_frame(sequence, numbers[i], time_s[i], {});
         sequence.notes.push_back("data_poses is missing, so the boxes are not read");
     }
 }
 
 }  // namespace
 
-LidarSequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
+Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
     const RequestedDrive drive = choose_drive(folder / "data_3d_raw", options);
     const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
-    const std::vector<int> frames = list_scan_numbers(points / "data", drive.frames.begin, drive.frames.end);
+    const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
 
-    LidarSequence sequence;
+    Log sequence;
     sequence.name = drive.name;
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -160,16 +152,15 @@ LidarSequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& o
         "(Mercator). Scans are not motion-compensated.";
     sequence.notes = drive.notes;
     sequence.test_frames = drive.test_frames;
-    const std::string gaps =
-        describe_or_reject_missing_scan_files(points / "data", frames, options.allow_missing_scans);
+    const std::string gaps = check_scan_files(points / "data", frames, options.allow_missing_scans);
     if (!gaps.empty()) sequence.notes.push_back(gaps);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.name = "HDL-64E fitted to " + sequence.name;
-    sensor.period_s = read_median_time_step_s(points / "timestamps.txt");
+    sensor.period_s = read_time_step_s(points / "timestamps.txt");
     sensor.max_range_m = options.max_range_m;
-    add_frames_and_boxes(sequence, folder, drive, frames, options.poses_file);
-    replace_vehicle_poses_from_file(sequence, options.poses_file);
-    move_world_origin_of_log(sequence);
+    add_kitti_360_frames(sequence, folder, drive, frames, options.poses_file);
+    replace_poses(sequence, options.poses_file);
+    centre_log(sequence);
     read_hdl64_sweeps(sequence, points / "data", 10, options);
     return sequence;
 }

@@ -14,7 +14,7 @@ namespace relidar::kitti {
 /// of the dataset. A moving object has a label per frame. A standing object has one pose
 /// for all frames of its part of the drive.
 /// @throws DataError with object and field
-std::vector<BoxTrack> read_kitti_360_boxes(const std::filesystem::path& label_file,
-                                           const std::vector<LidarFrame>& frames);
+std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& label_file,
+                                     const std::vector<Frame>& frames);
 
 }  // namespace relidar::kitti

@@ -29,114 +29,104 @@ struct MovableClass {
     const char* name;
     const char* label;  ///< text label of the class, used if an object has no class number
 };
-constexpr MovableClass kMovable[] = {
+constexpr MovableClass kMovableClasses[] = {
     {13, "car", "car"},           {14, "truck", "truck"},           {15, "trailer", "trailer"},
     {16, "caravan", "caravan"},   {17, "motorcycle", "motorcycle"}, {18, "bicycle", "bicycle"},
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
 /// @throws DataError if the element is no integer; a missing element is `default_value`
-int read_integer_field(const pugi::xml_node& object, const char* field_name, std::optional<int> default_value,
-                       const std::string& error_location) {
-    constexpr double kLargest = 1e8;
+int read_int(const pugi::xml_node& object, const char* field_name, std::optional<int> default_value,
+             const std::string& where) {
+    constexpr double kMaxValue = 1e8;
     const std::string text = object.child_value(field_name);
     if (text.empty() && default_value) return *default_value;
-    const auto value = parse_number(trim_blanks_at_both_ends(text));
-    if (!value || !(std::abs(*value) < kLargest) || *value != std::floor(*value))
-        fail("{}: {} is '{}', expected a whole number", error_location, field_name,
-             shorten_for_error_message(text));
+    const auto value = parse_number(trim(text));
+    if (!value || !(std::abs(*value) < kMaxValue) || *value != std::floor(*value))
+        fail("{}: {} is '{}', expected a whole number", where, field_name, quote(text));
     return int(*value);
 }
 
 /// Returns null for classes that cannot move. Drive 0004 has labels instead of class
 /// numbers.
-const MovableClass* find_movable_class(const pugi::xml_node& object, const std::string& error_location) {
+const MovableClass* find_movable(const pugi::xml_node& object, const std::string& where) {
     const bool has_number = !object.child("semanticId").empty();
-    const int id = has_number ? read_integer_field(object, "semanticId", {}, error_location) : 0;
-    const std::string_view label = trim_blanks_at_both_ends(object.child_value("label"));
-    for (const MovableClass& movable_class : kMovable)
+    const int id = has_number ? read_int(object, "semanticId", {}, where) : 0;
+    const std::string_view label = trim(object.child_value("label"));
+    for (const MovableClass& movable_class : kMovableClasses)
         if (has_number ? id == movable_class.id : label == movable_class.name || label == movable_class.label)
             return &movable_class;
     return nullptr;
 }
 
 /// Reads the transform from a unit cube to the world, which contains pose and size.
-glm::dmat4 read_box_transform(const pugi::xml_node& object, const std::string& error_location) {
+glm::dmat4 read_transform(const pugi::xml_node& object, const std::string& where) {
     const pugi::xml_node matrix = object.child("transform");
-    const int rows = read_integer_field(matrix, "rows", {}, error_location + ": transform"),
-              cols = read_integer_field(matrix, "cols", {}, error_location + ": transform");
+    const int rows = read_int(matrix, "rows", {}, where + ": transform"),
+              cols = read_int(matrix, "cols", {}, where + ": transform");
     const auto numbers = parse_numbers(matrix.child_value("data"));
     if (rows != 4 || cols != 4 || !numbers || numbers->size() != 16)
         fail(
             "{}: transform has {} rows and {} columns and contains {}, expected a matrix with 4 rows, 4 "
             "columns and 16 numbers",
-            error_location, rows, cols,
+            where, rows, cols,
             numbers ? fmt::format("{} numbers", numbers->size()) : "words that are not numbers");
-    constexpr double kLargest = 1e8;
+    constexpr double kMaxValue = 1e8;
     glm::dmat4 m;
     for (int i = 0; i < 16; ++i) {
         const double value = (*numbers)[std::size_t(i)];
-        if (!(std::abs(value) <= kLargest))
+        if (!(std::abs(value) <= kMaxValue))
             fail("{}: number {} of the matrix transform is {}, expected a number from {:.0e} to {:.0e}",
-                 error_location, i + 1, value, -kLargest, kLargest);
+                 where, i + 1, value, -kMaxValue, kMaxValue);
         m[i % 4][i / 4] = value;
     }
     return m;
 }
 
 /// If the transform contains a reflection, flips the width axis.
-void set_box_size_and_pose_from_transform(BoxLabel& label, const glm::dmat4& world_from_unit_box,
-                                          const std::string& error_location) {
+void set_box(BoxLabel& label, const glm::dmat4& world_from_unit_box, const std::string& where) {
     glm::dmat3 axes(world_from_unit_box);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
-    constexpr double kSmallest_m = 1e-3;
-    if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kSmallest_m))
+    constexpr double kMinBoxSize_m = 1e-3;
+    if (!(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) >= kMinBoxSize_m))
         fail(
             "{}: the matrix transform makes the box {} x {} x {} m large, expected each length to be at "
             "least {} m",
-            error_location, label.size_m.x, label.size_m.y, label.size_m.z, kSmallest_m);
+            where, label.size_m.x, label.size_m.y, label.size_m.z, kMinBoxSize_m);
     for (int c = 0; c < 3; ++c) axes[c] /= label.size_m[c];
     if (glm::determinant(axes) < 0.0) axes[1] = -axes[1];
-    label.world_from_box = check_rotation_and_make_pose(axes, glm::dvec3(world_from_unit_box[3]),
-                                                        error_location + ": transform");
+    label.world_from_box = make_pose(axes, glm::dvec3(world_from_unit_box[3]), where + ": transform");
 }
 
 /// The id is semanticId * 1000 + instanceId; in drive 0004, class, "moving" and index.
-std::string make_kitti_track_id(const pugi::xml_node& object, const MovableClass& movable_class,
-                                bool is_moving, const std::string& error_location) {
+std::string make_track_id(const pugi::xml_node& object, const MovableClass& movable_class, bool is_moving,
+                          const std::string& where) {
     if (object.child("instanceId").empty())
-        return fmt::format(
-            "{}-{}{}", movable_class.name, is_moving ? "moving-" : "",
-            read_integer_field(object, is_moving ? "dynamicSeq" : "index", {}, error_location));
-    return std::to_string(movable_class.id * 1000LL +
-                          read_integer_field(object, "instanceId", {}, error_location));
+        return fmt::format("{}-{}{}", movable_class.name, is_moving ? "moving-" : "",
+                           read_int(object, is_moving ? "dynamicSeq" : "index", {}, where));
+    return std::to_string(movable_class.id * 1000LL + read_int(object, "instanceId", {}, where));
 }
 
 using LabelsByFrame = std::map<int, BoxLabel>;
 
-void add_labels_of_object(const pugi::xml_node& object, const std::vector<LidarFrame>& frames,
-                          std::map<std::string, LabelsByFrame>& labels_by_track_id,
-                          const std::string& error_location) {
-    const MovableClass* movable_class = find_movable_class(object, error_location);
+void add_object_labels(const pugi::xml_node& object, const std::vector<Frame>& frames,
+                       std::map<std::string, LabelsByFrame>& labels_by_track_id, const std::string& where) {
+    const MovableClass* movable_class = find_movable(object, where);
     if (!movable_class || object.child("transform").empty()) return;
-    const int at = read_integer_field(object, "timestamp", -1, error_location);
-    const int first = at < 0 ? read_integer_field(object, "start_frame", {}, error_location) : at;
-    const int last = at < 0 ? read_integer_field(object, "end_frame", {}, error_location) : at;
-    BoxLabel label{make_kitti_track_id(object, *movable_class, at >= 0, error_location),
-                   movable_class->name,
-                   {},
-                   0.0,
-                   {}};
-    set_box_size_and_pose_from_transform(label, read_box_transform(object, error_location), error_location);
+    const int at = read_int(object, "timestamp", -1, where);
+    const int first = at < 0 ? read_int(object, "start_frame", {}, where) : at;
+    const int last = at < 0 ? read_int(object, "end_frame", {}, where) : at;
+    BoxLabel label{make_track_id(object, *movable_class, at >= 0, where), movable_class->name, {}, 0.0, {}};
+    set_box(label, read_transform(object, where), where);
     auto frame = std::lower_bound(frames.begin(), frames.end(), first,
-                                  [](const LidarFrame& f, int number) { return f.index < number; });
+                                  [](const Frame& f, int number) { return f.index < number; });
     for (; frame != frames.end() && frame->index <= last; ++frame) {
         LabelsByFrame& track = labels_by_track_id[label.id];
         if (!track.empty() && track.begin()->second.category != label.category)
             fail(
                 "{}: found class {} for track {}, which has class {} in another frame, expected one class "
                 "per track",
-                error_location, label.category, label.id, track.begin()->second.category);
+                where, label.category, label.id, track.begin()->second.category);
         label.time_s = frame->time_s;
         track.emplace(frame->index, label);
     }
@@ -144,8 +134,8 @@ void add_labels_of_object(const pugi::xml_node& object, const std::vector<LidarF
 
 }  // namespace
 
-std::vector<BoxTrack> read_kitti_360_boxes(const std::filesystem::path& label_file,
-                                           const std::vector<LidarFrame>& frames) {
+std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& label_file,
+                                     const std::vector<Frame>& frames) {
     pugi::xml_document document;
     const std::string text = read_text_file(label_file);
     const pugi::xml_parse_result parsed = document.load_buffer(text.data(), text.size());
@@ -157,9 +147,8 @@ std::vector<BoxTrack> read_kitti_360_boxes(const std::filesystem::path& label_fi
              label_file.string());
     std::map<std::string, LabelsByFrame> tracks;
     for (const pugi::xml_node& object : root.children())
-        add_labels_of_object(
-            object, frames, tracks,
-            fmt::format("{}: {}", label_file.string(), shorten_for_error_message(object.name())));
+        add_object_labels(object, frames, tracks,
+                          fmt::format("{}: {}", label_file.string(), quote(object.name())));
     std::vector<BoxLabel> labels;
     for (const auto& [id, track] : tracks)
         for (const auto& [frame, label] : track) labels.push_back(label);

@@ -11,8 +11,8 @@
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
+#include "read/kitti/log_files.hpp"
 
 namespace relidar {
 namespace {
@@ -20,18 +20,18 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Line i contains the time of frame i.
-std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<int>& frame_numbers) {
+std::vector<double> read_times_s(const fs::path& file, const std::vector<int>& numbers) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
     std::vector<double> time_s;
-    for (const int frame : frame_numbers) {
+    for (const int frame : numbers) {
         const std::size_t line = std::size_t(frame);
         if (line >= lines.size())
             fail("{}: found {} lines, but frame {} needs line {}", file.string(), lines.size(), frame,
                  line + 1);
-        const auto seconds = parse_number(trim_blanks_at_both_ends(lines[line]));
+        const auto seconds = parse_number(trim(lines[line]));
         if (!seconds)
             fail("{} line {}: found '{}', expected a time in seconds", file.string(), line + 1,
-                 shorten_for_error_message(lines[line]));
+                 quote(lines[line]));
         time_s.push_back(*seconds);
     }
     return time_s;
@@ -39,7 +39,7 @@ std::vector<double> read_frame_times_s(const fs::path& file, const std::vector<i
 
 /// Returns poses.txt in the folder (SemanticKITTI), or ../../poses/NN.txt (KITTI).
 /// Sequences 11 to 21 have no published poses.
-fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
+fs::path find_pose_file(const fs::path& sequence_folder) {
     const fs::path here = sequence_folder / "poses.txt",
                    beside = sequence_folder.parent_path().parent_path() / "poses" /
                             (sequence_folder.filename().string() + ".txt");
@@ -51,31 +51,29 @@ fs::path find_odometry_pose_file(const fs::path& sequence_folder) {
         here.string(), beside.string());
 }
 
-std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& frame_numbers,
-                                      const std::vector<double>& frame_times_s,
-                                      const fs::path& user_pose_file, Notes& notes) {
-    if (user_pose_file == kNoPoses) return std::vector<Pose>(frame_numbers.size());
-    if (!user_pose_file.empty())
-        return kitti::read_user_pose_file(user_pose_file, frame_numbers, frame_times_s, notes);
-    const Pose cam_from_velo = kitti::read_transform_of_key(sequence_folder / "calib.txt", "Tr");
-    std::vector<Pose> poses =
-        kitti::read_pose_matrices(find_odometry_pose_file(sequence_folder), frame_numbers);
+std::vector<Pose> read_odometry_poses(const fs::path& sequence_folder, const std::vector<int>& numbers,
+                                      const std::vector<double>& times_s, const fs::path& user_pose_file,
+                                      Notes& notes) {
+    if (user_pose_file == kNoPoses) return std::vector<Pose>(numbers.size());
+    if (!user_pose_file.empty()) return kitti::read_user_poses(user_pose_file, numbers, times_s, notes);
+    const Pose cam_from_velo = kitti::read_transform(sequence_folder / "calib.txt", "Tr");
+    std::vector<Pose> poses = kitti::read_matrices(find_pose_file(sequence_folder), numbers);
     for (Pose& pose : poses) pose = inverse(cam_from_velo) * pose * cam_from_velo;
     return poses;
 }
 
 }  // namespace
 
-LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
+Log load_odometry(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<int> frames =
-        kitti::list_scan_numbers(folder / "velodyne", options.frames.begin, options.frames.end);
-    const std::vector<double> time_s = read_frame_times_s(folder / "times.txt", frames);
+        kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
+    const std::vector<double> time_s = read_times_s(folder / "times.txt", frames);
     Notes pose_notes;
     const std::vector<Pose> poses =
         read_odometry_poses(folder, frames, time_s, options.poses_file, pose_notes);
-    LidarSequence sequence;
+    Log sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -90,7 +88,7 @@ LidarSequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptio
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     for (std::size_t i = 0; i < frames.size(); ++i) add_frame(sequence, frames[i], time_s[i], poses[i]);
-    move_world_origin_of_log(sequence);
+    centre_log(sequence);
     kitti::read_hdl64_sweeps(sequence, folder / "velodyne", 6, options, folder / "labels");
     return sequence;
 }

@@ -9,8 +9,8 @@
 #include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/kitti/kitti_sweeps.hpp"
+#include "read/kitti/log_files.hpp"
 
 namespace relidar {
 namespace {
@@ -18,24 +18,23 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-PoseTrack read_drive_poses(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
-                           const fs::path& user_pose_file, LidarSequence& sequence) {
-    PoseTrack track{
-        read_relative_frame_times_s(drive_folder / "velodyne_points/timestamps.txt", frame_numbers, sequence),
-        std::vector<Pose>(frame_numbers.size())};
+PoseTrack read_raw_poses(const fs::path& drive_folder, const std::vector<int>& numbers,
+                         const fs::path& user_pose_file, Log& sequence) {
+    PoseTrack track{read_frame_times(drive_folder / "velodyne_points/timestamps.txt", numbers, sequence),
+                    std::vector<Pose>(numbers.size())};
     if (user_pose_file != kNoPoses)
         track.pose = user_pose_file.empty()
-                         ? compute_lidar_poses_from_oxts_files(drive_folder, frame_numbers)
-                         : read_user_pose_file(user_pose_file, frame_numbers, track.time_s, sequence.notes);
+                         ? read_oxts_poses(drive_folder, numbers)
+                         : read_user_poses(user_pose_file, numbers, track.time_s, sequence.notes);
     return track;
 }
 
 /// For example, drive 0009 lacks four scans in its middle.
-Notes list_missing_data_notes(const fs::path& drive_folder, const std::vector<int>& frame_numbers,
-                              const DatasetOptions& options) {
+Notes note_missing_data(const fs::path& drive_folder, const std::vector<int>& numbers,
+                        const DatasetOptions& options) {
     Notes notes;
-    const std::string gaps = describe_or_reject_missing_scan_files(
-        drive_folder / "velodyne_points/data", frame_numbers, options.allow_missing_scans);
+    const std::string gaps =
+        check_scan_files(drive_folder / "velodyne_points/data", numbers, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
     if (!does_path_exist(drive_folder / "tracklet_labels.xml"))
         notes.push_back("tracklet_labels.xml is missing, so this drive has no labels");
@@ -45,10 +44,10 @@ Notes list_missing_data_notes(const fs::path& drive_folder, const std::vector<in
 
 }  // namespace
 
-LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
-    require_existing_folder(folder, "a KITTI raw drive (velodyne_points/)");
+Log load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
+    require_folder(folder, "a KITTI raw drive (velodyne_points/)");
     if (!does_path_exist(folder / "velodyne_points")) {
-        const std::string stranger = describe_mistaken_kitti_folder(folder, "velodyne_points");
+        const std::string stranger = describe_mistake(folder, "velodyne_points");
         if (!stranger.empty()) fail("{} is not a KITTI raw drive: {}", folder.string(), stranger);
     }
     const fs::path drive = fs::canonical(folder);
@@ -56,9 +55,9 @@ LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& optio
         fail("{} is a drive of KITTI-360; use {} with dataset.sequence={}", folder.string(),
              drive.parent_path().parent_path().string(), drive.filename().string());
     const std::vector<int> frames =
-        list_scan_numbers(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
+        list_scans(drive / "velodyne_points/data", options.frames.begin, options.frames.end);
 
-    LidarSequence sequence;
+    Log sequence;
     sequence.name = drive.filename().string();
     sequence.source = folder.string();
     std::string pose_source = "no poses, so the sensor is at the origin in every frame";
@@ -70,15 +69,15 @@ LidarSequence load_kitti_raw(const fs::path& folder, const DatasetOptions& optio
         "log. At the time of a frame, the head faces forward. The log has {}. Scans are not "
         "motion-compensated. Boxes are labelled only in the view of the front camera.",
         pose_source);
-    sequence.notes = list_missing_data_notes(drive, frames, options);
+    sequence.notes = note_missing_data(drive, frames, options);
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
-    sequence.lidars[0].sensor.period_s = read_median_sweep_duration_s(drive);
+    sequence.lidars[0].sensor.period_s = read_sweep_s(drive);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const PoseTrack poses = read_drive_poses(drive, frames, options.poses_file, sequence);
+    const PoseTrack poses = read_raw_poses(drive, frames, options.poses_file, sequence);
     for (std::size_t i = 0; i < frames.size(); ++i)
         add_frame(sequence, frames[i], poses.time_s[i], poses.pose[i]);
-    move_world_origin_of_log(sequence);
-    sequence.boxes = read_tracklet_boxes(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
+    centre_log(sequence);
+    sequence.boxes = read_tracklets(drive / "tracklet_labels.xml", frames, sequence.world_from_vehicle);
     read_hdl64_sweeps(sequence, drive / "velodyne_points/data", 10, options);
     return sequence;
 }

@@ -16,9 +16,9 @@
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "base/progress_blocks.hpp"
-#include "read/scans/broken_scans.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/kitti/firing_lattice.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/scans/broken_scans.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -26,25 +26,24 @@ namespace {
 // scans to which elevations are fitted, and to which the grid of firings is fitted
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
-std::vector<const ScanWithRings*> select_evenly_spaced_scans(const std::vector<ScanWithRings>& scans,
-                                                             std::size_t count) {
+std::vector<const ScanWithRings*> pick_even_scans(const std::vector<ScanWithRings>& scans,
+                                                  std::size_t count) {
     std::vector<const ScanWithRings*> some;
     count = std::min(count, scans.size());
     for (std::size_t i = 0; i < count; ++i) some.push_back(&scans[i * scans.size() / count]);
     return some;
 }
 
-ScanWithRings read_raw_scan(const std::filesystem::path& scan_file,
-                            const std::filesystem::path& label_folder) {
-    ScanPoints scan = read_kitti_scan_points(
-        scan_file, label_folder.empty() ? label_folder
-                                        : label_folder / scan_file.filename().replace_extension(".label"));
-    ScanWithRings raw = split_points_into_rings(std::move(scan.points));
+ScanWithRings read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& label_folder) {
+    ScanPoints scan = read_kitti_scan(file, label_folder.empty()
+                                                ? label_folder
+                                                : label_folder / file.filename().replace_extension(".label"));
+    ScanWithRings raw = split_rings(std::move(scan.points));
     raw.classes = std::move(scan.classes);
     return raw;
 }
 
-LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
+LidarPoints to_lidar_points(const ScanWithRings& raw_scan) {
     LidarPoints points;
     for (const glm::vec4& p : raw_scan.points) {
         points.position_m.emplace_back(p);
@@ -56,7 +55,7 @@ LidarPoints convert_raw_scan_to_points(const ScanWithRings& raw_scan) {
 }
 
 /// In a complete scan, the azimuth of the last point is near 360 degrees.
-double get_last_point_azimuth_deg(const ScanWithRings& scan) {
+double last_azimuth_deg(const ScanWithRings& scan) {
     if (scan.points.empty()) return 0.0;
     // A stray point after the last ring counts as a 65th ring, so the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
@@ -73,34 +72,34 @@ public:
         for (const ScanWithRings& scan : raw) {
             n_points_.push_back(scan.points.size());
             n_rings_.push_back(scan.n_rings);
-            end_deg_.push_back(get_last_point_azimuth_deg(scan));
+            end_deg_.push_back(last_azimuth_deg(scan));
         }
     }
 
     /// Returns an empty string for a complete scan.
-    std::string explain_incomplete_scan(std::size_t scan_index, const std::string& file_name) const {
+    std::string explain_damage(std::size_t scan_index, const std::string& name) const {
         // One missing ring can be a beam without returns.
         constexpr int kMissingRings = 2;
         // In complete scans, the last azimuth varies by up to 20 degrees.
-        constexpr double kEarly_deg = 60.0;
+        constexpr double kMissingTurn_deg = 60.0;
         if (n_points_[scan_index] == 0)
-            return fmt::format("{}: the scan contains no returns, expected at least one", file_name);
-        if (const std::size_t usual = compute_median_of_neighbours(n_points_, scan_index);
+            return fmt::format("{}: the scan contains no returns, expected at least one", name);
+        if (const std::size_t usual = neighbour_median(n_points_, scan_index);
             2 * n_points_[scan_index] < usual)
             return fmt::format("{}: the scan has only {} points, but the neighbouring scans have {} points",
-                               file_name, n_points_[scan_index], usual);
-        if (const int usual = compute_median_of_neighbours(n_rings_, scan_index);
+                               name, n_points_[scan_index], usual);
+        if (const int usual = neighbour_median(n_rings_, scan_index);
             n_rings_[scan_index] + kMissingRings <= usual)
             return fmt::format(
                 "{}: the points of the scan end in ring {}, but those of the neighbouring scans end in ring "
                 "{}",
-                file_name, n_rings_[scan_index], usual);
-        if (const double usual_deg = compute_median_of_neighbours(end_deg_, scan_index);
-            end_deg_[scan_index] + kEarly_deg <= usual_deg)
+                name, n_rings_[scan_index], usual);
+        if (const double usual_deg = neighbour_median(end_deg_, scan_index);
+            end_deg_[scan_index] + kMissingTurn_deg <= usual_deg)
             return fmt::format(
                 "{}: the last ring of the scan ends at azimuth {:.0f} degrees, but that of the neighbouring "
                 "scans ends at {:.0f} degrees",
-                file_name, end_deg_[scan_index], usual_deg);
+                name, end_deg_[scan_index], usual_deg);
         return "";
     }
 
@@ -111,10 +110,10 @@ private:
 
     /// Median over up to five scans on each side, without values of 0.
     template <class T>
-    static T compute_median_of_neighbours(const std::vector<T>& values_of_scans, std::size_t scan_index) {
-        constexpr std::size_t kReach = 5;
-        const std::size_t begin = scan_index < kReach ? 0 : scan_index - kReach,
-                          end = std::min(values_of_scans.size(), scan_index + kReach + 1);
+    static T neighbour_median(const std::vector<T>& values_of_scans, std::size_t scan_index) {
+        constexpr std::size_t kNeighboursPerSide = 5;
+        const std::size_t begin = scan_index < kNeighboursPerSide ? 0 : scan_index - kNeighboursPerSide,
+                          end = std::min(values_of_scans.size(), scan_index + kNeighboursPerSide + 1);
         std::vector<T> neighbours;
         for (std::size_t k = begin; k < end; ++k)
             if (k != scan_index && values_of_scans[k] > 0) neighbours.push_back(values_of_scans[k]);
@@ -127,12 +126,11 @@ private:
 /// Scales intensities of 0 to 255 to the range 0 to 1.
 /// @return a note; empty if nothing was scaled
 /// @throws DataError if the intensities are in neither range
-std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_scans,
-                                                const std::string& folder_name) {
-    constexpr float kBytes = 255.0f;
+std::string scale_intensities(std::vector<ScanWithRings>& raw_scans, const std::string& folder_name) {
+    constexpr float kMaxByte = 255.0f;
     // Intensities with fractions up to this maximum could be percentages, and are
     // rejected.
-    constexpr float kPercent = 100.0f;
+    constexpr float kMaxPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;
     for (const ScanWithRings& scan : raw_scans)
@@ -142,25 +140,25 @@ std::string scale_byte_intensities_and_get_note(std::vector<ScanWithRings>& raw_
             are_integers = are_integers && p.w == std::floor(p.w);
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";
-    if (lowest < 0.0f || highest > kBytes || (!are_integers && highest <= kPercent))
+    if (lowest < 0.0f || highest > kMaxByte || (!are_integers && highest <= kMaxPercent))
         fail("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder_name,
              lowest, highest);
     for (ScanWithRings& scan : raw_scans)
-        for (glm::vec4& p : scan.points) p.w /= kBytes;
+        for (glm::vec4& p : scan.points) p.w /= kMaxByte;
     return fmt::format("intensities are {} up to {}, so they are divided by 255",
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
 /// Prevents allocating too much memory for rays.
-void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
-                                  const BeamFiringGrid& firing_grid, const std::string& error_location) {
+void check_ray_counts(const std::vector<ScanWithRings>& raw_scans, const BeamFiringGrid& firing_grid,
+                      const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
     if (firing_grid.head.n_ticks > kMostFirings)
         fail(
             "{}: the azimuths of neighbouring points differ by only {:.2g} degrees, which means {} firings "
             "per turn, expected at most {} firings per turn of an HDL-64E",
-            error_location, 360.0 / firing_grid.head.n_ticks, firing_grid.head.n_ticks, kMostFirings);
+            where, 360.0 / firing_grid.head.n_ticks, firing_grid.head.n_ticks, kMostFirings);
     std::size_t n_points = 0;
     for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
     const std::size_t n_rays =
@@ -169,66 +167,62 @@ void require_plausible_ray_counts(const std::vector<ScanWithRings>& raw_scans,
         fail(
             "{}: found only {} points in {} sweeps with {} rays each, expected complete sweeps with at least "
             "one point per {} rays",
-            error_location, n_points, raw_scans.size(), n_rays / raw_scans.size(), kMostRaysAPoint);
+            where, n_points, raw_scans.size(), n_rays / raw_scans.size(), kMostRaysAPoint);
 }
 
 }  // namespace
 
-void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& scan_folder,
-                       int file_name_digits, const DatasetOptions& options,
-                       const std::filesystem::path& label_folder) {
-    const ProgressReporter& progress = options.progress;
+void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, int file_name_digits,
+                       const DatasetOptions& options, const std::filesystem::path& label_folder) {
+    const Progress& progress = options.progress;
     ScanErrorCollector broken(options.skip_broken);
     const auto file_of = [&](std::size_t at) {
         return scan_folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, file_name_digits);
     };
     std::vector<ScanWithRings> raw(sequence.frames.size());
-    parallel_for_with_progress(raw.size(), progress, "reading scans", [&](std::size_t at) {
-        broken.call_and_record_scan_errors(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
+    progress_for(raw.size(), progress, "reading scans", [&](std::size_t at) {
+        broken.guard(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
     });
     const DamagedScanDetector scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
         if (const std::string why =
-                broken.is_scan_broken(at) ? "" : scan_sizes.explain_incomplete_scan(at, file_of(at).string());
+                broken.is_scan_broken(at) ? "" : scan_sizes.explain_damage(at, file_of(at).string());
             !why.empty())
-            broken.record_broken_scan(at, why + "; the file is probably truncated or damaged");
-    if (broken.size() == raw.size()) broken.note_broken_scans_or_throw_if_all_broken(sequence, raw.size());
+            broken.record_broken(at, why + "; the file is probably truncated or damaged");
+    if (broken.size() == raw.size()) broken.report_broken(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         // The fits below then ignore the scan.
         if (broken.is_scan_broken(at)) raw[at] = {};
-    if (std::string note = scale_byte_intensities_and_get_note(raw, scan_folder.string()); !note.empty())
+    if (std::string note = scale_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 
-    const BeamCones cones =
-        fit_cone_of_each_ring(select_evenly_spaced_scans(raw, kFitScans), scan_folder.string());
-    parallel_for(int(raw.size()), [&](int index) { correct_ring_numbers(raw[std::size_t(index)], cones); });
-    const BeamFiringGrid lattice = fit_beam_firing_grid(select_evenly_spaced_scans(raw, kLatticeScans));
-    require_plausible_ray_counts(raw, lattice, scan_folder.string());
+    const BeamCones cones = fit_ring_cones(pick_even_scans(raw, kFitScans), scan_folder.string());
+    parallel_for(int(raw.size()), [&](int index) { correct_rings(raw[std::size_t(index)], cones); });
+    const BeamFiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
+    check_ray_counts(raw, lattice, scan_folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    parallel_for_with_progress(raw.size(), progress, "computing the firings of each sweep",
-                               [&](std::size_t at) {
-                                   broken.call_and_record_scan_errors(at, [&] {
-                                       firings[at] = find_fired_encoder_ticks(raw[at], lattice);
-                                       if (firings[at].empty())
-                                           fail(
-                                               "{}: found {} points that cannot be assigned to firings of "
-                                               "the sensor, expected a sweep of an HDL-64E",
-                                               file_of(at).string(), raw[at].points.size());
-                                   });
-                               });
+    progress_for(raw.size(), progress, "computing the firings of each sweep", [&](std::size_t at) {
+        broken.guard(at, [&] {
+            firings[at] = find_fired_ticks(raw[at], lattice);
+            if (firings[at].empty())
+                fail(
+                    "{}: found {} points that cannot be assigned to firings of the sensor, expected a sweep "
+                    "of an HDL-64E",
+                    file_of(at).string(), raw[at].points.size());
+        });
+    });
     SpinningSensor& sensor = sequence.lidars[0].sensor;
-    sensor.beams = lattice.make_beams_with_fitted_elevations(cones);
+    sensor.beams = lattice.make_beams(cones);
     for (const auto& sweep : firings) sensor.columns = std::max(sensor.columns, int(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    parallel_for_with_progress(
-        raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
-            if (!broken.is_scan_broken(at))
-                sequence.frames[at].scan = assign_points_to_rays_of_spinning_scan(
-                    convert_raw_scan_to_points(raw[at]), sensor, {lattice.head, firings[at]});
-            raw[at] = {};
-        });
-    broken.remove_broken_frames(sequence);
+    progress_for(raw.size(), progress, "assigning points to the fired rays", [&](std::size_t at) {
+        if (!broken.is_scan_broken(at))
+            sequence.frames[at].scan =
+                spinning_scan(to_lidar_points(raw[at]), sensor, {lattice.head, firings[at]});
+        raw[at] = {};
+    });
+    broken.remove_broken(sequence);
 }
 
 }  // namespace relidar::kitti

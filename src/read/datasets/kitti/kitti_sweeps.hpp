@@ -5,8 +5,8 @@
 
 #include <filesystem>
 
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/read/dataset.hpp>
 
 namespace relidar::kitti {
 
@@ -16,8 +16,7 @@ namespace relidar::kitti {
 /// @param file_name_digits  for example 10 in 0000000042.bin
 /// @param label_folder  empty if the points have no labels
 /// @throws DataError with the file
-void read_hdl64_sweeps(LidarSequence& sequence, const std::filesystem::path& scan_folder,
-                       int file_name_digits, const DatasetOptions& options,
-                       const std::filesystem::path& label_folder = {});
+void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, int file_name_digits,
+                       const DatasetOptions& options, const std::filesystem::path& label_folder = {});
 
 }  // namespace relidar::kitti

@@ -32,26 +32,26 @@ constexpr double kLeastRange_m = 2.0;
 // With a larger deviation within a beam, the points are not sorted by column or by beam.
 constexpr double kMostSpread_rad = kPi / 180.0;
 // With a smaller mean forward direction, the poses are wrong, and the user gets a note.
-constexpr double kForward = 0.9;
+constexpr double kMinForwardMotion = 0.9;
 
 /// published pose of the LiDAR on the vehicle: metres; roll, pitch and yaw in degrees
 constexpr double kLidarPosition_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
 enum class MulranPointOrder { by_column, by_beam };
 
-std::size_t get_beam_of_point(std::size_t point_index, MulranPointOrder point_order) {
-    return point_order == MulranPointOrder::by_column ? point_index % kBeams : point_index / kColumns;
+std::size_t beam_of(std::size_t point, MulranPointOrder point_order) {
+    return point_order == MulranPointOrder::by_column ? point % kBeams : point / kColumns;
 }
-std::size_t get_column_of_point(std::size_t point_index, MulranPointOrder point_order) {
-    return point_order == MulranPointOrder::by_column ? point_index / kBeams : point_index % kColumns;
+std::size_t column_of(std::size_t point, MulranPointOrder point_order) {
+    return point_order == MulranPointOrder::by_column ? point / kBeams : point % kColumns;
 }
 
 /// Standard deviation of the elevations within a beam. It is small if the order is right,
 /// and infinite without points.
-double compute_beam_elevation_spread_rad(const read::PointTable& table, MulranPointOrder point_order) {
+double elevation_spread_rad(const read::PointTable& table, MulranPointOrder point_order) {
     using enum read::PointAttribute;
     const read::PointFieldView &xs = *table.find_field(x), &ys = *table.find_field(y),
-                                 &zs = *table.find_field(z);
+                               &zs = *table.find_field(z);
     struct Sums {
         double n = 0.0, e = 0.0, ee = 0.0;
     };
@@ -60,7 +60,7 @@ double compute_beam_elevation_spread_rad(const read::PointTable& table, MulranPo
         const glm::dvec3 p(xs[i], ys[i], zs[i]);
         if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
         const double e = std::atan2(p.z, std::hypot(p.x, p.y));
-        Sums& sums = of_beam[get_beam_of_point(i, point_order)];
+        Sums& sums = of_beam[beam_of(i, point_order)];
         sums.n += 1.0;
         sums.e += e;
         sums.ee += e * e;
@@ -74,24 +74,24 @@ double compute_beam_elevation_spread_rad(const read::PointTable& table, MulranPo
     return n > 0.0 ? std::sqrt(std::max(squares, 0.0) / n) : INFINITY;
 }
 
-void require_points_of_all_rays(const read::PointTable& table, const std::string& error_location) {
+void require_all_rays(const read::PointTable& table, const std::string& place) {
     if (table.n != kBeams * kColumns)
-        fail("{} has {} points, expected {} x {}, with zeros for rays without return", error_location,
-             table.n, kBeams, kColumns);
+        fail("{} has {} points, expected {} x {}, with zeros for rays without return", place, table.n, kBeams,
+             kColumns);
 }
 
 /// Uses the first readable scan.
-MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
+MulranPointOrder detect_order(const std::vector<fs::path>& scan_files) {
     for (const fs::path& file : scan_files) {
         read::PointTable table;
         try {
             table = read::read_point_file(file, {});
-            require_points_of_all_rays(table, file.string());
+            require_all_rays(table, file.string());
         } catch (const DataError&) {
             continue;  // the error is reported when the scan is read
         }
-        const double by_column = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_column),
-                     by_beam = compute_beam_elevation_spread_rad(table, MulranPointOrder::by_beam);
+        const double by_column = elevation_spread_rad(table, MulranPointOrder::by_column),
+                     by_beam = elevation_spread_rad(table, MulranPointOrder::by_beam);
         if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
             fail(
                 "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than {:.0f}; "
@@ -103,26 +103,24 @@ MulranPointOrder detect_point_order(const std::vector<fs::path>& scan_files) {
 }
 
 /// The stamp of a file is the middle of the revolution.
-void add_ring_and_time_fields(read::PointTable& table, MulranPointOrder point_order,
-                              const std::string& error_location) {
-    require_points_of_all_rays(table, error_location);
+void add_ring_times(read::PointTable& table, MulranPointOrder point_order, const std::string& place) {
+    require_all_rays(table, place);
     std::vector<std::uint16_t> ring(table.n);
     std::vector<double> time(table.n);
     for (std::size_t i = 0; i < table.n; ++i) {
-        ring[i] = std::uint16_t(get_beam_of_point(i, point_order));
-        time[i] = kRevolution_s * (double(get_column_of_point(i, point_order)) / double(kColumns) - 0.5);
+        ring[i] = std::uint16_t(beam_of(i, point_order));
+        time[i] = kRevolution_s * (double(column_of(i, point_order)) / double(kColumns) - 0.5);
     }
-    table.add_value_field("ring", read::ScalarType::u2, std::move(ring), error_location);
-    table.add_value_field("time", read::ScalarType::f8, std::move(time), error_location);
+    table.add_value_field("ring", read::ScalarType::u2, std::move(ring), place);
+    table.add_value_field("time", read::ScalarType::f8, std::move(time), place);
 }
 
 PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& log, Notes& notes) {
     PoseTrack track;
-    for (const read::StampedPoseRow& row : read::read_timestamped_number_rows(pose_file, 12))
-        track.append(log.convert_stamp_to_seconds(row.stamp),
-                     check_rotation_and_make_pose(row.values, row.where));
-    const glm::dvec3 driven = read::estimate_driving_direction(track).mean;
-    if (driven != glm::dvec3(0.0) && driven.x < kForward)
+    for (const read::StampedPoseRow& row : read::read_stamped_rows(pose_file, 12))
+        track.append(log.seconds_of(row.stamp), make_pose(row.values, row.where));
+    const glm::dvec3 driven = read::driving_direction(track).mean;
+    if (driven != glm::dvec3(0.0) && driven.x < kMinForwardMotion)
         notes.push_back(fmt::format(
             "poses: on average, the vehicle drives in the direction ({:.2f}, {:.2f}, {:.2f}) of the vehicle "
             "frame, expected nearly (1, 0, 0); use dataset.poses=none to estimate the poses from the scans",
@@ -130,38 +128,36 @@ PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& l
     return track;
 }
 
-Pose compute_vehicle_from_mulran_lidar() {
+Pose lidar_mount() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
                                 {kLidarPosition_m[0], kLidarPosition_m[1], kLidarPosition_m[2]}};
     return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
-read::PointFileFormat make_mulran_point_format(LidarSequence& sequence,
-                                                  const std::vector<fs::path>& scan_files) {
+read::PointFileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::PointFileFormat format;
-    const read::IntensityScale brightness = read::estimate_dataset_intensity_scale(scan_files, {});
+    const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});
     format.units.intensity_max = brightness.max;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;
     format.turned_rad = kPi;
-    const MulranPointOrder order = detect_point_order(scan_files);
+    const MulranPointOrder order = detect_order(scan_files);
     sequence.notes.push_back(
         "the points have no times; relidar computes the times from the order of the points in the file; the "
         "stamp of a file is the middle of its sweep");
     format.complete = [order](read::PointTable& table, const std::string& location) {
-        add_ring_and_time_fields(table, order, location);
+        add_ring_times(table, order, location);
     };
     return format;
 }
 
 }  // namespace
 
-LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder,
-                            "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
+Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
     const fs::path folder = fs::canonical(log_folder);
-    LidarSequence sequence;
+    Log sequence;
     sequence.name = "MulRan " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.notes = {"this log has no labels"};
@@ -176,24 +172,23 @@ LidarSequence load_mulran_dataset(const fs::path& log_folder, const DatasetOptio
             "{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of "
             "them",
             folder.string());
-    read::StampedLog log{kNanosecond, read::list_timestamped_scan_files(scans_folder),
-                            {},          folder / "global_pose.csv",
-                            kMostGap_s,  0.5 * kRevolution_s};
-    read::require_pose_file_or_poses_option(log.poses_file, options);
+    read::StampedLog log{kNanosecond, read::list_stamped_files(scans_folder),
+                         {},          folder / "global_pose.csv",
+                         kMostGap_s,  0.5 * kRevolution_s};
+    read::check_pose_source(log.poses_file, options);
     if (options.poses_file.empty())
         log.world_from_vehicle = read_mulran_poses(log.poses_file, log, sequence.notes);
     Lidar& lidar = sequence.lidars[0];
-    lidar.vehicle_from_sensor = compute_vehicle_from_mulran_lidar();
+    lidar.vehicle_from_sensor = lidar_mount();
     lidar.sensor.name = "OS1-64 fitted to " + sequence.name;
     lidar.sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = read::add_frames_and_get_scan_files(sequence, log, options);
-    read::read_scans_of_frames(sequence, files, make_mulran_point_format(sequence, files), options);
+    const std::vector<fs::path> files = read::add_frames(sequence, log, options);
+    read::read_frame_scans(sequence, files, make_point_format(sequence, files), options);
     if (options.poses_file.empty()) {
-        const PoseTrack track =
-            add_offset_to_track_positions(log.world_from_vehicle, -sequence.world_offset_m);
+        const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
         // Scans without a pose were skipped.
-        const auto pose_at = [&](double t_s) { return std::optional(track.interpolate_pose(t_s)); };
-        if (std::string note = read::correct_rays_for_vehicle_motion(sequence, pose_at); !note.empty())
+        const auto pose_at = [&](double t_s) { return std::optional(track.pose_at(t_s)); };
+        if (std::string note = read::correct_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));
     }
     return sequence;

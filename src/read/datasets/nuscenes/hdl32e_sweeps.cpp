@@ -35,7 +35,7 @@ struct SweepWithColumns {
 /// The dataset stores rays without a return as points at the LiDAR, which the motion
 /// compensation has moved a little.
 /// @param points  in the frame of the LiDAR at the time of each point
-void remove_points_without_return(LidarPoints& points, std::vector<int>& column_of_point) {
+void remove_dropped(LidarPoints& points, std::vector<int>& column_of_point) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         if (double(glm::length(points.position_m[i])) < kNoReturn_m) continue;
@@ -54,7 +54,7 @@ void remove_points_without_return(LidarPoints& points, std::vector<int>& column_
     if (!points.classes.empty()) points.classes.resize(n);
 }
 
-std::string read_point_categories(const fs::path& file, std::size_t n_points) {
+std::string read_categories(const fs::path& file, std::size_t n_points) {
     std::string categories = read_file(file);
     if (categories.size() != n_points)
         fail(
@@ -64,10 +64,10 @@ std::string read_point_categories(const fs::path& file, std::size_t n_points) {
     return categories;
 }
 
-SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
-                                   const std::array<SurfaceClass, 256>& class_of_category,
-                                   const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
-                                   double sweep_time_s) {
+SweepWithColumns read_sweep(const SweepFiles& sweep_files,
+                            const std::array<SurfaceClass, 256>& class_of_category,
+                            const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
+                            double sweep_time_s) {
     const fs::path& file = sweep_files.points;
     const std::string bytes = read_file(file);
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
@@ -78,7 +78,7 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
             file.string(), bytes.size(), kBeams * kPointBytes, kBeams, kPointBytes, kMostColumnsOfSweep);
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     const std::string categories =
-        sweep_files.categories.empty() ? "" : read_point_categories(sweep_files.categories, n);
+        sweep_files.categories.empty() ? "" : read_categories(sweep_files.categories, n);
     SweepWithColumns read;
     std::vector<int> numbers;
     for (std::size_t i = 0; i < n; ++i) {
@@ -102,21 +102,20 @@ SweepWithColumns read_hdl32e_sweep(const SweepFiles& sweep_files,
             read.points.classes.push_back(class_of_category[static_cast<unsigned char>(categories[i])]);
         numbers.push_back(int(column));
     }
-    undo_motion_compensation(read.points, world_from_sensor, sweep_time_s);
-    remove_points_without_return(read.points, numbers);
+    undo_deskew(read.points, world_from_sensor, sweep_time_s);
+    remove_dropped(read.points, numbers);
     if (read.points.size() == 0)
         fail(
             "{} has no points at a distance of {} m or more, expected at least one; nearer points are read "
             "as rays without a return",
             file.string(), kNoReturn_m);
-    read.sweep =
-        estimate_sweep_and_assign_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
+    read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;
 }
 
 }  // namespace
 
-Lidar make_hdl32e_lidar(const Pose& ego_from_lidar) {
+Lidar make_hdl32e(const Pose& ego_from_lidar) {
     SpinningSensor sensor;
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
@@ -127,20 +126,19 @@ Lidar make_hdl32e_lidar(const Pose& ego_from_lidar) {
     return {"", sensor, ego_from_lidar * theirs_from_ours};
 }
 
-void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
+void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_files,
                         const std::array<SurfaceClass, 256>& class_of_category,
                         const PoseTrack& vehicle_track, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars)
-        ways.push_back(compute_mounted_track(vehicle_track, lidar.vehicle_from_sensor));
+        ways.push_back(mount_track(vehicle_track, lidar.vehicle_from_sensor));
     std::vector<SweepWithColumns> sweeps(sweep_files.size());
-    parallel_for_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
-        const LidarFrame& frame = sequence.frames[at];
-        broken.call_and_record_scan_errors(at, [&] {
-            sweeps[at] =
-                read_hdl32e_sweep(sweep_files[at], class_of_category, sequence.get_lidar(frame).sensor,
-                                  ways[std::size_t(frame.lidar)], frame.time_s);
+    progress_for(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
+        const Frame& frame = sequence.frames[at];
+        broken.guard(at, [&] {
+            sweeps[at] = read_sweep(sweep_files[at], class_of_category, sequence.lidar_of(frame).sensor,
+                                    ways[std::size_t(frame.lidar)], frame.time_s);
         });
     });
     for (std::size_t at = 0; at < sweeps.size(); ++at) {
@@ -148,15 +146,13 @@ void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& 
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
-    parallel_for_with_progress(sweeps.size(), options.progress, "assigning points to the fired rays",
-                               [&](std::size_t at) {
-                                   if (broken.is_scan_broken(at)) return;
-                                   LidarFrame& frame = sequence.frames[at];
-                                   frame.scan = assign_points_to_rays_of_spinning_scan(
-                                       sweeps[at].points, sequence.get_lidar(frame).sensor, sweeps[at].sweep);
-                                   sweeps[at] = {};
-                               });
-    broken.remove_broken_frames(sequence);
+    progress_for(sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
+        if (broken.is_scan_broken(at)) return;
+        Frame& frame = sequence.frames[at];
+        frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
+        sweeps[at] = {};
+    });
+    broken.remove_broken(sequence);
 }
 
 }  // namespace relidar::nuscenes

@@ -13,7 +13,7 @@
 namespace relidar::nuscenes {
 
 /// Rotates the pose of the HDL-32E by 90 degrees, because x points right in nuScenes.
-Lidar make_hdl32e_lidar(const Pose& ego_from_lidar);
+Lidar make_hdl32e(const Pose& ego_from_lidar);
 
 struct SweepFiles {
     std::filesystem::path points;
@@ -26,7 +26,7 @@ struct SweepFiles {
 /// @param class_of_category  class of each category index
 /// @param vehicle_track  used to undo the motion compensation
 /// @throws DataError that names the file and the point
-void read_hdl32e_sweeps(LidarSequence& sequence, const std::vector<SweepFiles>& sweep_files,
+void read_hdl32e_sweeps(Log& sequence, const std::vector<SweepFiles>& sweep_files,
                         const std::array<SurfaceClass, 256>& class_of_category,
                         const PoseTrack& vehicle_track, const DatasetOptions& options);
 

@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
+constexpr std::size_t kBlockBytes = 1 << 20, kMaxRecordBytes = 1 << 20;
 // A double represents all integers up to this number exactly.
 constexpr double kMaxExactInteger = 9007199254740992.0;
 
@@ -27,11 +27,11 @@ public:
         if (!in_) throw DataError(name_ + ": the file cannot be read");
     }
 
-    bool read_next_object(std::string& object_text) {
+    bool next_object(std::string& object_text) {
         object_text.clear();
         int depth = 0;
         bool quoted = false, escaped = false;
-        for (char c = 0; read_next_character(c);) {
+        for (char c = 0; next_char(c);) {
             if (depth == 0) {
                 if (!is_object_start(c)) continue;
                 depth = 1;
@@ -39,8 +39,8 @@ public:
                 continue;
             }
             object_text += c;
-            if (object_text.size() > kLongestRecord)
-                fail("{}: a JSON object is too large, expected at most {} bytes", name_, kLongestRecord);
+            if (object_text.size() > kMaxRecordBytes)
+                fail("{}: a JSON object is too large, expected at most {} bytes", name_, kMaxRecordBytes);
             if (quoted) {
                 if (!escaped && c == '"') quoted = false;
                 escaped = !escaped && c == '\\';
@@ -59,9 +59,9 @@ private:
     std::size_t at_ = 0;
     bool opened_ = false, closed_ = false;
 
-    bool read_next_character(char& character) {
+    bool next_char(char& character) {
         if (at_ == block_.size()) {
-            block_.resize(kBlock);
+            block_.resize(kBlockBytes);
             in_.read(block_.data(), std::streamsize(block_.size()));
             block_.resize(std::size_t(in_.gcount()));
             at_ = 0;
@@ -80,65 +80,64 @@ private:
             fail(
                 "{}: found the character '{}' outside of an object, expected a JSON array of objects: "
                 "[{{...}}, {{...}}]",
-                name_, shorten_for_error_message({&character, 1}));
+                name_, quote({&character, 1}));
         return false;
     }
 };
 
 }  // namespace
 
-void JsonRecord::throw_wrong_value(std::string_view key, const char* expected_description) const {
+void JsonRecord::fail_value(std::string_view key, const char* expected_description) const {
     fail("{}, key '{}': expected {}", where_, key, expected_description);
 }
 
 template <class T>
-T JsonRecord::get_value(std::string_view key, const char* expected_description) const {
+T JsonRecord::value_of(std::string_view key, const char* expected_description) const {
     T result;
-    if (object_[key].get(result) != simdjson::SUCCESS) throw_wrong_value(key, expected_description);
+    if (object_[key].get(result) != simdjson::SUCCESS) fail_value(key, expected_description);
     return result;
 }
 
-void JsonRecord::copy_number_list_of_key(std::string_view key, std::size_t count,
-                                         double* output_numbers) const {
-    const auto list = get_value<simdjson::dom::array>(key, "numbers");
-    if (list.size() != count) throw_wrong_value(key, count == 3 ? "3 numbers" : "4 numbers");
+void JsonRecord::copy_numbers(std::string_view key, std::size_t count, double* output_numbers) const {
+    const auto list = value_of<simdjson::dom::array>(key, "numbers");
+    if (list.size() != count) fail_value(key, count == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
         // Does not test for infinity or NaN, because JSON cannot store them.
-        if (element.get(*output_numbers++) != simdjson::SUCCESS) throw_wrong_value(key, "numbers");
+        if (element.get(*output_numbers++) != simdjson::SUCCESS) fail_value(key, "numbers");
 }
 
-std::string JsonRecord::get_text(std::string_view key) const {
-    return std::string(get_value<std::string_view>(key, "text"));
+std::string JsonRecord::read_text(std::string_view key) const {
+    return std::string(value_of<std::string_view>(key, "text"));
 }
 
-std::int64_t JsonRecord::get_rounded_integer(std::string_view key) const {
-    const double number = get_value<double>(key, "a number");
-    if (!(std::abs(number) < kMaxExactInteger)) throw_wrong_value(key, "a number below 2^53");
+std::int64_t JsonRecord::rounded_integer(std::string_view key) const {
+    const double number = value_of<double>(key, "a number");
+    if (!(std::abs(number) < kMaxExactInteger)) fail_value(key, "a number below 2^53");
     return std::llround(number);
 }
 
-bool JsonRecord::get_bool(std::string_view key) const { return get_value<bool>(key, "true or false"); }
+bool JsonRecord::boolean(std::string_view key) const { return value_of<bool>(key, "true or false"); }
 
-glm::dvec3 JsonRecord::get_vec3(std::string_view key) const {
+glm::dvec3 JsonRecord::vec3(std::string_view key) const {
     glm::dvec3 v;
-    copy_number_list_of_key(key, 3, &v.x);
+    copy_numbers(key, 3, &v.x);
     return v;
 }
 
-glm::dquat JsonRecord::get_unit_quaternion(std::string_view key) const {
+glm::dquat JsonRecord::unit_quaternion(std::string_view key) const {
     double q[4];
-    copy_number_list_of_key(key, 4, q);
+    copy_numbers(key, 4, q);
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
-    if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3)) throw_wrong_value(key, "a quaternion of length 1");
+    if (!(std::abs(glm::length(rotation) - 1.0) < 1e-3)) fail_value(key, "a quaternion of length 1");
     return glm::normalize(rotation);
 }
 
-void for_each_json_record(const std::filesystem::path& file,
-                          const std::function<void(const JsonRecord&)>& callback) {
+void for_each_record(const std::filesystem::path& file,
+                     const std::function<void(const JsonRecord&)>& callback) {
     RecordSplitter splitter(file);
     simdjson::dom::parser parser;
     std::string record;
-    for (std::size_t n = 0; splitter.read_next_object(record); ++n) {
+    for (std::size_t n = 0; splitter.next_object(record); ++n) {
         const std::string where = fmt::format("{}, record {}", file.string(), n);
         simdjson::dom::object object;
         if (const auto failed = parser.parse(record).get(object); failed != simdjson::SUCCESS)

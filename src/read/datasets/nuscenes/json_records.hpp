@@ -19,31 +19,30 @@ namespace relidar {
 /// record and key if a value is missing or has another type.
 class JsonRecord {
 public:
-    JsonRecord(std::string error_location, simdjson::dom::object object)
-        : where_(std::move(error_location)), object_(object) {}
+    JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
-    std::string get_text(std::string_view key) const;
+    std::string read_text(std::string_view key) const;
     /// Rounds, because some tables contain fractions of a microsecond.
-    std::int64_t get_rounded_integer(std::string_view key) const;
-    bool get_bool(std::string_view key) const;
-    glm::dvec3 get_vec3(std::string_view key) const;
+    std::int64_t rounded_integer(std::string_view key) const;
+    bool boolean(std::string_view key) const;
+    glm::dvec3 vec3(std::string_view key) const;
     /// stored as w, x, y, z
-    glm::dquat get_unit_quaternion(std::string_view key) const;
-    Pose get_pose() const { return {get_unit_quaternion("rotation"), get_vec3("translation")}; }
+    glm::dquat unit_quaternion(std::string_view key) const;
+    Pose read_pose() const { return {unit_quaternion("rotation"), vec3("translation")}; }
 
 private:
     std::string where_;
     simdjson::dom::object object_;
 
-    [[noreturn]] void throw_wrong_value(std::string_view key, const char* expected_description) const;
+    [[noreturn]] void fail_value(std::string_view key, const char* expected_description) const;
     template <class T>
-    T get_value(std::string_view key, const char* expected_description) const;
-    void copy_number_list_of_key(std::string_view key, std::size_t count, double* output_numbers) const;
+    T value_of(std::string_view key, const char* expected_description) const;
+    void copy_numbers(std::string_view key, std::size_t count, double* output_numbers) const;
 };
 
 /// @throws DataError if the file is not an array of objects, or if an object has more
 /// than 1 MB
-void for_each_json_record(const std::filesystem::path& file,
-                          const std::function<void(const JsonRecord&)>& callback);
+void for_each_record(const std::filesystem::path& file,
+                     const std::function<void(const JsonRecord&)>& callback);
 
 }  // namespace relidar

@@ -10,15 +10,15 @@
 #include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/clouds.hpp>
 #include <relidar/log/log_time.hpp>
+#include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
-#include "read/scans/folder_head.hpp"
-#include "read/kitti/log_files.hpp"
 #include "log/sequence/match_sweeps.hpp"
 #include "read/datasets/nuscenes/hdl32e_sweeps.hpp"
 #include "read/datasets/nuscenes/nuscenes_tables.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/scans/folder_head.hpp"
 
 namespace relidar {
 namespace {
@@ -28,7 +28,7 @@ using namespace nuscenes;
 
 // Sweeps of several LiDARs form a frame if their times differ by at most this share of a
 // sweep period.
-constexpr double kBeside = 0.6;
+constexpr double kMaxSweepGap = 0.6;
 // Boxes exist this share of a sweep period beyond their labels, whose times differ
 // slightly.
 constexpr double kBeyondLabels = 0.5;
@@ -51,7 +51,7 @@ struct NuscenesVariant {
     bool is_compensated;
     bool has_times;  ///< true: points have times
 };
-constexpr NuscenesVariant kFormats[] = {
+constexpr NuscenesVariant kVariants[] = {
     {".pcd.bin", "nuScenes",
      "LiDAR frame: x forward, y left, z up (in nuScenes' files, x points right and y forward). The time of a "
      "frame is the end of its sweep. The world frame is that of the map. The motion compensation of the "
@@ -69,21 +69,22 @@ constexpr NuscenesVariant kFormats[] = {
 
 /// T4: points are in the vehicle frame. A file may contain the merged points of several
 /// LiDARs.
-constexpr NuscenesVariant kT4 = {".pcd.bin", "T4",
-                                 "Points are motion-compensated and in the frame of the vehicle. The time of "
-                                 "a frame is the stamp of its sweep. The world frame is that of the map.",
-                                 false, false};
+constexpr NuscenesVariant kT4Variant = {
+    ".pcd.bin", "T4",
+    "Points are motion-compensated and in the frame of the vehicle. The time of a frame is the stamp of its "
+    "sweep. The world frame is that of the map.",
+    false, false};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
 struct SceneTablesLocation {
     std::string name;
     fs::path tables;
 };
-std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_folder) {
+std::vector<SceneTablesLocation> list_dataset_scenes(const fs::path& dataset_folder) {
     std::vector<SceneTablesLocation> scenes;
-    for (const fs::path& tables : list_folder_entries(dataset_folder)) {
+    for (const fs::path& tables : list_folder(dataset_folder)) {
         if (!does_path_exist(tables / "scene.json")) continue;
-        for (const std::string& name : list_scene_names(tables)) scenes.push_back({name, tables});
+        for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
     }
     if (scenes.empty())
         fail("{} contains no scene, expected at least one in */scene.json", dataset_folder.string());
@@ -94,7 +95,7 @@ std::vector<SceneTablesLocation> list_scenes_of_dataset(const fs::path& dataset_
 SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
                                  const std::string& requested_name) {
     if (requested_name.empty()) return scenes[0];
-    const std::optional<int> number = parse_file_stem_as_number(requested_name);
+    const std::optional<int> number = parse_stem(requested_name);
     const std::string named = number ? fmt::format("scene-{:04}", *number) : requested_name;
     std::string names;
     std::vector<const SceneTablesLocation*> begin_so;
@@ -102,11 +103,11 @@ SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
         if (scene.name == named) return scene;
         if (scene.name.starts_with(requested_name) || scene.name.starts_with("scene-" + requested_name))
             begin_so.push_back(&scene);
-        if (names.size() < 400) names += (names.empty() ? "" : ", ") + shorten_for_error_message(scene.name);
+        if (names.size() < 400) names += (names.empty() ? "" : ", ") + quote(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
     fail<UsageError>("dataset.sequence '{}' {}, expected the name or the number of one of the {} scenes: {}",
-                     shorten_for_error_message(requested_name),
+                     quote(requested_name),
                      begin_so.empty()
                          ? "is not a scene of this dataset"
                          : fmt::format("is the beginning of the names of {} scenes", begin_so.size()),
@@ -114,9 +115,8 @@ SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
 }
 
 /// Interpolates boxes between labelled keyframes.
-std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>& labels,
-                                                     const std::vector<double>& frame_times_s,
-                                                     double max_extrapolation_s) {
+std::vector<BoxTrack> tracks_at_frames(const std::vector<BoxLabel>& labels,
+                                       const std::vector<double>& frame_times_s, double max_extrapolation_s) {
     std::vector<BoxTrack> boxes;
     for (const BoxTrack& labelled : build_tracks(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
@@ -124,7 +124,7 @@ std::vector<BoxTrack> make_box_tracks_at_frame_times(const std::vector<BoxLabel>
         for (const double time_s : frame_times_s)
             if (time_s >= track.time_s.front() - max_extrapolation_s &&
                 time_s <= track.time_s.back() + max_extrapolation_s)
-                box.world_from_box.append(time_s, track.interpolate_pose(time_s));
+                box.world_from_box.append(time_s, track.pose_at(time_s));
         if (!box.world_from_box.pose.empty()) boxes.push_back(std::move(box));
     }
     return boxes;
@@ -141,18 +141,17 @@ public:
     NuscenesLogLoader(const fs::path& folder, const DatasetOptions& options)
         : folder_(folder),
           options_(options),
-          chosen_(choose_scene(list_scenes_of_dataset(folder), options.sequence)),
-          scene_(read_scene_tables(chosen_.tables, chosen_.name)),
-          format_(chosen_.tables.filename() == kTablesOfT4
-                      ? kT4
-                      : find_variant_by_lidar_file_ending(scene_.lidars[0].sweeps[0].file)),
-          split_(get_lyft_split_prefix(chosen_.tables)) {
+          chosen_(choose_scene(list_dataset_scenes(folder), options.sequence)),
+          scene_(read_scene(chosen_.tables, chosen_.name)),
+          format_(chosen_.tables.filename() == kTablesOfT4 ? kT4Variant
+                                                           : find_variant(scene_.lidars[0].sweeps[0].file)),
+          split_(lyft_prefix(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
-            main_s_.push_back(scene_.to_seconds_since_first_sweep(sweep.time_us));
-        step_s_ = compute_median_interval_s(main_s_);
+            main_s_.push_back(scene_.seconds_at(sweep.time_us));
+        step_s_ = median_interval_s(main_s_);
     }
 
-    LidarSequence load_requested_scene() {
+    Log load_scene() {
         sequence_.name = fmt::format("{} {}", format_.dataset, scene_.name);
         sequence_.source = folder_.string();
         sequence_.conventions = fmt::format(
@@ -160,8 +159,8 @@ public:
             "the scene. Boxes are interpolated between keyframes. {}",
             format_.conventions);
         set_log_start(sequence_, 1000 * scene_.lidars[0].sweeps[0].time_us, "on the clock of the dataset");
-        select_requested_lidars();
-        select_sweeps_of_requested_frames();
+        select_lidars();
+        select_sweeps();
         for (const FrameSweepRecord& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
             const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
@@ -169,13 +168,12 @@ public:
         }
         const PoseTrack vehicle_track = sequence_.world_from_vehicle;  // poses of the dataset
         if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
-        sequence_.boxes =
-            make_box_tracks_at_frame_times(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
-        kitti::replace_vehicle_poses_from_file(sequence_, options_.poses_file);
-        move_world_origin_of_log(sequence_);
+        sequence_.boxes = tracks_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
+        kitti::replace_poses(sequence_, options_.poses_file);
+        centre_log(sequence_);
         if (format_.is_compensated)
-            read_hdl32e_sweeps(sequence_, list_files_of_frames(), scene_.classes, vehicle_track, options_);
-        else read_scans_of_point_files();
+            read_hdl32e_sweeps(sequence_, list_frame_files(), scene_.classes, vehicle_track, options_);
+        else read_point_scans();
         return std::move(sequence_);
     }
 
@@ -191,36 +189,36 @@ private:
     double step_s_ = 0.0;              ///< time between these sweeps
     std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
     std::vector<FrameSweepRecord> frames_;
-    LidarSequence sequence_;
+    Log sequence_;
 
-    static const NuscenesVariant& find_variant_by_lidar_file_ending(const std::string& lidar_file) {
+    static const NuscenesVariant& find_variant(const std::string& lidar_file) {
         std::vector<std::string> endings;
-        for (const NuscenesVariant& format : kFormats) {
+        for (const NuscenesVariant& format : kVariants) {
             if (lidar_file.ends_with(format.ending)) return format;
             endings.emplace_back(format.ending);
         }
         fail("sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends in {}",
-             shorten_for_error_message(lidar_file), fmt::join(endings, ", "));
+             quote(lidar_file), fmt::join(endings, ", "));
     }
 
     void add_note(std::string text) { sequence_.notes.push_back(std::move(text)); }
-    static std::string get_lyft_split_prefix(const fs::path& table_folder) {
+    static std::string lyft_prefix(const fs::path& table_folder) {
         const std::string name = table_folder.filename().string();
         return name.ends_with("_data") ? name.substr(0, name.size() - 4) : "";
     }
-    fs::path get_file_of_sweep(const SweepRecord& sweep) const {
+    fs::path sweep_file(const SweepRecord& sweep) const {
         const fs::path file = folder_ / sweep.file;
         return split_.empty() || does_path_exist(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    void select_requested_lidars() {
+    void select_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
                 fail<UsageError>(
                     "dataset.lidars: the scene {1} has no LiDAR '{0}', expected one or more of: {2}",
-                    shorten_for_error_message(name), scene_.name, fmt::join(channels, ", "));
+                    quote(name), scene_.name, fmt::join(channels, ", "));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
             if (!options_.lidars.empty() &&
@@ -232,7 +230,7 @@ private:
             Lidar lidar;
             lidar.vehicle_from_sensor = mounted;
             lidar.sensor.name = channels[l];
-            if (format_.is_compensated) lidar = make_hdl32e_lidar(mounted);
+            if (format_.is_compensated) lidar = make_hdl32e(mounted);
             if (channels.size() > 1 || !options_.lidars.empty()) lidar.name = channels[l];
             lidar.sensor.max_range_m = options_.max_range_m;
             sequence_.lidars.push_back(std::move(lidar));
@@ -248,14 +246,13 @@ private:
     }
 
     /// Returns the sweeps of the selected LiDARs in the order of frame numbers.
-    std::vector<FrameSweepRecord> assign_frame_numbers_to_sweeps() {
+    std::vector<FrameSweepRecord> number_frames() {
         std::vector<FrameSweepRecord> sweeps;
         for (const std::size_t l : lidars_) {
             const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
             std::vector<double> times_s;
-            for (const SweepRecord& record : records)
-                times_s.push_back(scene_.to_seconds_since_first_sweep(record.time_us));
-            const auto matches = find_nearest_other_sweep_per_sweep(main_s_, times_s, kBeside * step_s_);
+            for (const SweepRecord& record : records) times_s.push_back(scene_.seconds_at(record.time_us));
+            const auto matches = match_sweeps(main_s_, times_s, kMaxSweepGap * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
             for (std::size_t k = 0; k < matches.size(); ++k) {
@@ -278,11 +275,11 @@ private:
     }
 
     /// Selects only keyframes if only they have files, because sweeps/ was not unpacked.
-    void select_sweeps_of_requested_frames() {
-        const std::vector<FrameSweepRecord> sweeps = assign_frame_numbers_to_sweeps();
+    void select_sweeps() {
+        const std::vector<FrameSweepRecord> sweeps = number_frames();
         const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
         const auto is_no_file_between = [&](const FrameSweepRecord& sweep) {
-            return !is_between(sweep) || !does_path_exist(get_file_of_sweep(*sweep.record));
+            return !is_between(sweep) || !does_path_exist(sweep_file(*sweep.record));
         };
         const bool keyframes_alone =
             std::ranges::any_of(sweeps, is_between) && std::ranges::all_of(sweeps, is_no_file_between);
@@ -298,14 +295,14 @@ private:
             add_note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
-    std::vector<SweepFiles> list_files_of_frames() {
+    std::vector<SweepFiles> list_frame_files() {
         std::vector<SweepFiles> files;
         std::size_t n_missing = 0;
         for (const FrameSweepRecord& frame : frames_) {
             const std::string& categories = frame.record->categories_file;
             const bool has_categories = !categories.empty() && does_path_exist(folder_ / categories);
             n_missing += !categories.empty() && !has_categories;
-            files.push_back({get_file_of_sweep(*frame.record), has_categories ? folder_ / categories : ""});
+            files.push_back({sweep_file(*frame.record), has_categories ? folder_ / categories : ""});
         }
         if (n_missing > 0)
             add_note(
@@ -314,9 +311,9 @@ private:
     }
 
     /// For T4, TruckScenes and Lyft.
-    void read_scans_of_point_files() {
+    void read_point_scans() {
         std::vector<fs::path> files;
-        for (const FrameSweepRecord& frame : frames_) files.push_back(get_file_of_sweep(*frame.record));
+        for (const FrameSweepRecord& frame : frames_) files.push_back(sweep_file(*frame.record));
         read::PointFileUnits units;
         // The last column is always 1 (Lyft) or -1 (T4).
         if (!format_.has_times) units.columns = {"x", "y", "z", "intensity", "-"};
@@ -325,18 +322,18 @@ private:
         units.absolute_times = true;
         units.time_zero = double(scene_.lidars[0].sweeps[0].time_us);
         const read::LidarScanLayout lidar{.sweep_duration_s =
-                                                format_.has_times ? step_s_ : kLyftRevolution_s};
+                                              format_.has_times ? step_s_ : kLyftRevolution_s};
         read::read_scans(sequence_, {.lidars = std::vector(sequence_.lidars.size(), lidar)}, units, files,
-                           options_);
+                         options_);
     }
 };
 
 }  // namespace
 
-LidarSequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
-    require_existing_folder(
-        folder, "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
-    return NuscenesLogLoader(folder, options).load_requested_scene();
+Log load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
+    require_folder(folder,
+                   "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
+    return NuscenesLogLoader(folder, options).load_scene();
 }
 
 }  // namespace relidar

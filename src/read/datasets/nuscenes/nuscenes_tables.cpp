@@ -27,16 +27,16 @@ using Tokens = std::unordered_set<std::string>;
 template <class T>
 using TokenMap = std::unordered_map<std::string, T>;
 
-constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
+constexpr std::string_view kLidarPrefix = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
 // maximum time difference between a sweep and its vehicle pose
 constexpr double kFarthestPose_s = 0.1;
 
-TokenMap<std::int64_t> read_keyframe_times_us(const fs::path& table_folder, const std::string& scene_token) {
+TokenMap<std::int64_t> read_keyframes(const fs::path& table_folder, const std::string& scene_token) {
     TokenMap<std::int64_t> samples;
-    for_each_json_record(table_folder / "sample.json", [&](const JsonRecord& record) {
-        if (record.get_text("scene_token") == scene_token)
-            samples[record.get_text("token")] = record.get_rounded_integer("timestamp");
+    for_each_record(table_folder / "sample.json", [&](const JsonRecord& record) {
+        if (record.read_text("scene_token") == scene_token)
+            samples[record.read_text("token")] = record.rounded_integer("timestamp");
     });
     return samples;
 }
@@ -46,43 +46,43 @@ struct LidarMount {
     Pose ego_from_lidar;
 };
 
-TokenMap<LidarMount> read_lidars_by_calibration_token(const fs::path& table_folder) {
+TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
     TokenMap<std::string> channels;
-    for_each_json_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
-        const std::string channel = record.get_text("channel");
-        if (channel.starts_with(kLidar)) channels[record.get_text("token")] = channel;
+    for_each_record(table_folder / "sensor.json", [&](const JsonRecord& record) {
+        const std::string channel = record.read_text("channel");
+        if (channel.starts_with(kLidarPrefix)) channels[record.read_text("token")] = channel;
     });
     if (channels.empty())
         fail("{}, key 'channel': found no channel that begins with {}, expected at least one LiDAR",
-             (table_folder / "sensor.json").string(), kLidar);
+             (table_folder / "sensor.json").string(), kLidarPrefix);
     TokenMap<LidarMount> mounted;
-    for_each_json_record(table_folder / "calibrated_sensor.json", [&](const JsonRecord& record) {
-        const auto channel = channels.find(record.get_text("sensor_token"));
+    for_each_record(table_folder / "calibrated_sensor.json", [&](const JsonRecord& record) {
+        const auto channel = channels.find(record.read_text("sensor_token"));
         if (channel != channels.end())
-            mounted[record.get_text("token")] = {channel->second, record.get_pose()};
+            mounted[record.read_text("token")] = {channel->second, record.read_pose()};
     });
     return mounted;
 }
 
 using SweepsByChannel = std::map<std::string, TokenMap<SweepRecord>>;  // files by channel name, then by token
 
-SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
-                                          const TokenMap<std::int64_t>& keyframe_times_us,
-                                          const TokenMap<LidarMount>& mounted_lidars) {
+SweepsByChannel list_lidar_files(const fs::path& table_folder,
+                                 const TokenMap<std::int64_t>& keyframe_times_us,
+                                 const TokenMap<LidarMount>& mounted_lidars) {
     SweepsByChannel files;
-    for_each_json_record(table_folder / "sample_data.json", [&](const JsonRecord& record) {
+    for_each_record(table_folder / "sample_data.json", [&](const JsonRecord& record) {
         SweepRecord file;
-        file.calibration = record.get_text("calibrated_sensor_token");
+        file.calibration = record.read_text("calibrated_sensor_token");
         const auto lidar = mounted_lidars.find(file.calibration);
         if (lidar == mounted_lidars.end()) return;
-        file.sample = record.get_text("sample_token");
+        file.sample = record.read_text("sample_token");
         if (!keyframe_times_us.contains(file.sample)) return;
-        file.token = record.get_text("token");
-        file.next = record.get_text("next");
-        file.ego_pose = record.get_text("ego_pose_token");
-        file.file = record.get_text("filename");
-        file.time_us = record.get_rounded_integer("timestamp");
-        file.is_keyframe = record.get_bool("is_key_frame");
+        file.token = record.read_text("token");
+        file.next = record.read_text("next");
+        file.ego_pose = record.read_text("ego_pose_token");
+        file.file = record.read_text("filename");
+        file.time_us = record.rounded_integer("timestamp");
+        file.is_keyframe = record.boolean("is_key_frame");
         files[lidar->second.channel][file.token] = file;
     });
     return files;
@@ -90,8 +90,8 @@ SweepsByChannel list_lidar_files_of_scene(const fs::path& table_folder,
 
 /// Sorts the files of a LiDAR by time, from its first keyframe.
 /// @return empty without a keyframe
-std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_folder,
-                                                         const TokenMap<SweepRecord>& files_by_token) {
+std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder,
+                                     const TokenMap<SweepRecord>& files_by_token) {
     const std::string where = (table_folder / "sample_data.json").string();
     const SweepRecord* first = nullptr;
     for (const auto& [name, file] : files_by_token)
@@ -103,7 +103,7 @@ std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_f
             fail(
                 "{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the LiDAR's "
                 "next file in the scene, or an empty text after the last file",
-                where, shorten_for_error_message(token), sweeps.size());
+                where, quote(token), sweeps.size());
         if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
             fail("{}, key 'timestamp': found {} after {}, expected increasing times", where,
                  file->second.time_us, sweeps.back().time_us);
@@ -112,12 +112,12 @@ std::vector<SweepRecord> list_sweeps_from_first_keyframe(const fs::path& table_f
     return sweeps;
 }
 
-std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
-                                             const TokenMap<std::int64_t>& keyframe_times_us) {
-    const TokenMap<LidarMount> mounted = read_lidars_by_calibration_token(table_folder);
+std::vector<SceneLidar> read_scene_lidars(const fs::path& table_folder,
+                                          const TokenMap<std::int64_t>& keyframe_times_us) {
+    const TokenMap<LidarMount> mounted = read_lidar_mounts(table_folder);
     std::vector<SceneLidar> lidars;
-    for (const auto& [channel, files] : list_lidar_files_of_scene(table_folder, keyframe_times_us, mounted)) {
-        SceneLidar lidar{channel, {}, list_sweeps_from_first_keyframe(table_folder, files)};
+    for (const auto& [channel, files] : list_lidar_files(table_folder, keyframe_times_us, mounted)) {
+        SceneLidar lidar{channel, {}, sort_sweeps(table_folder, files)};
         if (lidar.sweeps.empty()) continue;
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
@@ -126,8 +126,7 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
                     "{}, key 'calibrated_sensor_token': the file {} and the first file of the LiDAR {} in "
                     "the scene have different values, expected the same value, because the LiDAR must keep "
                     "its position on the vehicle",
-                    (table_folder / "sample_data.json").string(), shorten_for_error_message(sweep.file),
-                    channel);
+                    (table_folder / "sample_data.json").string(), quote(sweep.file), channel);
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
@@ -139,8 +138,7 @@ std::vector<SceneLidar> read_lidars_of_scene(const fs::path& table_folder,
 }
 
 /// Interpolates, because a sweep of TruckScenes refers to the nearest stored pose.
-std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
-                                           const std::vector<SweepRecord>& sweeps) {
+std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = table_folder / "ego_pose.json";
     struct TimedPose {
         std::int64_t time_us = 0;
@@ -150,78 +148,75 @@ std::vector<Pose> read_ego_poses_of_sweeps(const fs::path& table_folder,
     for (const SweepRecord& sweep : sweeps) poses[sweep.ego_pose];
     Tokens missing;
     for (const auto& [token, pose] : poses) missing.insert(token);
-    for_each_json_record(file, [&](const JsonRecord& record) {
-        const std::string token = record.get_text("token");
+    for_each_record(file, [&](const JsonRecord& record) {
+        const std::string token = record.read_text("token");
         if (missing.erase(token) > 0)
-            poses[token] = {record.get_rounded_integer("timestamp"), record.get_pose()};
+            poses[token] = {record.rounded_integer("timestamp"), record.read_pose()};
     });
     std::map<std::int64_t, Pose> by_time;
     for (const SweepRecord& sweep : sweeps) {
         if (missing.contains(sweep.ego_pose))
             fail("{}, key 'token': the pose '{}' is missing, but the file {} refers to it", file.string(),
-                 shorten_for_error_message(sweep.ego_pose), shorten_for_error_message(sweep.file));
+                 quote(sweep.ego_pose), quote(sweep.file));
         const TimedPose& pose = poses[sweep.ego_pose];
         if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
             !(std::abs(apart_s) <= kFarthestPose_s))
             fail(
                 "{}, key 'timestamp': the times of the pose '{}' and of its file {} differ by {} s, expected "
                 "at most {} s",
-                file.string(), shorten_for_error_message(sweep.ego_pose),
-                shorten_for_error_message(sweep.file), std::abs(apart_s), kFarthestPose_s);
+                file.string(), quote(sweep.ego_pose), quote(sweep.file), std::abs(apart_s), kFarthestPose_s);
         by_time[pose.time_us] = pose.pose;
     }
     const auto seconds = [&](std::int64_t time_us) { return double(time_us - sweeps[0].time_us) * 1e-6; };
     PoseTrack track;
     for (const auto& [time_us, pose] : by_time) track.append(seconds(time_us), pose);
     std::vector<Pose> world_from_ego;
-    for (const SweepRecord& sweep : sweeps)
-        world_from_ego.push_back(track.interpolate_pose(seconds(sweep.time_us)));
+    for (const SweepRecord& sweep : sweeps) world_from_ego.push_back(track.pose_at(seconds(sweep.time_us)));
     return world_from_ego;
 }
 
 /// Returns a text of each record by its token.
 /// @param tokens_or_null  records to read; null: all
-TokenMap<std::string> read_text_column_by_token(const fs::path& table_file, const char* key,
-                                                const Tokens* tokens_or_null) {
+TokenMap<std::string> read_text_column(const fs::path& table_file, const char* key,
+                                       const Tokens* tokens_or_null) {
     TokenMap<std::string> values;
-    for_each_json_record(table_file, [&](const JsonRecord& record) {
-        const std::string token = record.get_text("token");
-        if (!tokens_or_null || tokens_or_null->contains(token)) values[token] = record.get_text(key);
+    for_each_record(table_file, [&](const JsonRecord& record) {
+        const std::string token = record.read_text("token");
+        if (!tokens_or_null || tokens_or_null->contains(token)) values[token] = record.read_text(key);
     });
     return values;
 }
 
 /// Test splits have no label table.
-std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, const SceneTables& scene,
-                                               const TokenMap<std::int64_t>& keyframe_times_us) {
+std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const SceneTables& scene,
+                                        const TokenMap<std::int64_t>& keyframe_times_us) {
     std::vector<BoxLabel> labels;
     Tokens instances;
     const fs::path file = table_folder / "sample_annotation.json";
     if (!does_path_exist(file)) return labels;
-    for_each_json_record(file, [&](const JsonRecord& record) {
-        const auto sample = keyframe_times_us.find(record.get_text("sample_token"));
+    for_each_record(file, [&](const JsonRecord& record) {
+        const auto sample = keyframe_times_us.find(record.read_text("sample_token"));
         if (sample == keyframe_times_us.end()) return;
-        const glm::dvec3 size = record.get_vec3("size");  // width, length, height
+        const glm::dvec3 size = record.vec3("size");  // width, length, height
         if (!(std::min({size.x, size.y, size.z}) > 0.0))
             fail("{}, key 'size': found {} x {} x {}, expected all above 0", file.string(), size.x, size.y,
                  size.z);
-        labels.push_back({record.get_text("instance_token"),
+        labels.push_back({record.read_text("instance_token"),
                           "",
                           {size.y, size.x, size.z},
-                          scene.to_seconds_since_first_sweep(sample->second),
-                          record.get_pose()});
+                          scene.seconds_at(sample->second),
+                          record.read_pose()});
         instances.insert(labels.back().id);
     });
     const TokenMap<std::string> category_of =
-        read_text_column_by_token(table_folder / "instance.json", "category_token", &instances);
-    const TokenMap<std::string> names =
-        read_text_column_by_token(table_folder / "category.json", "name", nullptr);
+        read_text_column(table_folder / "instance.json", "category_token", &instances);
+    const TokenMap<std::string> names = read_text_column(table_folder / "category.json", "name", nullptr);
     for (BoxLabel& label : labels) {
         const auto category = category_of.find(label.id);
         const auto name = category == category_of.end() ? names.end() : names.find(category->second);
         if (name == names.end())
             fail("{}: the instance '{}' has no category, expected one in category.json",
-                 (table_folder / "instance.json").string(), shorten_for_error_message(label.id));
+                 (table_folder / "instance.json").string(), quote(label.id));
         label.category = name->second;
     }
     std::stable_sort(labels.begin(), labels.end(), [](const BoxLabel& first, const BoxLabel& second) {
@@ -231,51 +226,51 @@ std::vector<BoxLabel> read_box_labels_of_scene(const fs::path& table_folder, con
 }
 
 /// The table lidarseg is a separate download.
-void read_lidarseg_files_and_classes(const fs::path& table_folder, SceneTables& scene) {
+void read_lidarseg(const fs::path& table_folder, SceneTables& scene) {
     const fs::path file = table_folder / "lidarseg.json";
     if (!does_path_exist(file)) return;
     TokenMap<SweepRecord*> sweeps;
     for (SceneLidar& lidar : scene.lidars)
         for (SweepRecord& sweep : lidar.sweeps) sweeps[sweep.token] = &sweep;
     bool has_files = false;
-    for_each_json_record(file, [&](const JsonRecord& record) {
-        const auto sweep = sweeps.find(record.get_text("sample_data_token"));
+    for_each_record(file, [&](const JsonRecord& record) {
+        const auto sweep = sweeps.find(record.read_text("sample_data_token"));
         if (sweep == sweeps.end()) return;
-        sweep->second->categories_file = record.get_text("filename");
+        sweep->second->categories_file = record.read_text("filename");
         has_files = true;
     });
     if (!has_files) return;
     const fs::path categories = table_folder / "category.json";
-    for_each_json_record(categories, [&](const JsonRecord& record) {
-        const std::int64_t index = record.get_rounded_integer("index");
+    for_each_record(categories, [&](const JsonRecord& record) {
+        const std::int64_t index = record.rounded_integer("index");
         if (index < 0 || index >= std::int64_t(scene.classes.size()))
             fail("{}, key 'index': found {} for the category '{}', expected 0 to {}", categories.string(),
-                 index, shorten_for_error_message(record.get_text("name")), scene.classes.size() - 1);
-        scene.classes[std::size_t(index)] = convert_nuscenes_class(record.get_text("name"));
+                 index, quote(record.read_text("name")), scene.classes.size() - 1);
+        scene.classes[std::size_t(index)] = from_nuscenes(record.read_text("name"));
     });
 }
 
 }  // namespace
 
-std::vector<std::string> list_scene_names(const fs::path& table_folder) {
+std::vector<std::string> list_scenes(const fs::path& table_folder) {
     std::vector<std::string> names;
-    for_each_json_record(table_folder / "scene.json",
-                         [&](const JsonRecord& record) { names.push_back(record.get_text("name")); });
+    for_each_record(table_folder / "scene.json",
+                    [&](const JsonRecord& record) { names.push_back(record.read_text("name")); });
     return names;
 }
 
-SceneTables read_scene_tables(const fs::path& table_folder, const std::string& scene_name) {
+SceneTables read_scene(const fs::path& table_folder, const std::string& scene_name) {
     SceneTables scene;
     scene.name = scene_name;
     std::string scene_token;
-    for_each_json_record(table_folder / "scene.json", [&](const JsonRecord& record) {
-        if (record.get_text("name") == scene_name) scene_token = record.get_text("token");
+    for_each_record(table_folder / "scene.json", [&](const JsonRecord& record) {
+        if (record.read_text("name") == scene_name) scene_token = record.read_text("token");
     });
-    const TokenMap<std::int64_t> samples = read_keyframe_times_us(table_folder, scene_token);
-    scene.lidars = read_lidars_of_scene(table_folder, samples);
-    scene.world_from_ego = read_ego_poses_of_sweeps(table_folder, scene.lidars[0].sweeps);
-    scene.labels = read_box_labels_of_scene(table_folder, scene, samples);
-    read_lidarseg_files_and_classes(table_folder, scene);
+    const TokenMap<std::int64_t> samples = read_keyframes(table_folder, scene_token);
+    scene.lidars = read_scene_lidars(table_folder, samples);
+    scene.world_from_ego = read_ego_poses(table_folder, scene.lidars[0].sweeps);
+    scene.labels = read_scene_labels(table_folder, scene, samples);
+    read_lidarseg(table_folder, scene);
     return scene;
 }
 

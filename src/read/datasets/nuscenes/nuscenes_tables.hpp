@@ -44,15 +44,15 @@ struct SceneTables {
     /// class of each category index of nuScenes-lidarseg
     std::array<SurfaceClass, 256> classes{};
 
-    double to_seconds_since_first_sweep(std::int64_t time_us) const {
+    double seconds_at(std::int64_t time_us) const {
         return double(time_us - lidars[0].sweeps[0].time_us) * 1e-6;
     }
 };
 
-std::vector<std::string> list_scene_names(const std::filesystem::path& table_folder);
+std::vector<std::string> list_scenes(const std::filesystem::path& table_folder);
 
 /// Reads record by record, because tables can have a gigabyte.
 /// @throws DataError with file, record and key
-SceneTables read_scene_tables(const std::filesystem::path& table_folder, const std::string& scene_name);
+SceneTables read_scene(const std::filesystem::path& table_folder, const std::string& scene_name);
 
 }  // namespace relidar::nuscenes

@@ -23,12 +23,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kSensor = "Pandar40P";
+constexpr const char* kSensorName = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
 // The dataset contains only every fifth revolution.
 constexpr double kRevolution_s = 0.1;
 // from ONCE (x left, y back) to relidar (x forward, y left)
-constexpr double kTurned_rad = kPi / 2.0;
+constexpr double kAxesTurn_rad = kPi / 2.0;
 constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;
 
@@ -44,39 +44,37 @@ struct OnceFile {
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
-OncePose read_pose_of_once_frame(const JsonField& pose_field, std::int64_t stamp_ms) {
-    const OncePose pose{stamp_ms, pose_field.get_numbers<7>()};
+OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
+    const OncePose pose{stamp_ms, pose_field.numbers<7>()};
     const auto& n = pose.numbers;
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
     if (!(std::abs(length - 1.0) <= kUnitLength))
-        pose_field.throw_field_error(fmt::format("found a quaternion of length {:.4g}", length),
-                                     "expected a quaternion of length 1");
+        pose_field.reject(fmt::format("found a quaternion of length {:.4g}", length),
+                          "expected a quaternion of length 1");
     for (std::size_t i = 4; i < 7; ++i)
         if (!(std::abs(n[i]) <= kLargestCoordinate_m))
-            pose_field.throw_field_error(
+            pose_field.reject(
                 fmt::format("{}", n[i]),
                 fmt::format("expected coordinates in metres of at most {:g}", kLargestCoordinate_m));
     return pose;
 }
 
-OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
+OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
     const std::string where = json_file.string();
     const nlohmann::json json = parse_json(read_text_file(json_file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
     OnceFile content;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
-        const std::string name = id.get_short_single_line_string(20);
-        const auto stamp = read::parse_integer_timestamp(name);
-        if (!stamp)
-            id.throw_field_error(fmt::format("'{}'", shorten_for_error_message(name)),
-                                 "expected a time in milliseconds");
+        const std::string name = id.short_text(20);
+        const auto stamp = read::parse_stamp(name);
+        if (!stamp) id.reject(fmt::format("'{}'", quote(name)), "expected a time in milliseconds");
         if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
-            id.throw_field_error(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
-                                 "expected increasing times");
+            id.reject(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
+                      "expected increasing times");
         content.scans.push_back({int(i), *stamp, scan_folder / (name + ".bin")});
         if (needs_poses || frame.has_member("pose"))
-            content.poses.push_back(read_pose_of_once_frame(frame.at("pose"), *stamp));
+            content.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
         if (frame.has_member("annos") && frame.at("annos").has_member("boxes_3d")) {
             content.n_boxes += frame.at("annos").at("boxes_3d").size();
             ++content.n_labelled;
@@ -90,41 +88,40 @@ OnceFile read_once_sequence_json(const fs::path& json_file, const fs::path& scan
     return content;
 }
 
-PoseTrack make_lidar_track_in_dataset_axes(const std::vector<OncePose>& poses, const read::StampedLog& log,
-                                           bool is_quaternion_w_first) {
+PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::StampedLog& log,
+                             bool is_quaternion_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
         const glm::dquat q =
             is_quaternion_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
-        track.append(log.convert_stamp_to_seconds(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
+        track.append(log.seconds_of(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
     }
     return track;
 }
 
-PoseTrack make_lidar_track_with_x_forward(const OnceFile& dataset_content, const read::StampedLog& log,
-                                          Notes& notes) {
-    const PoseTrack w_last = make_lidar_track_in_dataset_axes(dataset_content.poses, log, false),
-                    w_first = make_lidar_track_in_dataset_axes(dataset_content.poses, log, true);
-    const double last = -read::estimate_driving_direction(w_last).mean.y,
-                 first = -read::estimate_driving_direction(w_first).mean.y;
+PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedLog& log, Notes& notes) {
+    const PoseTrack w_last = make_dataset_track(dataset_content.poses, log, false),
+                    w_first = make_dataset_track(dataset_content.poses, log, true);
+    const double last = -read::driving_direction(w_last).mean.y,
+                 first = -read::driving_direction(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
-    if (best != 0.0) read::add_note_unless_driving_forward(notes, best);
+    if (best != 0.0) read::note_driving(notes, best);
     if (is_w_first)
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because only then "
             "the vehicle drives forward");
-    return compute_mounted_track(is_w_first ? w_first : w_last, {make_rotation(-kTurned_rad, 0.0, 0.0), {}});
+    return mount_track(is_w_first ? w_first : w_last, {make_rotation(-kAxesTurn_rad, 0.0, 0.0), {}});
 }
 
 }  // namespace
 
-LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions& options) {
-    require_existing_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
+Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
+    require_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
     const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
-    const OnceFile content = read_once_sequence_json(json, folder / "lidar_roof", options.poses_file.empty());
-    LidarSequence sequence;
+    const OnceFile content = read_once_json(json, folder / "lidar_roof", options.poses_file.empty());
+    Log sequence;
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
@@ -143,19 +140,18 @@ LidarSequence load_once_dataset(const fs::path& log_folder, const DatasetOptions
     if (content.n_missing > 0)
         sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     read::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
-    if (options.poses_file.empty())
-        log.world_from_vehicle = make_lidar_track_with_x_forward(content, log, sequence.notes);
-    sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
+    if (options.poses_file.empty()) log.world_from_vehicle = make_lidar_track(content, log, sequence.notes);
+    sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensorName, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
-    const std::vector<fs::path> files = read::add_frames_and_get_scan_files(sequence, log, options);
+    const std::vector<fs::path> files = read::add_frames(sequence, log, options);
     read::PointFileFormat format;
-    const read::IntensityScale brightness = read::estimate_dataset_intensity_scale(files, {});
+    const read::IntensityScale brightness = read::estimate_dataset_scale(files, {});
     format.units.intensity_max = brightness.max;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.sweep_duration_s = kRevolution_s;
-    format.turned_rad = kTurned_rad;
-    format.beams = std::get<SpinningSensor>(find_built_in_sensor(kSensor)->pattern).beams;
-    read::read_scans_of_frames(sequence, files, format, options);
+    format.turned_rad = kAxesTurn_rad;
+    format.beams = std::get<SpinningSensor>(find_built_in(kSensorName)->pattern).beams;
+    read::read_frame_scans(sequence, files, format, options);
     return sequence;
 }
 

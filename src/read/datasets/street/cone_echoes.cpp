@@ -11,8 +11,8 @@
 namespace relidar::street {
 namespace {
 
-constexpr double kGolden_rad = 2.399963229728653;
-constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f, kDarkest = 1e-3f;
+constexpr double kGoldenAngle_rad = 2.399963229728653;
+constexpr float kMinSeparation_m = 0.5f, kMinSecondShare = 0.1f, kMinIntensity = 1e-3f;
 
 struct SubRayHit {
     float range_m = 0.0f, light = 0.0f;
@@ -20,17 +20,17 @@ struct SubRayHit {
 
 /// Combines the hits of the thin rays of a beam to returns, sorted by range.
 /// @param n_hits  output: thin rays that hit a surface
-std::vector<SubRayHit> group_cone_hits_to_returns(const Scan& cone_scan, std::size_t ray_index, int& n_hits) {
+std::vector<SubRayHit> group_hits(const Scan& cone_scan, std::size_t ray, int& n_hits) {
     std::vector<std::pair<float, float>> hits;
-    for (std::size_t i = ray_index * kConeRays; i < (ray_index + 1) * kConeRays; ++i)
+    for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)
         if (cone_scan.range_m[i] > 0.0f)
-            hits.emplace_back(cone_scan.range_m[i], std::max(cone_scan.intensity[i], kDarkest));
+            hits.emplace_back(cone_scan.range_m[i], std::max(cone_scan.intensity[i], kMinIntensity));
     n_hits = int(hits.size());
     std::sort(hits.begin(), hits.end());
     std::vector<SubRayHit> returns;
     float last_m = -1e9f;
     for (const auto& [range_m, light] : hits) {
-        if (range_m - last_m >= kSeparation_m) returns.emplace_back();
+        if (range_m - last_m >= kMinSeparation_m) returns.emplace_back();
         returns.back().range_m += range_m * light;
         returns.back().light += light;
         last_m = range_m;
@@ -39,8 +39,8 @@ std::vector<SubRayHit> group_cone_hits_to_returns(const Scan& cone_scan, std::si
     return returns;
 }
 
-SubRayHit choose_second_return_of_beam(const std::vector<SubRayHit>& returns,
-                                       std::vector<SubRayHit>::const_iterator strongest_return) {
+SubRayHit choose_second(const std::vector<SubRayHit>& returns,
+                        std::vector<SubRayHit>::const_iterator strongest_return) {
     SubRayHit second;
     if (strongest_return + 1 != returns.end()) {
         second = returns.back();
@@ -48,12 +48,12 @@ SubRayHit choose_second_return_of_beam(const std::vector<SubRayHit>& returns,
         for (auto r = returns.begin(); r != returns.end(); ++r)
             if (r != strongest_return && r->light > second.light) second = *r;
     }
-    return second.light >= kSecondShare * strongest_return->light ? second : SubRayHit{};
+    return second.light >= kMinSecondShare * strongest_return->light ? second : SubRayHit{};
 }
 
 }  // namespace
 
-RayTable split_rays_into_cone_rays(const RayTable& rays) {
+RayTable make_cone_rays(const RayTable& rays) {
     RayTable cone;
     cone.rows = rays.rows;
     cone.columns = rays.columns * kConeRays;
@@ -62,9 +62,9 @@ RayTable split_rays_into_cone_rays(const RayTable& rays) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
-            const double angle = 0.5 * rays.get_beam_divergence_rad(i) * std::sqrt((k + 0.5) / kConeRays);
-            const glm::dvec3 off = std::cos(1.0 + k * kGolden_rad) * side +
-                                   std::sin(1.0 + k * kGolden_rad) * glm::cross(d, side);
+            const double angle = 0.5 * rays.divergence_of_rad(i) * std::sqrt((k + 0.5) / kConeRays);
+            const glm::dvec3 off = std::cos(1.0 + k * kGoldenAngle_rad) * side +
+                                   std::sin(1.0 + k * kGoldenAngle_rad) * glm::cross(d, side);
             cone.direction.emplace_back(std::cos(angle) * d + std::sin(angle) * off);
             cone.origin.push_back(rays.origin[i]);
             cone.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -74,16 +74,16 @@ RayTable split_rays_into_cone_rays(const RayTable& rays) {
     return cone;
 }
 
-Scan combine_cone_returns(const RayTable& rays, const Scan& scan_of_cone_rays) {
+Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays) {
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size()), {}};
     AdditionalReturns& echo = scan.second_returns.emplace_back(
         AdditionalReturns{std::vector<float>(rays.size()), std::vector<float>(rays.size())});
     for (std::size_t i = 0; i < rays.size(); ++i) {
         int n_back = 0;
-        const std::vector<SubRayHit> returns = group_cone_hits_to_returns(scan_of_cone_rays, i, n_back);
+        const std::vector<SubRayHit> returns = group_hits(scan_of_cone_rays, i, n_back);
         if (2 * n_back <= kConeRays) continue;
         const auto strongest = std::ranges::max_element(returns, {}, &SubRayHit::light);
-        const SubRayHit second = choose_second_return_of_beam(returns, strongest);
+        const SubRayHit second = choose_second(returns, strongest);
         scan.range_m[i] = strongest->range_m;
         scan.intensity[i] = std::min(strongest->light / kConeRays, 1.0f);
         echo.range_m[i] = second.range_m;

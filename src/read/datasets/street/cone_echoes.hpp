@@ -11,13 +11,13 @@ inline constexpr int kConeRays = 53;  ///< number of thin rays that represent th
 
 /// Replaces each ray by kConeRays thin rays, which form a spiral in its cone (the
 /// divergence).
-RayTable split_rays_into_cone_rays(const RayTable& rays);
+RayTable make_cone_rays(const RayTable& rays);
 
 /// Hits whose ranges differ by less than 0.5 m from the next hit form one return, at
 /// their mean weighted by light. The first return is the strongest one. The second return
 /// is the last one, or the next strongest one if the strongest return is the last; it
 /// needs at least a tenth of the light of the first. If at most half of the thin rays
 /// have hits, the ray is dropped.
-Scan combine_cone_returns(const RayTable& rays, const Scan& scan_of_cone_rays);
+Scan combine_cone(const RayTable& rays, const Scan& scan_of_cone_rays);
 
 }  // namespace relidar::street

@@ -20,8 +20,8 @@ struct ShapeHit {
     glm::dvec3 normal{0.0};
 };
 
-ShapeHit intersect_ray_with_box(const glm::dvec3& half_size, const glm::dvec3& ray_origin,
-                                const glm::dvec3& ray_direction) {
+ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& ray_origin,
+                       const glm::dvec3& ray_direction) {
     double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
     int axis = 0;
     for (int a = 0; a < 3; ++a) {
@@ -44,8 +44,8 @@ ShapeHit intersect_ray_with_box(const glm::dvec3& half_size, const glm::dvec3& r
     return meeting;
 }
 
-ShapeHit intersect_ray_with_cylinder(double radius, double half_height, const glm::dvec3& ray_origin,
-                                     const glm::dvec3& ray_direction) {
+ShapeHit intersect_cylinder(double radius, double half_height, const glm::dvec3& ray_origin,
+                            const glm::dvec3& ray_direction) {
     const double a = ray_direction.x * ray_direction.x + ray_direction.y * ray_direction.y,
                  b = ray_origin.x * ray_direction.x + ray_origin.y * ray_direction.y,
                  c = ray_origin.x * ray_origin.x + ray_origin.y * ray_origin.y - radius * radius;
@@ -67,8 +67,8 @@ ShapeHit intersect_ray_with_cylinder(double radius, double half_height, const gl
 }
 
 /// The axis points down from the origin.
-ShapeHit intersect_ray_with_capsule(double radius, double length, const glm::dvec3& ray_origin,
-                                    const glm::dvec3& ray_direction) {
+ShapeHit intersect_capsule(double radius, double length, const glm::dvec3& ray_origin,
+                           const glm::dvec3& ray_direction) {
     ShapeHit best;
     const auto offer = [&](double t, double axis_z) {
         if (t > 0.0 && t < best.t)
@@ -95,19 +95,16 @@ glm::dvec3 rotate_about_z(const glm::dvec3& vector, double cosine, double sine) 
 }
 
 /// Walls that face the y direction have windows of dark glass, 1.2 x 1.5 m, every 3 m.
-bool is_in_wall_window(const StreetShape& wall, const glm::dvec3& local_point,
-                       const glm::dvec3& local_normal) {
+bool is_window(const StreetShape& wall, const glm::dvec3& local_point, const glm::dvec3& local_normal) {
     if (std::abs(local_normal.y) < 0.5) return false;
     const double u = local_point.x + wall.half.x, v = local_point.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-BoundingSphere compute_bounding_sphere(const StreetShape& shape) {
-    return {shape.centre, glm::length(shape.half)};
-}
+BoundingSphere bounding_sphere(const StreetShape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
 /// The centre is the centre of the box around the centres of the shapes.
-BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
+BoundingSphere bounding_sphere(std::span<const StreetShape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const StreetShape& shape : shapes) {
         low = glm::min(low, shape.centre);
@@ -115,7 +112,7 @@ BoundingSphere compute_bounding_sphere(std::span<const StreetShape> shapes) {
     }
     BoundingSphere around{0.5 * (low + high)};
     for (const StreetShape& shape : shapes) {
-        const BoundingSphere s = compute_bounding_sphere(shape);
+        const BoundingSphere s = bounding_sphere(shape);
         around.radius_m = std::max(around.radius_m, glm::distance(around.centre, s.centre) + s.radius_m);
     }
     return around;
@@ -138,7 +135,7 @@ public:
     }
 
     /// A road with a dashed centre line, and pavements on both sides.
-    void update_nearest_hit_with_ground() {
+    void hit_ground() {
         if (!(ray_.direction.z < 0.0)) return;
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
@@ -151,41 +148,39 @@ public:
     }
 
     /// @param ray_origin,ray_direction  in the frame of the centre of the shape
-    void update_nearest_hit_with_solid(const RayCastShape& solid, const glm::dvec3& ray_origin,
-                                       const glm::dvec3& ray_direction) {
+    void hit_solid(const RayCastShape& solid, const glm::dvec3& ray_origin, const glm::dvec3& ray_direction) {
         if (can_skip_sphere(solid.around, ray_origin, ray_direction)) return;
         const StreetShape& shape = solid.shape;
         const double c = solid.cos_yaw, s = -solid.sin_yaw;
         const glm::dvec3 o = rotate_about_z(ray_origin - shape.centre, c, s),
                          d = rotate_about_z(ray_direction, c, s);
         const ShapeHit m = shape.kind == StreetShape::Kind::box
-                               ? intersect_ray_with_box(shape.half, o, d)
-                               : intersect_ray_with_cylinder(shape.half.x, shape.half.z, o, d);
+                               ? intersect_box(shape.half, o, d)
+                               : intersect_cylinder(shape.half.x, shape.half.z, o, d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
-        const bool glass =
-            shape.material == Material::wall && is_in_wall_window(shape, o + m.t * d, m.normal);
+        const bool glass = shape.material == Material::wall && is_window(shape, o + m.t * d, m.normal);
         hit_ =
             StreetHit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance, shape.surface};
     }
 
     /// @param pitch_rad  swing of the limb, from straight down to the front
     /// @param ray_origin,ray_direction  in the frame of the box of the person
-    void update_nearest_hit_with_limb(const SwingingLimb& limb, double pitch_rad,
-                                      const glm::dvec3& ray_origin, const glm::dvec3& ray_direction) {
+    void hit_limb(const SwingingLimb& limb, double pitch_rad, const glm::dvec3& ray_origin,
+                  const glm::dvec3& ray_direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
         const auto hanging = [&](const glm::dvec3& vector) {
             return glm::dvec3(c * vector.x + s * vector.z, vector.y, c * vector.z - s * vector.x);
         };
         const glm::dvec3 d = hanging(ray_direction);
         const ShapeHit m =
-            intersect_ray_with_capsule(limb.radius_m, limb.length_m, hanging(ray_origin - limb.joint_m), d);
+            intersect_capsule(limb.radius_m, limb.length_m, hanging(ray_origin - limb.joint_m), d);
         if (!(m.t <= nearest_m_)) return;
         nearest_m_ = m.t;
         hit_ = StreetHit{m.t, std::abs(glm::dot(m.normal, d)), limb.reflectance, SurfaceClass::person};
     }
 
-    const std::optional<StreetHit>& get_nearest_hit() const { return hit_; }
+    const std::optional<StreetHit>& nearest_hit() const { return hit_; }
 
 private:
     const WorldRay& ray_;
@@ -193,13 +188,13 @@ private:
     std::optional<StreetHit> hit_;
 };
 
-Pose MovingStreetActor::compute_world_from_box(double time_s) const {
-    if (!track.pose.empty()) return track.interpolate_pose(time_s);
+Pose MovingStreetActor::world_from_box_at(double time_s) const {
+    if (!track.pose.empty()) return track.pose_at(time_s);
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), start_m + speed_mps * time_s * ahead};
 }
 
-double MovingStreetActor::compute_walked_distance_m(double time_s) const {
+double MovingStreetActor::walked_m(double time_s) const {
     if (track.pose.empty()) return speed_mps * time_s;
     const glm::dvec3 ahead(std::cos(yaw_rad), std::sin(yaw_rad), 0.0);
     double walked = glm::dot(track.pose.front().translation - start_m, ahead);
@@ -212,24 +207,22 @@ double MovingStreetActor::compute_walked_distance_m(double time_s) const {
     return walked;
 }
 
-std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes_for_ray_casting(
-    const std::vector<StreetShape>& shapes) {
+std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes(const std::vector<StreetShape>& shapes) {
     std::vector<RayCastShape> solids;
     for (const StreetShape& shape : shapes)
-        solids.push_back(
-            {shape, compute_bounding_sphere(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
+        solids.push_back({shape, bounding_sphere(shape), std::cos(shape.yaw_rad), std::sin(shape.yaw_rad)});
     return solids;
 }
 
-StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes_for_ray_casting(street.shapes)) {
+StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(street.shapes)) {
     // maximum radius of a group of shapes, such as a car, a bush or a part of a fence
-    constexpr double kWide_m = 4.0;
+    constexpr double kMaxClusterRadius_m = 4.0;
     const std::span<const StreetShape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
         while (end < shapes.size() &&
-               compute_bounding_sphere(shapes.subspan(begin, end + 1 - begin)).radius_m < kWide_m)
+               bounding_sphere(shapes.subspan(begin, end + 1 - begin)).radius_m < kMaxClusterRadius_m)
             ++end;
-        clusters_.push_back({compute_bounding_sphere(shapes.subspan(begin, end - begin)), end});
+        clusters_.push_back({bounding_sphere(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingStreetActor& car : street.cars) {
         const std::string_view category = car.category;
@@ -238,7 +231,7 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes_for_
         if (category == "Cyclist") surface = SurfaceClass::cyclist;
         for (StreetShape& shape : car.shapes) shape.surface = surface;
         RayCastActor& new_car = cars_.emplace_back(RayCastActor{std::move(car), {}});
-        new_car.solids = prepare_shapes_for_ray_casting(new_car.moving.shapes);
+        new_car.solids = prepare_shapes(new_car.moving.shapes);
         for (const RayCastShape& s : new_car.solids)
             new_car.reach_m = std::max(new_car.reach_m, glm::length(s.around.centre) + s.around.radius_m);
         for (const SwingingLimb& l : new_car.moving.limbs)
@@ -246,13 +239,13 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes_for_
     }
 }
 
-void StreetCaster::update_car_pose_cache(double time_s, MovingActorPoses& car_pose_cache) const {
+void StreetCaster::place_cars(double time_s, MovingActorPoses& car_pose_cache) const {
     if (car_pose_cache.time_s == time_s) return;
     car_pose_cache.time_s = time_s;
     car_pose_cache.centre_m.clear();
     car_pose_cache.box_from_world.clear();
     for (const RayCastActor& car : cars_) {
-        const Pose world_from_box = car.moving.compute_world_from_box(time_s);
+        const Pose world_from_box = car.moving.world_from_box_at(time_s);
         car_pose_cache.centre_m.push_back(world_from_box.translation);
         car_pose_cache.box_from_world.push_back(inverse(world_from_box));
     }
@@ -261,15 +254,15 @@ void StreetCaster::update_car_pose_cache(double time_s, MovingActorPoses& car_po
 std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
                                                       MovingActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
-    search.update_nearest_hit_with_ground();
+    search.hit_ground();
     std::size_t solid = 0;
     for (const Cluster& cluster : clusters_) {
         if (!search.can_skip_sphere(cluster.around, ray.origin_m, ray.direction))
             for (; solid < cluster.end; ++solid)
-                search.update_nearest_hit_with_solid(solids_[solid], ray.origin_m, ray.direction);
+                search.hit_solid(solids_[solid], ray.origin_m, ray.direction);
         solid = cluster.end;
     }
-    update_car_pose_cache(time_s, car_pose_cache);
+    place_cars(time_s, car_pose_cache);
     for (std::size_t i = 0; i < cars_.size(); ++i) {
         const RayCastActor& car = cars_[i];
         if (search.can_skip_sphere({car_pose_cache.centre_m[i], car.reach_m}, ray.origin_m, ray.direction))
@@ -277,15 +270,13 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
         const Pose& box_from_world = car_pose_cache.box_from_world[i];
         const glm::dvec3 origin = box_from_world * ray.origin_m,
                          direction = box_from_world.rotation * ray.direction;
-        for (const RayCastShape& s : car.solids) search.update_nearest_hit_with_solid(s, origin, direction);
+        for (const RayCastShape& s : car.solids) search.hit_solid(s, origin, direction);
         if (car.moving.limbs.empty()) continue;
-        const double stride_rad =
-            2.0 * kPi * car.moving.compute_walked_distance_m(time_s) / car.moving.stride_m;
+        const double stride_rad = 2.0 * kPi * car.moving.walked_m(time_s) / car.moving.stride_m;
         for (const SwingingLimb& l : car.moving.limbs)
-            search.update_nearest_hit_with_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin,
-                                                direction);
+            search.hit_limb(l, l.swing_rad * std::sin(stride_rad + l.phase_rad), origin, direction);
     }
-    return search.get_nearest_hit();
+    return search.nearest_hit();
 }
 
 std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s,

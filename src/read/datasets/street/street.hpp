@@ -48,11 +48,11 @@ struct MovingStreetActor {
     /// poses of the box in street coordinates; empty: straight at constant speed
     PoseTrack track;
 
-    Pose compute_world_from_box(double time_s) const;
+    Pose world_from_box_at(double time_s) const;
     /// Distance that a person has walked; it controls the swing of limbs. Without a
     /// `track`, it is 0 at time 0. With a `track`, its value at the first pose is the
     /// distance from start_m to this pose along yaw_rad.
-    double compute_walked_distance_m(double time_s) const;
+    double walked_m(double time_s) const;
 };
 
 struct SyntheticStreet {
@@ -61,13 +61,13 @@ struct SyntheticStreet {
 };
 
 /// The random seed determines the positions of facades, poles, trees and parked cars.
-SyntheticStreet make_street(const SyntheticOptions& options);
+SyntheticStreet make_street(const StreetOptions& options);
 
 /// The sensor swings gently across the lane, faces along its path, and has a small pitch.
-Pose compute_sensor_pose(const SyntheticOptions& options, double time_s);
+Pose sensor_pose_at(const StreetOptions& options, double time_s);
 
 /// 0.1 s apart; frame 0 has the time 0
-inline double compute_frame_time_s(int frame_number) { return 0.1 * frame_number; }
+inline double frame_time_of_s(int frame_number) { return 0.1 * frame_number; }
 
 struct BoundingSphere {
     glm::dvec3 centre{0.0};
@@ -122,8 +122,8 @@ private:
     std::vector<Cluster> clusters_;
     std::vector<RayCastActor> cars_;
 
-    static std::vector<RayCastShape> prepare_shapes_for_ray_casting(const std::vector<StreetShape>& shapes);
-    void update_car_pose_cache(double time_s, MovingActorPoses& car_pose_cache) const;
+    static std::vector<RayCastShape> prepare_shapes(const std::vector<StreetShape>& shapes);
+    void place_cars(double time_s, MovingActorPoses& car_pose_cache) const;
 };
 
 }  // namespace relidar::street
@@ -131,6 +131,6 @@ private:
 namespace relidar {
 
 /// Generates the frames [begin_frame, end_frame) of a log.
-LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame);
+Log make_frames(const StreetOptions& options, int begin_frame, int end_frame);
 
 }  // namespace relidar

@@ -45,12 +45,10 @@ StreetShape make_cylinder(const glm::dvec3& centre, double radius_m, double half
             surface};
 }
 
-double compute_middle_frame_time_s(const SyntheticOptions& options) {
-    return compute_frame_time_s(options.n_frames / 2);
-}
+double middle_time_s(const StreetOptions& options) { return frame_time_of_s(options.n_frames / 2); }
 
-double compute_driven_distance_m(const SyntheticOptions& options) {
-    return options.speed_mps * compute_frame_time_s(options.n_frames - 1);
+double driven_m(const StreetOptions& options) {
+    return options.speed_mps * frame_time_of_s(options.n_frames - 1);
 }
 
 struct StreetSide {
@@ -63,35 +61,34 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
                  bool leave_yard_gap) {
     const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m; x < half_m;) {
-        const double width = random.sample_uniform_number(8.0, 18.0),
-                     height = random.sample_uniform_number(5.0, 14.0),
-                     depth = random.sample_uniform_number(6.0, 10.0);
-        const double setback = random.sample_uniform_number(2.5, 4.5);
+        const double width = random.sample_uniform(8.0, 18.0), height = random.sample_uniform(5.0, 14.0),
+                     depth = random.sample_uniform(6.0, 10.0);
+        const double setback = random.sample_uniform(2.5, 4.5);
         const double y = kerb_m + side * (setback + 0.5 * depth);
-        const double reflectance = random.sample_uniform_number(0.3, 0.8);
+        const double reflectance = random.sample_uniform(0.3, 0.8);
         if (!leave_yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
             street.shapes.push_back(make_box({x + 0.5 * width, y, 0.5 * height},
                                              0.5 * glm::dvec3(width, depth, height), Material::wall,
                                              reflectance));
-        x += width + (random.sample_uniform_number() < 0.3 ? random.sample_uniform_number(2.0, 5.0) : 0.0);
+        x += width + (random.sample_uniform() < 0.3 ? random.sample_uniform(2.0, 5.0) : 0.0);
     }
 }
 
-void add_poles_and_trees(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
+void add_poles(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
     const auto& [side, kerb_m, half_m] = street_side;
-    for (double x = -half_m + random.sample_uniform_number(2.0, 8.0); x < half_m;
-         x += random.sample_uniform_number(9.0, 16.0)) {
-        const double y = kerb_m + side * random.sample_uniform_number(0.5, 1.0);
-        const bool tree = random.sample_uniform_number() < 0.4;
-        const double height = tree ? 3.0 : random.sample_uniform_number(4.0, 7.0),
-                     radius = tree ? 0.18 : random.sample_uniform_number(0.07, 0.13);
+    for (double x = -half_m + random.sample_uniform(2.0, 8.0); x < half_m;
+         x += random.sample_uniform(9.0, 16.0)) {
+        const double y = kerb_m + side * random.sample_uniform(0.5, 1.0);
+        const bool tree = random.sample_uniform() < 0.4;
+        const double height = tree ? 3.0 : random.sample_uniform(4.0, 7.0),
+                     radius = tree ? 0.18 : random.sample_uniform(0.07, 0.13);
         street.shapes.push_back(make_cylinder({x, y, 0.5 * height}, radius, 0.5 * height,
                                               tree ? Material::leaves : Material::metal, tree ? 0.3 : 0.5,
                                               tree ? SurfaceClass::vegetation : SurfaceClass::pole));
         if (!tree) continue;
-        const double size = random.sample_uniform_number(0.7, 1.2);
+        const double size = random.sample_uniform(0.7, 1.2);
         street.shapes.push_back(make_box({x, y, 3.0 + size}, glm::dvec3(size), Material::leaves, 0.4,
-                                         SurfaceClass::vegetation, random.sample_uniform_number(0.0, 1.5)));
+                                         SurfaceClass::vegetation, random.sample_uniform(0.0, 1.5)));
     }
 }
 
@@ -104,7 +101,7 @@ std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
 }
 
 /// The cabin has pillars, seats and a roof, but no walls.
-std::vector<StreetShape> make_glazed_car_shapes(double paint_reflectance) {
+std::vector<StreetShape> make_glazed_car(double paint_reflectance) {
     std::vector<StreetShape> shapes{
         make_car_shapes(paint_reflectance)[0],
         make_box({-0.2, 0.0, 1.42 - kBoxCentre_m}, {0.95, 0.5 * kCarWidth_m - 0.12, 0.03}, Material::paint,
@@ -132,14 +129,13 @@ void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_
 
 void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& street_side,
                      bool have_glass_windows) {
-    for (double x = -street_side.half_m + random.sample_uniform_number(2.0, 10.0);
-         x < street_side.half_m - 5.0; x += random.sample_uniform_number(6.0, 20.0)) {
-        const double yaw = random.sample_uniform_number(-0.04, 0.04),
-                     y = street_side.kerb_m - 1.1 * street_side.left +
-                         random.sample_uniform_number(-0.15, 0.15);
-        const double paint = random.sample_uniform_number(0.15, 0.8);
+    for (double x = -street_side.half_m + random.sample_uniform(2.0, 10.0); x < street_side.half_m - 5.0;
+         x += random.sample_uniform(6.0, 20.0)) {
+        const double yaw = random.sample_uniform(-0.04, 0.04),
+                     y = street_side.kerb_m - 1.1 * street_side.left + random.sample_uniform(-0.15, 0.15);
+        const double paint = random.sample_uniform(0.15, 0.8);
         add_parked_car(street, x, y, yaw,
-                       have_glass_windows ? make_glazed_car_shapes(paint) : make_car_shapes(paint));
+                       have_glass_windows ? make_glazed_car(paint) : make_car_shapes(paint));
     }
 }
 
@@ -147,69 +143,65 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
 /// parts of the cars in every sweep.
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
-    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform_number(0.4, 1.2))
+    for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform(0.4, 1.2))
         street.shapes.push_back(
             make_box({x, fence_y, 0.9}, {0.15, 0.05, 0.9}, Material::wall, 0.4, SurfaceClass::fence));
-    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform_number(2.6, 4.0)) {
-        const double paint_reflectance = random.sample_uniform_number(0.15, 0.8);
-        const double yaw_rad = 0.5 * kPi + random.sample_uniform_number(-0.05, 0.05);
-        const double y_m = fence_y + random.sample_uniform_number(3.0, 4.0);
-        add_parked_car(street, x, y_m, yaw_rad, make_glazed_car_shapes(paint_reflectance));
+    for (double x = kYardBegin_m + 1.5; x < kYardEnd_m; x += random.sample_uniform(2.6, 4.0)) {
+        const double paint_reflectance = random.sample_uniform(0.15, 0.8);
+        const double yaw_rad = 0.5 * kPi + random.sample_uniform(-0.05, 0.05);
+        const double y_m = fence_y + random.sample_uniform(3.0, 4.0);
+        add_parked_car(street, x, y_m, yaw_rad, make_glazed_car(paint_reflectance));
     }
     street.shapes.push_back(make_box({0.5 * (kYardBegin_m + kYardEnd_m), fence_y + 12.0, 3.0},
                                      {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, Material::wall, 0.5));
 }
 
-MovingStreetActor make_moving_car(const SyntheticOptions& options, double x_at_middle_time_m, double y_m,
+MovingStreetActor make_moving_car(const StreetOptions& options, double x_at_middle_time_m, double y_m,
                                   double yaw_rad, double speed_mps, double paint_reflectance) {
     MovingStreetActor car;
     car.yaw_rad = yaw_rad;
     car.speed_mps = speed_mps;
     car.size_m = {kCarLength_m + 0.1, kCarWidth_m + 0.1, kBoxTop_m - kBoxBottom_m};
-    const double x =
-        x_at_middle_time_m - std::cos(yaw_rad) * speed_mps * compute_middle_frame_time_s(options);
+    const double x = x_at_middle_time_m - std::cos(yaw_rad) * speed_mps * middle_time_s(options);
     car.start_m = {x, y_m, kBoxCentre_m};
     car.shapes = make_car_shapes(paint_reflectance);
     return car;
 }
 
 /// The car is 14 m ahead in the middle of the log. A long street has one per 120 m.
-void add_oncoming_cars(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
+void add_oncoming_cars(SyntheticStreet& street, Random& random, const StreetOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
-    if (compute_driven_distance_m(options) <= kLongDrive_m) return;
-    for (double met_m = kBetweenCars_m; met_m < 0.5 * compute_driven_distance_m(options);
-         met_m += kBetweenCars_m)
+    if (driven_m(options) <= kLongDrive_m) return;
+    for (double met_m = kBetweenCars_m; met_m < 0.5 * driven_m(options); met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
             street.cars.push_back(make_moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps),
                                                   kLane_m, kPi, kSpeed_mps,
-                                                  random.sample_uniform_number(0.15, 0.8)));
+                                                  random.sample_uniform(0.15, 0.8)));
 }
 
 /// Most rays pass through its leaves and twigs.
-void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& position_m) {
+void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& p) {
     for (int leaf = 0; leaf < 60; ++leaf) {
-        const double z_m = random.sample_uniform_number(0.1, 1.6);
-        const double y_m = position_m.y + random.sample_uniform_number(-0.5, 0.5);
-        const double x_m = position_m.x + random.sample_uniform_number(-1.0, 1.0);
-        street.shapes.push_back({StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m),
-                                 glm::dvec3(random.sample_uniform_number(0.03, 0.08)),
-                                 random.sample_uniform_number(0.0, 1.5), Material::leaves, 0.4,
-                                 SurfaceClass::vegetation});
+        const double z_m = random.sample_uniform(0.1, 1.6);
+        const double y_m = p.y + random.sample_uniform(-0.5, 0.5);
+        const double x_m = p.x + random.sample_uniform(-1.0, 1.0);
+        street.shapes.push_back(
+            {StreetShape::Kind::box, glm::dvec3(x_m, y_m, z_m), glm::dvec3(random.sample_uniform(0.03, 0.08)),
+             random.sample_uniform(0.0, 1.5), Material::leaves, 0.4, SurfaceClass::vegetation});
     }
 }
 
 /// 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above the ground.
-MovingStreetActor make_pedestrian(const SyntheticOptions& options,
-                                  const glm::dvec2& position_at_middle_time_m, double yaw_rad,
-                                  double speed_mps) {
+MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
+                                  double yaw_rad, double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
     MovingStreetActor walker;
     walker.category = "Pedestrian";
     walker.yaw_rad = yaw_rad;
     walker.speed_mps = speed_mps;
     walker.size_m = {0.6, 0.6, 2.0 * kHalf_m};
-    const glm::dvec2 start = position_at_middle_time_m - speed_mps * compute_middle_frame_time_s(options) *
+    const glm::dvec2 start = position_at_middle_time_m - speed_mps * middle_time_s(options) *
                                                              glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
     walker.start_m = {start, kBottom_m + kHalf_m};
     walker.shapes = {make_cylinder({0.0, 0.0, 0.4 - kHalf_m}, 0.125, 0.4, Material::leaves, 0.35),
@@ -219,7 +211,7 @@ MovingStreetActor make_pedestrian(const SyntheticOptions& options,
 
 /// Feet on the ground do not slide: they swing backward as fast as the body moves
 /// forward.
-void replace_legs_by_swinging_limbs(MovingStreetActor& pedestrian) {
+void add_swinging_limbs(MovingStreetActor& pedestrian) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
     constexpr double kSwing_rad = 0.45, kShoulderBelowTop_m = 0.35;
@@ -240,7 +232,7 @@ void replace_legs_by_swinging_limbs(MovingStreetActor& pedestrian) {
     pedestrian.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
 }
 
-MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2& position_at_middle_time_m,
+MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
                                double speed_mps) {
     MovingStreetActor rider = make_pedestrian(options, position_at_middle_time_m, 0.0, speed_mps);
     rider.category = "Cyclist";
@@ -251,46 +243,44 @@ MovingStreetActor make_cyclist(const SyntheticOptions& options, const glm::dvec2
     return rider;
 }
 
-void add_people(SyntheticStreet& street, Random& random, const SyntheticOptions& options) {
+void add_people(SyntheticStreet& street, Random& random, const StreetOptions& options) {
     const std::size_t first = street.cars.size();
     struct Walk {
         double min_x_m, max_x_m, y_m, yaw_rad;
     };
     for (const Walk& walk : {Walk{4.0, 16.0, kRightKerb_m - 1.6, 0.0},
                              Walk{4.0, 16.0, kLeftKerb_m + 1.7, kPi}, Walk{24.0, 30.0, 4.5, -0.5 * kPi}}) {
-        const double speed_mps = random.sample_uniform_number(1.0, 1.6);
-        const double x_m = random.sample_uniform_number(walk.min_x_m, walk.max_x_m);
+        const double speed_mps = random.sample_uniform(1.0, 1.6);
+        const double x_m = random.sample_uniform(walk.min_x_m, walk.max_x_m);
         street.cars.push_back(make_pedestrian(options, {x_m, walk.y_m}, walk.yaw_rad, speed_mps));
     }
     if (options.gait)
-        for (std::size_t i = first; i < street.cars.size(); ++i)
-            replace_legs_by_swinging_limbs(street.cars[i]);
-    const double cyclist_speed_mps = random.sample_uniform_number(4.0, 6.0);
-    const double cyclist_x_m = random.sample_uniform_number(6.0, 9.0);
+        for (std::size_t i = first; i < street.cars.size(); ++i) add_swinging_limbs(street.cars[i]);
+    const double cyclist_speed_mps = random.sample_uniform(4.0, 6.0);
+    const double cyclist_x_m = random.sample_uniform(6.0, 9.0);
     street.cars.push_back(make_cyclist(options, {cyclist_x_m, kRightKerb_m + 2.7}, cyclist_speed_mps));
 }
 
 }  // namespace
 
-SyntheticStreet make_street(const SyntheticOptions& options) {
+SyntheticStreet make_street(const StreetOptions& options) {
     SyntheticStreet street;
     Random random(options.seed);
     // The street continues beyond both ends of the sensor's path, even for a long log.
-    const double driven_length_m = compute_driven_distance_m(options);
+    const double driven_length_m = driven_m(options);
     const double half_length_m =
         driven_length_m > kLongDrive_m ? 0.5 * driven_length_m + kHalfLength_m : kHalfLength_m;
     const StreetSide left{1.0, kLeftKerb_m, half_length_m}, right{-1.0, kRightKerb_m, half_length_m};
     add_facades(street, random, left, options.people);
     add_facades(street, random, right, false);
-    add_poles_and_trees(street, random, left);
-    add_poles_and_trees(street, random, right);
+    add_poles(street, random, left);
+    add_poles(street, random, right);
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
         // The sensor never overtakes the car ahead.
-        const double ahead_m = compute_driven_distance_m(options) > kLongDrive_m
-                                   ? 12.0 + 0.05 * 0.5 * compute_driven_distance_m(options)
-                                   : 12.0;
+        const double ahead_m =
+            driven_m(options) > kLongDrive_m ? 12.0 + 0.05 * 0.5 * driven_m(options) : 12.0;
         street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming_cars(street, random, options);
     }
@@ -302,9 +292,9 @@ SyntheticStreet make_street(const SyntheticOptions& options) {
     return street;
 }
 
-Pose compute_sensor_pose(const SyntheticOptions& options, double time_s) {
+Pose sensor_pose_at(const StreetOptions& options, double time_s) {
     constexpr double kSwing_m = 0.5, kWave = 2.0 * kPi / 90.0, kHeight_m = 1.8;
-    const double x = options.speed_mps * (time_s - compute_middle_frame_time_s(options));
+    const double x = options.speed_mps * (time_s - middle_time_s(options));
     const double yaw = std::atan(kSwing_m * kWave * std::cos(kWave * x)) + 0.01 * std::sin(0.31 * x);
     const double pitch = 0.004 * std::sin(0.43 * x), roll = 0.004 * std::sin(0.23 * x + 1.0);
     return {make_rotation(yaw, pitch, roll), {x, kSwing_m * std::sin(kWave * x), kHeight_m}};

@@ -13,8 +13,8 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/clouds.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/read/clouds.hpp>
 #include "base/fail.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
@@ -30,7 +30,7 @@ constexpr double kMaxRange_m = 80.0;
 // A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
-void require_valid_synthetic_options(const SyntheticOptions& options) {
+void check_options(const StreetOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
         fail<UsageError>("synthetic street: {} is {}, expected {} to {}", name, value, low, high);
@@ -46,7 +46,7 @@ void require_valid_synthetic_options(const SyntheticOptions& options) {
             "true");
 }
 
-SpinningSensor make_default_synthetic_sensor(const SyntheticOptions& options) {
+SpinningSensor make_default_sensor(const StreetOptions& options) {
     SpinningSensor sensor;
     sensor.name = "synthetic";
     const double spacing_deg = 28.0 / (options.rows - 1);
@@ -60,40 +60,39 @@ SpinningSensor make_default_synthetic_sensor(const SyntheticOptions& options) {
     return sensor;
 }
 
-double compute_drop_probability(const StreetHit& hit) {
+double drop_chance(const StreetHit& hit) {
     const double echo = hit.reflectance * hit.cosine * std::min(1.0, std::pow(25.0 / hit.range_m, 2));
     return 1.0 / (1.0 + std::pow(echo / 0.01, 3));
 }
 
-double compute_echo_intensity(const StreetHit& hit) {
+double echo_intensity(const StreetHit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
 /// Skips shapes that no ray of one sweep can reach.
-street::SyntheticStreet select_shapes_in_reach_of_sweep(const street::SyntheticStreet& full_street,
-                                                        const glm::dvec3& sensor_position_m, double time_s) {
+street::SyntheticStreet crop_street(const street::SyntheticStreet& full_street,
+                                    const glm::dvec3& sensor_position_m, double time_s) {
     // how far the sensor and the cars can move during a sweep
-    constexpr double kSweep_m = 20.0;
+    constexpr double kMaxSweepMotion_m = 20.0;
     street::SyntheticStreet nearby_street;
     for (const street::StreetShape& shape : full_street.shapes)
         if (glm::distance(shape.centre, sensor_position_m) <=
-            kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half))
+            kMaxRange_m + kMaxSweepMotion_m + 2.0 * glm::length(shape.half))
             nearby_street.shapes.push_back(shape);
     for (const street::MovingStreetActor& car : full_street.cars)
-        if (glm::distance(car.compute_world_from_box(time_s).translation, sensor_position_m) <=
-            kMaxRange_m + kSweep_m + glm::length(car.size_m))
+        if (glm::distance(car.world_from_box_at(time_s).translation, sensor_position_m) <=
+            kMaxRange_m + kMaxSweepMotion_m + glm::length(car.size_m))
             nearby_street.cars.push_back(car);
     return nearby_street;
 }
 
 /// Casts every ray at its firing time. Calls on_hit(ray, hit) for each hit.
 template <class Receive>
-void cast_rays_at_firing_times(const street::SyntheticStreet& full_street,
-                               const glm::dvec3& world_origin_in_street_m, const PoseTrack& sensor_track,
-                               double scan_time_s, const RayTable& rays, const Receive& on_hit) {
-    const street::StreetCaster street(select_shapes_in_reach_of_sweep(
-        full_street, sensor_track.interpolate_pose(scan_time_s).translation + world_origin_in_street_m,
-        scan_time_s));
+void cast_rays(const street::SyntheticStreet& full_street, const glm::dvec3& world_origin_in_street_m,
+               const PoseTrack& sensor_track, double scan_time_s, const RayTable& rays,
+               const Receive& on_hit) {
+    const street::StreetCaster street(crop_street(
+        full_street, sensor_track.pose_at(scan_time_s).translation + world_origin_in_street_m, scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
     // Rays of a column usually have the same time.
     std::vector<street::MovingActorPoses> actor_poses_by_column(columns);
@@ -115,102 +114,92 @@ Scan make_empty_scan(const RayTable& rays) {
 }
 
 /// the sensor position in the middle frame
-glm::dvec3 compute_world_origin_in_street_m(const SyntheticOptions& options) {
-    return street::compute_sensor_pose(options, street::compute_frame_time_s(options.n_frames / 2))
-        .translation;
+glm::dvec3 world_origin_m(const StreetOptions& options) {
+    return street::sensor_pose_at(options, street::frame_time_of_s(options.n_frames / 2)).translation;
 }
 
 /// Rays with a drop probability above 0.5 are dropped.
-Scan cast_noise_free_scan_with_one_return(const street::SyntheticStreet& street,
-                                          const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
-                                          const PoseTrack& sensor_track, double scan_time_s) {
+Scan cast_scan(const street::SyntheticStreet& street, const glm::dvec3& world_origin_in_street_m,
+               const RayTable& rays, const PoseTrack& sensor_track, double scan_time_s) {
     Scan scan = make_empty_scan(rays);
-    cast_rays_at_firing_times(street, world_origin_in_street_m, sensor_track, scan_time_s, rays,
-                              [&](std::size_t ray, const StreetHit& hit) {
-                                  if (compute_drop_probability(hit) > 0.5) return;
-                                  scan.range_m[ray] = float(hit.range_m);
-                                  scan.intensity[ray] = float(compute_echo_intensity(hit));
-                                  scan.classes[ray] = hit.surface;
-                              });
+    cast_rays(street, world_origin_in_street_m, sensor_track, scan_time_s, rays,
+              [&](std::size_t ray, const StreetHit& hit) {
+                  if (drop_chance(hit) > 0.5) return;
+                  scan.range_m[ray] = float(hit.range_m);
+                  scan.intensity[ray] = float(echo_intensity(hit));
+                  scan.classes[ray] = hit.surface;
+              });
     return scan;
 }
 
-Scan cast_noise_free_scan_with_two_returns(const street::SyntheticStreet& street,
-                                           const glm::dvec3& world_origin_in_street_m, const RayTable& rays,
-                                           const PoseTrack& sensor_track, double scan_time_s) {
-    if (!(rays.find_max_divergence_rad() > 0.0))
+Scan cast_dual_scan(const street::SyntheticStreet& street, const glm::dvec3& world_origin_in_street_m,
+                    const RayTable& rays, const PoseTrack& sensor_track, double scan_time_s) {
+    if (!(rays.max_divergence_rad() > 0.0))
         throw UsageError(
             "synthetic street: several returns need beams with a divergence, because an ideal ray has only "
             "one return");
-    return street::combine_cone_returns(
-        rays, cast_noise_free_scan_with_one_return(street, world_origin_in_street_m,
-                                                   street::split_rays_into_cone_rays(rays), sensor_track,
-                                                   scan_time_s));
+    return street::combine_cone(rays, cast_scan(street, world_origin_in_street_m,
+                                                street::make_cone_rays(rays), sensor_track, scan_time_s));
 }
 
-std::uint64_t compute_frame_seed(const SyntheticOptions& options, const LidarFrame& frame) {
-    const std::uint64_t seed = hash_integer_pair(options.seed, std::uint64_t(frame.index));
-    return frame.lidar == 0 ? seed : hash_integer_pair(seed, std::uint64_t(frame.lidar));
+std::uint64_t seed_of(const StreetOptions& options, const Frame& frame) {
+    const std::uint64_t seed = hash_pair(options.seed, std::uint64_t(frame.index));
+    return frame.lidar == 0 ? seed : hash_pair(seed, std::uint64_t(frame.lidar));
 }
 
 void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
-        Random random(hash_integer_pair(seed, i));
+        Random random(hash_pair(seed, i));
         const auto spread = [&](float& range_m) {
             if (range_m > 0.0f)
-                range_m =
-                    float(std::max(double(range_m) + noise_stddev_m * random.sample_standard_normal(), 0.01));
+                range_m = float(std::max(double(range_m) + noise_stddev_m * random.sample_normal(), 0.01));
         };
         spread(scan.range_m[i]);
         for (AdditionalReturns& f : scan.second_returns) spread(f.range_m[i]);
     }
 }
 
-Scan simulate_noisy_scan_with_two_returns(const SyntheticOptions& options,
-                                          const street::SyntheticStreet& street,
-                                          const LidarSequence& sequence, const RayTable& rays,
-                                          const LidarFrame& frame) {
-    Scan scan = cast_noise_free_scan_with_two_returns(
-        street, sequence.world_offset_m, rays, sequence.get_world_from_sensor(frame.lidar), frame.time_s);
-    add_range_noise(scan, compute_frame_seed(options, frame), options.range_noise_m);
+Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStreet& street,
+                        const Log& sequence, const RayTable& rays, const Frame& frame) {
+    Scan scan = cast_dual_scan(street, sequence.world_offset_m, rays, sequence.lidar_track(frame.lidar),
+                               frame.time_s);
+    add_range_noise(scan, seed_of(options, frame), options.range_noise_m);
     return scan;
 }
 
-Scan simulate_noisy_scan_with_one_return(const SyntheticOptions& options,
-                                         const street::SyntheticStreet& street, const LidarSequence& sequence,
-                                         const RayTable& rays, const LidarFrame& frame) {
+Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& street, const Log& sequence,
+                   const RayTable& rays, const Frame& frame) {
     Scan scan = make_empty_scan(rays);
-    const std::uint64_t seed = compute_frame_seed(options, frame);
-    const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
-    cast_rays_at_firing_times(
-        street, sequence.world_offset_m, track, frame.time_s, rays,
-        [&](std::size_t ray, const StreetHit& hit) {
-            Random random(hash_integer_pair(seed, ray));
-            if (random.sample_uniform_number() < compute_drop_probability(hit)) return;
-            const double range = hit.range_m + options.range_noise_m * random.sample_standard_normal();
-            scan.range_m[ray] = float(std::max(range, 0.01));
-            scan.intensity[ray] = float(
-                glm::clamp(compute_echo_intensity(hit) + 0.01 * random.sample_standard_normal(), 0.0, 1.0));
-            scan.classes[ray] = hit.surface;
-        });
+    const std::uint64_t seed = seed_of(options, frame);
+    const PoseTrack track = sequence.lidar_track(frame.lidar);
+    cast_rays(street, sequence.world_offset_m, track, frame.time_s, rays,
+              [&](std::size_t ray, const StreetHit& hit) {
+                  Random random(hash_pair(seed, ray));
+                  if (random.sample_uniform() < drop_chance(hit)) return;
+                  const double range = hit.range_m + options.range_noise_m * random.sample_normal();
+                  scan.range_m[ray] = float(std::max(range, 0.01));
+                  scan.intensity[ray] =
+                      float(glm::clamp(echo_intensity(hit) + 0.01 * random.sample_normal(), 0.0, 1.0));
+                  scan.classes[ray] = hit.surface;
+              });
     return scan;
 }
 
-std::vector<BoxTrack> make_car_box_tracks(const street::SyntheticStreet& street,
-                                          const std::vector<double>& frame_times_s) {
+std::vector<BoxTrack> make_car_tracks(const street::SyntheticStreet& street,
+                                      const std::vector<double>& times_s) {
     std::vector<BoxLabel> labels;
-    for (const double time_s : frame_times_s)
+    for (const double time_s : times_s)
         for (std::size_t c = 0; c < street.cars.size(); ++c) {
             const street::MovingStreetActor& car = street.cars[c];
             labels.push_back(
-                {std::to_string(c), car.category, car.size_m, time_s, car.compute_world_from_box(time_s)});
+                {std::to_string(c), car.category, car.size_m, time_s, car.world_from_box_at(time_s)});
         }
     return build_tracks(labels);
 }
 
-std::vector<MountedSensor> read_rig_or_default_sensor(const SyntheticOptions& options) {
+std::vector<MountedSensor> read_street_rig(const StreetOptions& options) {
     if (options.rig.empty()) {
-        const SpinningSensor default_sensor = make_default_synthetic_sensor(options);
+        const SpinningSensor default_sensor = make_default_sensor(options);
         return {{"", {default_sensor.name, "", default_sensor.range_limits(), default_sensor}, {}, 1}};
     }
     std::optional<std::vector<MountedSensor>> rig = read_sensor_rig(options.rig);
@@ -222,9 +211,9 @@ std::vector<MountedSensor> read_rig_or_default_sensor(const SyntheticOptions& op
 
 }  // namespace
 
-LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_frame, int end_frame) {
-    require_valid_synthetic_options(options);
-    const std::vector<MountedSensor> rig = read_rig_or_default_sensor(options);
+Log make_frames(const StreetOptions& options, int begin_frame, int end_frame) {
+    check_options(options);
+    const std::vector<MountedSensor> rig = read_street_rig(options);
     std::vector<RayTable> rays;  // of the first scan
     double n_rays = 0.0;
     for (const MountedSensor& mounted : rig)
@@ -235,7 +224,7 @@ LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_f
             "use fewer frames",
             end_frame - begin_frame, n_rays, double(end_frame - begin_frame) * n_rays, kMostRays);
     const street::SyntheticStreet street = street::make_street(options);
-    LidarSequence sequence;
+    Log sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);
     sequence.source = "synthetic";
     sequence.conventions =
@@ -244,38 +233,35 @@ LidarSequence make_synthetic_frames(const SyntheticOptions& options, int begin_f
     sequence.lidars.clear();
     for (const MountedSensor& mounted : rig) {
         Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
-        set_nominal_sensor(lidar, mounted.sensor);
-        const RangeLimits limits = intersect_range_limits(mounted.sensor.limits, {0.0, kMaxRange_m});
+        set_sensor(lidar, mounted.sensor);
+        const RangeLimits limits = intersect(mounted.sensor.limits, {0.0, kMaxRange_m});
         lidar.sensor.min_range_m = limits.min_m;
         lidar.sensor.max_range_m = limits.max_m;
         sequence.lidars.push_back(std::move(lidar));
     }
     for (int frame = begin_frame; frame < end_frame; ++frame)
         for (std::size_t l = 0; l < rig.size(); ++l)
-            add_frame(sequence, frame, street::compute_frame_time_s(frame),
-                      street::compute_sensor_pose(options, street::compute_frame_time_s(frame)), int(l));
-    sequence.boxes = make_car_box_tracks(street, sequence.world_from_vehicle.time_s);
-    move_world_origin_of_log(sequence, compute_world_origin_in_street_m(options));
+            add_frame(sequence, frame, street::frame_time_of_s(frame),
+                      street::sensor_pose_at(options, street::frame_time_of_s(frame)), int(l));
+    sequence.boxes = make_car_tracks(street, sequence.world_from_vehicle.time_s);
+    centre_log(sequence, world_origin_m(options));
     parallel_for(int(sequence.frames.size()), [&](int index) {
-        LidarFrame& frame = sequence.frames[std::size_t(index)];
+        Frame& frame = sequence.frames[std::size_t(index)];
         const std::size_t l = std::size_t(frame.lidar);
-        const bool changes = summarise_scan_pattern(rig[l].sensor.pattern).has_rays_by_time;
+        const bool changes = summarise_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
-        frame.scan = rig[l].returns == 2
-                         ? simulate_noisy_scan_with_two_returns(options, street, sequence, table, frame)
-                         : simulate_noisy_scan_with_one_return(options, street, sequence, table, frame);
+        frame.scan = rig[l].returns == 2 ? simulate_dual_scan(options, street, sequence, table, frame)
+                                         : simulate_scan(options, street, sequence, table, frame);
     });
     return sequence;
 }
 
-LidarSequence make_synthetic_street(const SyntheticOptions& options) {
-    return make_synthetic_frames(options, 0, options.n_frames);
-}
+Log make_street_log(const StreetOptions& options) { return make_frames(options, 0, options.n_frames); }
 
 namespace {
 
-void replace_moving_cars(street::SyntheticStreet& street, const std::vector<SyntheticCar>& edited_cars,
-                         const glm::dvec3& world_origin_in_street_m, double time_s) {
+void replace_cars(street::SyntheticStreet& street, const std::vector<SyntheticCar>& edited_cars,
+                  const glm::dvec3& world_origin_in_street_m, double time_s) {
     const std::vector<street::MovingStreetActor> original_cars = std::move(street.cars);
     street.cars.clear();
     for (const SyntheticCar& car : edited_cars) {
@@ -285,7 +271,7 @@ void replace_moving_cars(street::SyntheticStreet& street, const std::vector<Synt
                 "street has only {} cars, which are numbered from 0; expected the street that the run was "
                 "trained with",
                 car.track.id, car.shapes_of, original_cars.size());
-        if (!car.track.is_observed_at_time(time_s)) continue;
+        if (!car.track.is_observed(time_s)) continue;
         street::MovingStreetActor& moved = street.cars.emplace_back(original_cars[car.shapes_of]);
         moved.track = car.track.world_from_box;
         for (Pose& pose : moved.track.pose) pose.translation += world_origin_in_street_m;
@@ -294,30 +280,25 @@ void replace_moving_cars(street::SyntheticStreet& street, const std::vector<Synt
 
 }  // namespace
 
-Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
-                                     const PoseTrack& world_from_sensor, double time_s) {
-    require_valid_synthetic_options(options);
-    return cast_noise_free_scan_with_one_return(street::make_street(options),
-                                                compute_world_origin_in_street_m(options), rays,
-                                                world_from_sensor, time_s);
+Scan cast_street_rays(const StreetOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor,
+                      double time_s) {
+    check_options(options);
+    return cast_scan(street::make_street(options), world_origin_m(options), rays, world_from_sensor, time_s);
 }
 
-Scan cast_beams_into_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
-                                      const PoseTrack& world_from_sensor, double time_s) {
-    require_valid_synthetic_options(options);
-    return cast_noise_free_scan_with_two_returns(street::make_street(options),
-                                                 compute_world_origin_in_street_m(options), rays,
-                                                 world_from_sensor, time_s);
+Scan cast_street_beams(const StreetOptions& options, const RayTable& rays, const PoseTrack& world_from_sensor,
+                       double time_s) {
+    check_options(options);
+    return cast_dual_scan(street::make_street(options), world_origin_m(options), rays, world_from_sensor,
+                          time_s);
 }
 
-Scan cast_rays_into_synthetic_street(const SyntheticOptions& options, const std::vector<SyntheticCar>& cars,
-                                     const RayTable& rays, const PoseTrack& world_from_sensor,
-                                     double time_s) {
-    require_valid_synthetic_options(options);
+Scan cast_street_rays(const StreetOptions& options, const std::vector<SyntheticCar>& cars,
+                      const RayTable& rays, const PoseTrack& world_from_sensor, double time_s) {
+    check_options(options);
     street::SyntheticStreet street = street::make_street(options);
-    replace_moving_cars(street, cars, compute_world_origin_in_street_m(options), time_s);
-    return cast_noise_free_scan_with_one_return(street, compute_world_origin_in_street_m(options), rays,
-                                                world_from_sensor, time_s);
+    replace_cars(street, cars, world_origin_m(options), time_s);
+    return cast_scan(street, world_origin_m(options), rays, world_from_sensor, time_s);
 }
 
 }  // namespace relidar

@@ -15,9 +15,9 @@
 #include "base/files.hpp"
 #include "base/number_text.hpp"
 #include "base/toml_depth.hpp"
+#include "read/datasets/street/street.hpp"
 #include "read/kitti/log_files.hpp"
 #include "read/readers.hpp"
-#include "read/datasets/street/street.hpp"
 
 namespace relidar {
 namespace {
@@ -40,34 +40,33 @@ void visit_street_options(Options& options, const Visit& visit) {
 }
 
 /// Keeps the scans. Used to test the effect of wrong poses.
-void replace_poses_from_file(LidarSequence& sequence, const fs::path& user_pose_file) {
+void use_pose_file(Log& sequence, const fs::path& user_pose_file) {
     std::vector<int> frames;
     // All LiDARs of a frame share one pose.
-    for (const LidarFrame& frame : sequence.frames)
+    for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (user_pose_file != kNoPoses) {
-        track.pose = kitti::read_user_pose_file(user_pose_file, frames, track.time_s, sequence.notes);
-        track = add_offset_to_track_positions(std::move(track), -sequence.world_offset_m);
+        track.pose = kitti::read_user_poses(user_pose_file, frames, track.time_s, sequence.notes);
+        track = shift_track(std::move(track), -sequence.world_offset_m);
     }
-    set_vehicle_poses(sequence, std::move(track));
+    set_trajectory(sequence, std::move(track));
     sequence.conventions += user_pose_file == kNoPoses
                                 ? " No poses are read, so the sensor is at the origin in every frame."
                                 : " Poses are read from " + user_pose_file.string();
 }
 
-SyntheticOptions read_street_toml(const fs::path& toml_file) {
+StreetOptions parse_street_toml(const fs::path& toml_file) {
     const std::string file = toml_file.string();
     const std::string text = read_text_file(toml_file);
-    require_toml_nesting_within_limit(text, file);
+    check_toml_depth(text, file);
     toml::table table;
     try {
         table = toml::parse(text, file);
     } catch (const toml::parse_error& error) {
-        fail("{} line {}: malformed TOML: {}", file, error.source().begin.line,
-             shorten_for_error_message(error.description()));
+        fail("{} line {}: malformed TOML: {}", file, error.source().begin.line, quote(error.description()));
     }
-    SyntheticOptions options;
+    StreetOptions options;
     std::vector<std::string> keys;
     visit_street_options(options, [&]<class T>(const char* key, T& option, const char* type) {
         keys.emplace_back(key);
@@ -85,9 +84,8 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
     for (const auto& [key, value] : table) {
         const std::string name(key.str());
         if (std::ranges::find(keys, name) == keys.end())
-            fail("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line,
-                 shorten_for_error_message(name), format_name_suggestion(name, keys, "'"),
-                 fmt::join(keys, ", "));
+            fail("{} line {}: unknown key '{}'{} (known: {})", file, value.source().begin.line, quote(name),
+                 did_you_mean(name, keys, "'"), fmt::join(keys, ", "));
     }
     // relative to the folder of street.toml
     if (!options.rig.empty()) options.rig = (toml_file.parent_path() / options.rig).string();
@@ -96,32 +94,30 @@ SyntheticOptions read_street_toml(const fs::path& toml_file) {
 
 }  // namespace
 
-LidarSequence load_synthetic_dataset(const fs::path& folder, const DatasetOptions& options) {
+Log load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     const fs::path file = folder / "street.toml";
-    const SyntheticOptions street = read_synthetic_options(folder);
+    const StreetOptions street = load_street(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end)
         fail<UsageError>("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
                          options.frames.begin,
                          options.frames.end < 0 ? "" : std::to_string(options.frames.end), folder.string(),
                          street.n_frames - 1);
-    LidarSequence sequence;
+    Log sequence;
     try {
-        sequence = make_synthetic_frames(street, options.frames.begin, end);
+        sequence = make_frames(street, options.frames.begin, end);
         // The wrong value is in a file, not on the command line.
     } catch (const UsageError& error) {
         fail("{}: {}", file.string(), error.what());
     }
     sequence.source = folder.string();
-    if (!options.poses_file.empty()) replace_poses_from_file(sequence, options.poses_file);
+    if (!options.poses_file.empty()) use_pose_file(sequence, options.poses_file);
     return sequence;
 }
 
-SyntheticOptions read_synthetic_options(const fs::path& folder) {
-    return read_street_toml(folder / "street.toml");
-}
+StreetOptions load_street(const fs::path& folder) { return parse_street_toml(folder / "street.toml"); }
 
-void save_synthetic_options(const SyntheticOptions& options, const fs::path& folder) {
+void save_street(const StreetOptions& options, const fs::path& folder) {
     std::error_code failed;
     fs::create_directories(folder, failed);
     const fs::path file = folder / "street.toml";
@@ -130,7 +126,7 @@ void save_synthetic_options(const SyntheticOptions& options, const fs::path& fol
         if constexpr (std::is_same_v<T, std::string>) {
             if (!option.empty()) out << key << " = " << toml::value(fs::absolute(option).string()) << "\n";
         } else if constexpr (std::is_same_v<T, double>)
-            out << fmt::format("{} = {}\n", key, format_number_text(option));
+            out << fmt::format("{} = {}\n", key, number_text(option));
         else if constexpr (std::is_same_v<T, std::uint64_t>)
             out << fmt::format("{} = {}\n", key, std::int64_t(option));
         else out << fmt::format("{} = {}\n", key, option);

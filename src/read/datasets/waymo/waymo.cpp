@@ -22,18 +22,18 @@
 #include <fmt/ranges.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/clouds.hpp>
 #include <relidar/log/log_time.hpp>
+#include <relidar/read/clouds.hpp>
 #include "base/codecs/tfrecord.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"
 #include "base/median.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/classes/dataset_classes.hpp"
-#include "read/scans/broken_scans.hpp"
-#include "read/lidar_rt_benchmark.hpp"
-#include "read/kitti/log_files.hpp"
 #include "read/datasets/waymo/waymo_frame.hpp"
+#include "read/kitti/log_files.hpp"
+#include "read/lidar_rt_benchmark.hpp"
+#include "read/scans/broken_scans.hpp"
 
 namespace relidar {
 namespace {
@@ -51,19 +51,19 @@ struct RequestedSegment {
     Notes notes = {};
 };
 
-std::vector<fs::path> list_segment_files(const fs::path& file_or_folder) {
+std::vector<fs::path> list_segments(const fs::path& file_or_folder) {
     std::vector<fs::path> files;
     std::error_code failed;
     if (!fs::is_directory(file_or_folder, failed)) return {file_or_folder};
-    for (const fs::path& file : list_folder_entries(file_or_folder))
+    for (const fs::path& file : list_folder(file_or_folder))
         if (file.extension() == ".tfrecord") files.push_back(file);
     if (files.empty()) fail("{} contains no segment, expected files *.tfrecord", file_or_folder.string());
     return files;
 }
 
 RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
-    const std::vector<fs::path> files = list_segment_files(file_or_folder);
-    const RequestedDriveFrames part = find_requested_drive_and_frames(options, kWaymoBenchmark);
+    const std::vector<fs::path> files = list_segments(file_or_folder);
+    const RequestedDriveFrames part = find_drive(options, kWaymoBenchmark);
     if (part.drive.empty()) {
         RequestedSegment segment{files.front(), part.frames};
         if (files.size() > 1)
@@ -80,32 +80,30 @@ RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOpt
         "dataset.sequence: found '{}', which selects none of the {} segments in {}; expected the beginning "
         "of a segment's name; ws1 to ws4 and wd1 to wd4 (parts of the LiDAR-RT paper) need the segments that "
         "the paper uses",
-        shorten_for_error_message(options.sequence), files.size(), file_or_folder.string());
+        quote(options.sequence), files.size(), file_or_folder.string());
 }
 
 /// records [begin, end)
-std::pair<int, int> get_requested_record_range(const TfRecordReader& records,
-                                               const FrameRange& requested_frames) {
+std::pair<int, int> record_range(const TfRecordReader& records, const FrameRange& requested_frames) {
     const int n = int(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = requested_frames.end < 0 ? n : std::min(requested_frames.end, n);
     if (requested_frames.begin >= end)
         fail<UsageError>("the frame range {}:{} selects no frame of {}, expected frame numbers from 0 to {}",
                          requested_frames.begin,
                          requested_frames.end < 0 ? "" : std::to_string(requested_frames.end),
-                         records.get_file_path().string(), n - 1);
+                         records.file_path().string(), n - 1);
     return {requested_frames.begin, end};
 }
 
-std::string format_record_location(const TfRecordReader& records, int record_index) {
-    return fmt::format("{}: record {}", records.get_file_path().string(), record_index);
+std::string record_location(const TfRecordReader& records, int record_index) {
+    return fmt::format("{}: record {}", records.file_path().string(), record_index);
 }
 
 /// The pose image stores roll, pitch, yaw, x, y, z.
-Pose read_vehicle_pose_of_pixel(const DecompressedImage& pose_image, std::size_t pixel_index,
-                                const std::string& error_location) {
-    const float* v = pose_image.get_pixel_values(pixel_index);
+Pose read_pixel_pose(const DecompressedImage& pose_image, std::size_t pixel_index, const std::string& place) {
+    const float* v = pose_image.pixel_values(pixel_index);
     if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
-        fail("{}: the pose of pixel {} is ({}), expected finite numbers", error_location, pixel_index,
+        fail("{}: the pose of pixel {} is ({}), expected finite numbers", place, pixel_index,
              fmt::join(v, v + 6, ", "));
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
@@ -116,31 +114,29 @@ constexpr int kImageChannels = 4, kPoseChannels = 6;
 /// Returns nothing if the LiDAR has no image of poses.
 std::optional<DecompressedImage> read_pose_image(const CompressedLidarImages& laser_images,
                                                  const DecompressedImage& range_image,
-                                                 const std::string& error_location) {
+                                                 const std::string& place) {
     if (laser_images.pixel_pose.empty()) return std::nullopt;
-    DecompressedImage poses =
-        inflate_image(laser_images.pixel_pose, kPoseChannels, error_location + ", pixel poses");
+    DecompressedImage poses = inflate_image(laser_images.pixel_pose, kPoseChannels, place + ", pixel poses");
     if (poses.rows != range_image.rows || poses.columns != range_image.columns)
-        fail("{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size",
-             error_location, poses.rows, poses.columns, range_image.rows, range_image.columns);
+        fail("{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size", place,
+             poses.rows, poses.columns, range_image.rows, range_image.columns);
     return poses;
 }
 
-const CompressedLidarImages& find_range_images_of_laser(const WaymoFrameRecord& frame_record, int laser_id,
-                                                        const std::string& error_location) {
+const CompressedLidarImages& find_laser_images(const WaymoFrameRecord& frame_record, int laser_id,
+                                               const std::string& place) {
     for (const CompressedLidarImages& images : frame_record.images)
         if (images.laser == laser_id && !images.first.empty()) return images;
-    fail("{}: the range image of the LiDAR {} is missing, but the first frame has one", error_location,
+    fail("{}: the range image of the LiDAR {} is missing, but the first frame has one", place,
          kLaserNames[laser_id]);
 }
 
 /// Waymo stores a pose for each pixel of TOP. Uses the pixel with a return nearest to the
 /// middle column, where TOP faces forward.
-Pose find_vehicle_pose_when_lidar_faces_forward(const WaymoFrameRecord& frame_record,
-                                                const std::string& error_location) {
-    if (frame_record.images.empty() || frame_record.images.front().laser != kTop)
+Pose forward_pose(const WaymoFrameRecord& frame_record, const std::string& place) {
+    if (frame_record.images.empty() || frame_record.images.front().laser != kTopLaser)
         return frame_record.world_from_vehicle;
-    const std::string in_top = error_location + ": TOP";
+    const std::string in_top = place + ": TOP";
     const DecompressedImage image = inflate_image(frame_record.images.front().first, kImageChannels, in_top);
     const std::optional<DecompressedImage> poses =
         read_pose_image(frame_record.images.front(), image, in_top);
@@ -148,12 +144,12 @@ Pose find_vehicle_pose_when_lidar_faces_forward(const WaymoFrameRecord& frame_re
     int away = image.columns;
     for (std::size_t at = 0; poses && at < std::size_t(image.rows) * std::size_t(image.columns); ++at) {
         const int from_middle = std::abs(int(at % std::size_t(image.columns)) - image.columns / 2);
-        if (image.get_pixel_values(at)[0] > 0.0f && from_middle < away) {
+        if (image.pixel_values(at)[0] > 0.0f && from_middle < away) {
             nearest = at;
             away = from_middle;
         }
     }
-    return nearest ? read_vehicle_pose_of_pixel(*poses, *nearest, in_top) : frame_record.world_from_vehicle;
+    return nearest ? read_pixel_pose(*poses, *nearest, in_top) : frame_record.world_from_vehicle;
 }
 
 /// Read for all frames before any scan, because rays need the poses of all frames.
@@ -163,48 +159,44 @@ struct WaymoFrameHeader {
     std::vector<BoxLabel> labels;  ///< box labels in the world frame; their times are not set
 };
 
-WaymoFrameHeader read_frame_pose_and_labels(const TfRecordReader& records, int record_index) {
-    const std::string data = records.read_record_data(std::size_t(record_index)),
-                      where = format_record_location(records, record_index);
-    WaymoFrameRecord frame = parse_frame_record(data, where);
+WaymoFrameHeader read_header(const TfRecordReader& records, int record_index) {
+    const std::string data = records.read_record(std::size_t(record_index)),
+                      where = record_location(records, record_index);
+    WaymoFrameRecord frame = parse_frame(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
-    return {frame.timestamp_us, find_vehicle_pose_when_lidar_faces_forward(frame, where),
-            std::move(frame.labels)};
+    return {frame.timestamp_us, forward_pose(frame, where), std::move(frame.labels)};
 }
 
-double compute_frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers,
-                              const std::string& error_location) {
+double frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers, const std::string& place) {
     std::vector<double> steps_s;
     for (std::size_t i = 1; i < frame_headers.size(); ++i)
         steps_s.push_back(1e-6 * double(frame_headers[i].timestamp_us - frame_headers[i - 1].timestamp_us));
     if (steps_s.empty()) return 0.1;
     const double period_s = compute_median(std::move(steps_s));
     if (!(period_s > 0.01 && period_s < 1.0))
-        fail("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s", error_location,
-             period_s);
+        fail("{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s", place, period_s);
     return period_s;
 }
 
 Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLidarImages& laser_images,
-                       double period_s, const std::string& error_location) {
+                       double period_s, const std::string& place) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
-        fail("{}: found the laser number {}, expected 1 to {}", error_location, laser_images.laser,
+        fail("{}: found the laser number {}, expected 1 to {}", place, laser_images.laser,
              std::size(kLaserNames) - 1);
     const auto calibration = std::find_if(frame_record.lasers.begin(), frame_record.lasers.end(),
                                           [&](const auto& c) { return c.laser == laser_images.laser; });
     if (calibration == frame_record.lasers.end())
-        fail("{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists",
-             error_location, kLaserNames[laser_images.laser]);
-    const DecompressedImage image =
-        inflate_image(laser_images.first, kImageChannels,
-                      fmt::format("{}: {}", error_location, kLaserNames[laser_images.laser]));
+        fail("{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists", place,
+             kLaserNames[laser_images.laser]);
+    const DecompressedImage image = inflate_image(
+        laser_images.first, kImageChannels, fmt::format("{}: {}", place, kLaserNames[laser_images.laser]));
     Lidar lidar{kLaserNames[laser_images.laser], {}, {}};
     lidar.sensor.name = fmt::format("Waymo {}", lidar.name);
     lidar.sensor.columns = image.columns;
     lidar.sensor.period_s = period_s;
     lidar.sensor.first_azimuth_rad = kPi - kPi / image.columns;
-    for (const double elevation : compute_row_elevations_rad(*calibration, image.rows, error_location))
+    for (const double elevation : row_elevations_rad(*calibration, image.rows, place))
         lidar.sensor.beams.push_back({elevation});
     const glm::dvec3 ahead = calibration->vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
     const Pose turned{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
@@ -215,45 +207,40 @@ Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLid
 /// Converts the range images of a LiDAR to a scan with one ray per pixel.
 class RangeImageReader {
 public:
-    RangeImageReader(const LidarSequence& sequence, const LidarFrame& frame, RayTable model,
-                     std::string error_location, bool clamps)
-        : lidar_(sequence.get_lidar(frame)), where_(std::move(error_location)), clamps_(clamps) {
+    RangeImageReader(const Log& sequence, const Frame& frame, RayTable model, std::string place, bool clamps)
+        : lidar_(sequence.lidar_of(frame)), where_(std::move(place)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
-            sensor_from_world_.push_back(inverse(
-                sequence.world_from_vehicle.interpolate_mounted_pose(time_s, lidar_.vehicle_from_sensor)));
+            sensor_from_world_.push_back(
+                inverse(sequence.world_from_vehicle.mounted_pose_at(time_s, lidar_.vehicle_from_sensor)));
         }
     }
 
     Scan scan;
 
-    void convert_range_images_to_scan(const CompressedLidarImages& lidar_images,
-                                      const Pose& world_from_vehicle) {
-        const DecompressedImage image = inflate_image_of_scan_size(lidar_images.first);
+    void to_scan(const CompressedLidarImages& lidar_images, const Pose& world_from_vehicle) {
+        const DecompressedImage image = inflate_scan_image(lidar_images.first);
         const std::optional<DecompressedImage> poses = read_pose_image(lidar_images, image, where_);
-        copy_returns_from_image(image, scan.range_m, scan.intensity);
+        copy_returns(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
-            if (!poses) correct_ray_for_given_vehicle_pose(ray, world_from_vehicle);
-            else if (scan.range_m[ray] > 0.0f)
-                correct_ray_for_given_vehicle_pose(ray, read_vehicle_pose_of_pixel(*poses, ray, where_));
+            if (!poses) correct_ray(ray, world_from_vehicle);
+            else if (scan.range_m[ray] > 0.0f) correct_ray(ray, read_pixel_pose(*poses, ray, where_));
         if (!lidar_images.labels.empty()) {
             // two values: object instance and class
-            const DecompressedImage labels =
-                inflate_image_of_scan_size(lidar_images.labels, 2, PixelType::integer);
+            const DecompressedImage labels = inflate_scan_image(lidar_images.labels, 2, PixelType::integer);
             scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
             for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
                 if (scan.range_m[ray] > 0.0f)
                     scan.classes[ray] =
-                        convert_waymo_class(int(std::clamp(labels.get_pixel_values(ray)[1], 0.0f, 255.0f)));
+                        from_waymo(int(std::clamp(labels.pixel_values(ray)[1], 0.0f, 255.0f)));
         }
         if (lidar_images.second.empty()) return;
         AdditionalReturns& second = scan.second_returns.emplace_back(
             AdditionalReturns{to_vector(scan.range_m), to_vector(scan.intensity)});
-        copy_returns_from_image(inflate_image_of_scan_size(lidar_images.second), second.range_m,
-                                second.intensity);
+        copy_returns(inflate_scan_image(lidar_images.second), second.range_m, second.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (scan.range_m[ray] == 0.0f) second.range_m[ray] = second.intensity[ray] = 0.0f;
     }
@@ -265,38 +252,37 @@ private:
     /// [columns] when the column fires
     std::vector<Pose> sensor_from_world_;
 
-    DecompressedImage inflate_image_of_scan_size(std::string_view compressed_image,
-                                                 int n_channels = kImageChannels,
-                                                 PixelType pixel_type = PixelType::real) const {
+    DecompressedImage inflate_scan_image(std::string_view compressed_image, int n_channels = kImageChannels,
+                                         PixelType pixel_type = PixelType::real) const {
         DecompressedImage image = inflate_image(compressed_image, n_channels, where_, pixel_type);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
         fail("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame", where_,
              image.rows, image.columns, scan.rays.rows, scan.rays.columns);
     }
 
-    float normalise_intensity(float stored_intensity) const {
+    float normalise(float stored_intensity) const {
         return clamps_ ? std::clamp(stored_intensity, 0.0f, 1.0f)
                        : std::tanh(std::max(stored_intensity, 0.0f));
     }
 
-    void copy_returns_from_image(const DecompressedImage& range_image, std::span<float> range_m,
-                                 std::span<float> intensity) const {
-        constexpr float kFarthest_m = 1e4f;
+    void copy_returns(const DecompressedImage& range_image, std::span<float> range_m,
+                      std::span<float> intensity) const {
+        constexpr float kMaxPlausibleRange_m = 1e4f;
         for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
-            const float range = range_image.get_pixel_values(ray)[0],
-                        brightness = range_image.get_pixel_values(ray)[1];
-            if (!(range <= kFarthest_m) || !std::isfinite(brightness))
+            const float range = range_image.pixel_values(ray)[0],
+                        brightness = range_image.pixel_values(ray)[1];
+            if (!(range <= kMaxPlausibleRange_m) || !std::isfinite(brightness))
                 fail("{}: pixel {} has range {} m and intensity {}, expected finite values and at most {} m",
-                     where_, ray, range, brightness, kFarthest_m);
+                     where_, ray, range, brightness, kMaxPlausibleRange_m);
             range_m[ray] = std::max(range, 0.0f);
-            intensity[ray] = range > 0.0f ? normalise_intensity(brightness) : 0.0f;
+            intensity[ray] = range > 0.0f ? normalise(brightness) : 0.0f;
         }
     }
 
     /// Changes the ray in the sensor frame, so that the interpolated pose of the log puts
     /// it where the exact pose would.
     /// @param world_from_vehicle  exact pose for this ray
-    void correct_ray_for_given_vehicle_pose(std::size_t ray_index, const Pose& world_from_vehicle) {
+    void correct_ray(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
         scan.rays.origin[ray_index] = glm::vec3(moved.translation);
@@ -306,22 +292,22 @@ private:
 };
 
 /// The first frame defines the LiDARs.
-void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& records,
-                                 const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
-                                 bool only_top_lidar) {
-    const double period_s = compute_frame_period_s(frame_headers, records.get_file_path().string());
-    const std::string first = records.read_record_data(std::size_t(first_record)),
-                      where = format_record_location(records, first_record);
-    const WaymoFrameRecord frame = parse_frame_record(first, where);
+void add_segment_frames(Log& sequence, const TfRecordReader& records,
+                        const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
+                        bool only_top_lidar) {
+    const double period_s = frame_period_s(frame_headers, records.file_path().string());
+    const std::string first = records.read_record(std::size_t(first_record)),
+                      where = record_location(records, first_record);
+    const WaymoFrameRecord frame = parse_frame(first, where);
     sequence.lidars.clear();
     for (const CompressedLidarImages& images : frame.images)
-        if (!images.first.empty() && (!only_top_lidar || images.laser == kTop))
+        if (!images.first.empty() && (!only_top_lidar || images.laser == kTopLaser))
             sequence.lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
     if (sequence.lidars.empty())
         fail("{}: found no range image{} in the record, expected at least one", where,
              only_top_lidar ? " of the LiDAR TOP" : "");
     const std::int64_t start_us =
-        parse_frame_record(records.read_record_data(0), format_record_location(records, 0)).timestamp_us;
+        parse_frame(records.read_record(0), record_location(records, 0)).timestamp_us;
     set_log_start(sequence, 1000 * start_us, "on the clock of the dataset");
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_headers.size(); ++i) {
@@ -338,53 +324,50 @@ void add_lidars_frames_and_boxes(LidarSequence& sequence, const TfRecordReader& 
     sequence.boxes = build_tracks(labels);
 }
 
-void read_scans_of_records(LidarSequence& sequence, const TfRecordReader& records,
-                           const DatasetOptions& options) {
+void read_record_scans(Log& sequence, const TfRecordReader& records, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
         // Only TOP has ray times. Other rays get the time of the frame.
-        if (lidar.name != kLaserNames[kTop])
+        if (lidar.name != kLaserNames[kTopLaser])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
     const std::size_t n_lidars = sequence.lidars.size();
-    parallel_for_with_progress(
+    progress_for(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            const std::string data = records.read_record_data(std::size_t(record)),
-                              where = format_record_location(records, record);
-            const WaymoFrameRecord parsed = parse_frame_record(data, where);
+            const std::string data = records.read_record(std::size_t(record)),
+                              where = record_location(records, record);
+            const WaymoFrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
-                LidarFrame& frame = sequence.frames[sweep * n_lidars + lidar];
+                Frame& frame = sequence.frames[sweep * n_lidars + lidar];
                 const std::string& name = sequence.lidars[lidar].name;
                 const int laser = int(std::find(std::begin(kLaserNames), std::end(kLaserNames), name) -
                                       std::begin(kLaserNames));
-                broken.call_and_record_scan_errors(sweep * n_lidars + lidar, [&] {
+                broken.guard(sweep * n_lidars + lidar, [&] {
                     RangeImageReader reader(sequence, frame, models[lidar],
                                             fmt::format("{}: {}", where, name),
                                             options.waymo.clamp_intensity);
-                    reader.convert_range_images_to_scan(find_range_images_of_laser(parsed, laser, where),
-                                                        parsed.world_from_vehicle);
+                    reader.to_scan(find_laser_images(parsed, laser, where), parsed.world_from_vehicle);
                     frame.scan = std::move(reader.scan);
                 });
             }
         });
-    broken.remove_broken_frames(sequence);
+    broken.remove_broken(sequence);
 }
 
 }  // namespace
 
-LidarSequence load_waymo(const fs::path& path, const DatasetOptions& options) {
+Log load_waymo(const fs::path& path, const DatasetOptions& options) {
     const RequestedSegment segment = choose_segment(path, options);
     const TfRecordReader records(segment.file);
-    const auto [begin, end] = get_requested_record_range(records, segment.frames);
+    const auto [begin, end] = record_range(records, segment.frames);
     std::vector<WaymoFrameHeader> heads(std::size_t(end - begin));
-    parallel_for_with_progress(heads.size(), options.progress, "reading poses",
-                               [&, first = begin](std::size_t index) {
-                                   heads[index] = read_frame_pose_and_labels(records, first + int(index));
-                               });
-    LidarSequence sequence;
+    progress_for(heads.size(), options.progress, "reading poses", [&, first = begin](std::size_t index) {
+        heads[index] = read_header(records, first + int(index));
+    });
+    Log sequence;
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
@@ -395,11 +378,11 @@ LidarSequence load_waymo(const fs::path& path, const DatasetOptions& options) {
         ". Rays of TOP have individual firing times. All rays of another LiDAR have the same time.";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
-    add_lidars_frames_and_boxes(sequence, records, heads, begin, segment.top_alone);
+    add_segment_frames(sequence, records, heads, begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
-    read_scans_of_records(sequence, records, options);
-    kitti::replace_vehicle_poses_from_file(sequence, options.poses_file);
-    move_world_origin_of_log(sequence);
+    read_record_scans(sequence, records, options);
+    kitti::replace_poses(sequence, options.poses_file);
+    centre_log(sequence);
     return sequence;
 }
 

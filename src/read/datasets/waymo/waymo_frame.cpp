@@ -25,7 +25,7 @@ using protozero::pbf_wire_type;
 constexpr std::uint32_t make_varint_tag(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::varint);
 }
-constexpr std::uint32_t make_message_tag(std::uint32_t field) {
+constexpr std::uint32_t message_tag(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::length_delimited);
 }
 constexpr std::uint32_t make_double_tag(std::uint32_t field) {
@@ -39,62 +39,56 @@ constexpr std::uint32_t make_float_tag(std::uint32_t field) {
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
 constexpr double kLargestOfFrame = 1e8;  // maximum value of all numbers in a frame (metres or radians)
 
-std::string_view read_bytes_field(pbf_reader& reader) {
+std::string_view read_bytes(pbf_reader& reader) {
     const protozero::data_view view = reader.get_view();
     return {view.data(), view.size()};
 }
 
-double require_finite_and_return_number(double value, const char* field_name,
-                                        const std::string& error_location) {
+double finite_or_fail(double value, const char* name, const std::string& where) {
     if (!(std::abs(value) <= kLargestOfFrame))
-        fail("{}: {} is {}, expected a finite number of at most {:.0e}", error_location, field_name, value,
-             kLargestOfFrame);
+        fail("{}: {} is {}, expected a finite number of at most {:.0e}", where, name, value, kLargestOfFrame);
     return value;
 }
 
-void append_packed_doubles(pbf_reader& reader, std::vector<double>& values) {
+void append_doubles(pbf_reader& reader, std::vector<double>& values) {
     for (const double value : reader.get_packed_double()) values.push_back(value);
 }
 
 /// Parses a 4x4 matrix of doubles, row-major.
-Pose parse_transform(pbf_reader reader, const std::string& error_location) {
+Pose parse_transform(pbf_reader reader, const std::string& where) {
     std::vector<double> m;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == make_double_tag(1)) m.push_back(reader.get_double());
-        else if (tag == make_message_tag(1)) append_packed_doubles(reader, m);
+        else if (tag == message_tag(1)) append_doubles(reader, m);
         else reader.skip();
     }
-    if (m.size() != 16)
-        fail("{}: found a transform of {} numbers, expected 16 numbers", error_location, m.size());
-    for (const double value : m)
-        require_finite_and_return_number(value, "a number of the transform", error_location);
-    return check_rotation_and_make_pose(m, error_location);
+    if (m.size() != 16) fail("{}: found a transform of {} numbers, expected 16 numbers", where, m.size());
+    for (const double value : m) finite_or_fail(value, "a number of the transform", where);
+    return make_pose(m, where);
 }
 
-WaymoLidarCalibration parse_laser_calibration(pbf_reader reader, const std::string& error_location) {
+WaymoLidarCalibration parse_calibration(pbf_reader reader, const std::string& where) {
     WaymoLidarCalibration calibration;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == make_varint_tag(1)) calibration.laser = reader.get_enum();
         else if (tag == make_double_tag(2)) calibration.inclination_rad.push_back(reader.get_double());
-        else if (tag == make_message_tag(2)) append_packed_doubles(reader, calibration.inclination_rad);
+        else if (tag == message_tag(2)) append_doubles(reader, calibration.inclination_rad);
         else if (tag == make_double_tag(3)) calibration.min_inclination_rad = reader.get_double();
         else if (tag == make_double_tag(4)) calibration.max_inclination_rad = reader.get_double();
-        else if (tag == make_message_tag(5))
-            calibration.vehicle_from_laser =
-                parse_transform(reader.get_message(), error_location + ", extrinsic");
+        else if (tag == message_tag(5))
+            calibration.vehicle_from_laser = parse_transform(reader.get_message(), where + ", extrinsic");
         else reader.skip();
     }
     return calibration;
 }
 
-void parse_calibrations_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
-                                   const std::string& error_location) {
+void parse_calibrations(pbf_reader reader, WaymoFrameRecord& frame_record, const std::string& where) {
     while (reader.next())
-        if (reader.tag_and_type() == make_message_tag(3))
+        if (reader.tag_and_type() == message_tag(3))
             frame_record.lasers.push_back(
-                parse_laser_calibration(reader.get_message(), error_location + ": laser_calibrations"));
+                parse_calibration(reader.get_message(), where + ": laser_calibrations"));
         else reader.skip();
 }
 
@@ -102,20 +96,20 @@ void parse_calibrations_into_frame(pbf_reader reader, WaymoFrameRecord& frame_re
 void parse_return_images(pbf_reader reader, CompressedLidarImages& laser) {
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == make_message_tag(2)) laser.first = read_bytes_field(reader);
-        else if (tag == make_message_tag(4)) laser.pixel_pose = read_bytes_field(reader);
-        else if (tag == make_message_tag(6)) laser.labels = read_bytes_field(reader);
+        if (tag == message_tag(2)) laser.first = read_bytes(reader);
+        else if (tag == message_tag(4)) laser.pixel_pose = read_bytes(reader);
+        else if (tag == message_tag(6)) laser.labels = read_bytes(reader);
         else reader.skip();
     }
 }
 
-CompressedLidarImages parse_laser_images(pbf_reader reader) {
+CompressedLidarImages parse_laser(pbf_reader reader) {
     CompressedLidarImages laser, second;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == make_varint_tag(1)) laser.laser = reader.get_enum();
-        else if (tag == make_message_tag(2)) parse_return_images(reader.get_message(), laser);
-        else if (tag == make_message_tag(3)) parse_return_images(reader.get_message(), second);
+        else if (tag == message_tag(2)) parse_return_images(reader.get_message(), laser);
+        else if (tag == message_tag(3)) parse_return_images(reader.get_message(), second);
         else reader.skip();
     }
     laser.second = second.first;
@@ -123,13 +117,12 @@ CompressedLidarImages parse_laser_images(pbf_reader reader) {
 }
 
 /// centre, width, length, height and heading
-void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string& error_location) {
+void parse_box(pbf_reader reader, BoxLabel& label, const std::string& where) {
     double v[8] = {};
     while (reader.next()) {
         if (reader.tag() >= 1 && reader.tag() <= 7 && reader.wire_type() == pbf_wire_type::fixed64) {
             const std::uint32_t field = reader.tag();
-            v[field] =
-                require_finite_and_return_number(reader.get_double(), "a number of the box", error_location);
+            v[field] = finite_or_fail(reader.get_double(), "a number of the box", where);
         } else {
             reader.skip();
         }
@@ -138,48 +131,46 @@ void parse_box_into_label(pbf_reader reader, BoxLabel& label, const std::string&
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-void parse_label_into_frame(pbf_reader reader, WaymoFrameRecord& frame_record,
-                            const std::string& error_location) {
+void parse_label(pbf_reader reader, WaymoFrameRecord& frame_record, const std::string& where) {
     BoxLabel label;
     int type = 0;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
-        if (tag == make_message_tag(1)) parse_box_into_label(reader.get_message(), label, error_location);
+        if (tag == message_tag(1)) parse_box(reader.get_message(), label, where);
         else if (tag == make_varint_tag(3)) type = reader.get_enum();
-        else if (tag == make_message_tag(4)) label.id = reader.get_string();
+        else if (tag == message_tag(4)) label.id = reader.get_string();
         else reader.skip();
     }
-    constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
-    if (type == kVehicle) label.category = "vehicle";
-    else if (type == kPedestrian) label.category = "pedestrian";
-    else if (type == kCyclist) label.category = "cyclist";
+    constexpr int kVehicleType = 1, kPedestrianType = 2, kCyclistType = 4;
+    if (type == kVehicleType) label.category = "vehicle";
+    else if (type == kPedestrianType) label.category = "pedestrian";
+    else if (type == kCyclistType) label.category = "cyclist";
     else return;  // a sign, which belongs to the background because it cannot move
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
         fail(
             "{}: found an object of the class {} with the id '{}' and the size {} x {} x {} m; expected an "
             "id that is not empty, and a length, width and height above 0",
-            error_location, label.category, shorten_for_error_message(label.id), label.size_m.x,
-            label.size_m.y, label.size_m.z);
+            where, label.category, quote(label.id), label.size_m.x, label.size_m.y, label.size_m.z);
     frame_record.labels.push_back(std::move(label));
 }
 
 /// MatrixFloat or MatrixInt32: values and dimensions
-void parse_pixel_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
-                        std::vector<std::int32_t>& dimensions) {
+void parse_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
+                  std::vector<std::int32_t>& dimensions) {
     const bool is_integer = pixel_type == PixelType::integer;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == make_float_tag(1)) values.push_back(reader.get_float());
         else if (tag == make_varint_tag(1) && is_integer) values.push_back(float(reader.get_int32()));
-        else if (tag == make_message_tag(1) && is_integer)
+        else if (tag == message_tag(1) && is_integer)
             for (const std::int32_t value : reader.get_packed_int32()) values.push_back(float(value));
-        else if (tag == make_message_tag(1))
+        else if (tag == message_tag(1))
             for (const float value : reader.get_packed_float()) values.push_back(value);
-        else if (tag == make_message_tag(2))
+        else if (tag == message_tag(2))
             for (pbf_reader shape = reader.get_message(); shape.next();) {
                 const std::uint32_t kind = shape.tag_and_type();
                 if (kind == make_varint_tag(1)) dimensions.push_back(shape.get_int32());
-                else if (kind == make_message_tag(1))
+                else if (kind == message_tag(1))
                     for (const std::int32_t dim : shape.get_packed_int32()) dimensions.push_back(dim);
                 else shape.skip();
             }
@@ -187,7 +178,7 @@ void parse_pixel_matrix(pbf_reader reader, PixelType pixel_type, std::vector<flo
     }
 }
 
-std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::string& error_location) {
+std::string inflate_zlib(std::string_view compressed_bytes, const std::string& where) {
     z_stream stream{};
     if (inflateInit(&stream) != Z_OK) throw std::bad_alloc();
     stream.next_in = reinterpret_cast<Bytef*>(const_cast<char*>(compressed_bytes.data()));
@@ -204,40 +195,35 @@ std::string inflate_zlib_stream(std::string_view compressed_bytes, const std::st
     }
     inflateEnd(&stream);
     if (bytes.size() > kMostInflated)
-        fail("{}: a zlib stream unpacks to more than {} bytes, expected a range image", error_location,
-             kMostInflated);
-    if (status != Z_STREAM_END)
-        fail("{}: a zlib stream of {} bytes is damaged", error_location, bytes.size());
+        fail("{}: a zlib stream unpacks to more than {} bytes, expected a range image", where, kMostInflated);
+    if (status != Z_STREAM_END) fail("{}: a zlib stream of {} bytes is damaged", where, bytes.size());
     return bytes;
 }
 
 template <class Parse>
-auto call_and_convert_protobuf_errors(const std::string& error_location, const Parse& parse_function) {
+auto guard_parse(const std::string& where, const Parse& parse_function) {
     try {
         return parse_function();
     } catch (const protozero::exception& failure) {
-        fail("{}: malformed protobuf: {}", error_location, failure.what());
+        fail("{}: malformed protobuf: {}", where, failure.what());
     }
 }
 
 }  // namespace
 
-WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::string& error_location) {
+WaymoFrameRecord parse_frame(std::string_view record_bytes, const std::string& where) {
     WaymoFrameRecord frame;
     bool has_pose = false;
-    call_and_convert_protobuf_errors(error_location, [&] {
+    guard_parse(where, [&] {
         for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {
             const std::uint32_t tag = from.tag_and_type();
-            if (tag == make_message_tag(1))
-                parse_calibrations_into_frame(from.get_message(), frame, error_location);
+            if (tag == message_tag(1)) parse_calibrations(from.get_message(), frame, where);
             else if (tag == make_varint_tag(2)) frame.timestamp_us = from.get_int64();
-            else if (tag == make_message_tag(3)) {
-                frame.world_from_vehicle = parse_transform(from.get_message(), error_location + ": pose");
+            else if (tag == message_tag(3)) {
+                frame.world_from_vehicle = parse_transform(from.get_message(), where + ": pose");
                 has_pose = true;
-            } else if (tag == make_message_tag(5))
-                frame.images.push_back(parse_laser_images(from.get_message()));
-            else if (tag == make_message_tag(6))
-                parse_label_into_frame(from.get_message(), frame, error_location + ": laser_labels");
+            } else if (tag == message_tag(5)) frame.images.push_back(parse_laser(from.get_message()));
+            else if (tag == message_tag(6)) parse_label(from.get_message(), frame, where + ": laser_labels");
             else from.skip();
         }
     });
@@ -245,22 +231,21 @@ WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::st
         fail(
             "{}: the pose of the vehicle is missing, expected a frame of the Waymo Open Dataset, which has "
             "one",
-            error_location);
+            where);
     const auto by_laser = [](const auto& first, const auto& second) { return first.laser < second.laser; };
     std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
     std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
     return frame;
 }
 
-DecompressedImage inflate_image(std::string_view compressed_image, int n_channels,
-                                const std::string& error_location, PixelType pixel_type) {
+DecompressedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
+                                PixelType pixel_type) {
     constexpr int kMostRows = 1024, kMostColumns = 8192;
     DecompressedImage image;
     std::vector<std::int32_t> dims;
-    const std::string bytes = inflate_zlib_stream(compressed_image, error_location);
-    call_and_convert_protobuf_errors(error_location, [&] {
-        parse_pixel_matrix(pbf_reader(bytes.data(), bytes.size()), pixel_type, image.values, dims);
-    });
+    const std::string bytes = inflate_zlib(compressed_image, where);
+    guard_parse(
+        where, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), pixel_type, image.values, dims); });
     const bool fits =
         dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
         dims[2] == n_channels &&
@@ -269,7 +254,7 @@ DecompressedImage inflate_image(std::string_view compressed_image, int n_channel
         fail(
             "{}: found an image with {} values and {} dimensions{}; expected rows x columns x {} values, "
             "with at most {} rows and {} columns",
-            error_location, image.values.size(), dims.size(),
+            where, image.values.size(), dims.size(),
             dims.size() == 3 ? fmt::format(" ({} x {} x {})", dims[0], dims[1], dims[2]) : "", n_channels,
             kMostRows, kMostColumns);
     image.rows = dims[0];
@@ -278,19 +263,19 @@ DecompressedImage inflate_image(std::string_view compressed_image, int n_channel
     return image;
 }
 
-std::vector<double> compute_row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
-                                               const std::string& error_location) {
+std::vector<double> row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+                                       const std::string& where) {
     std::vector<double> elevations = calibration.inclination_rad;
     const double low = calibration.min_inclination_rad, high = calibration.max_inclination_rad;
     if (elevations.empty())
         for (int k = 0; k < n_rows; ++k) elevations.push_back(low + (k + 0.5) / n_rows * (high - low));
     if (elevations.size() != std::size_t(n_rows))
-        fail("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row", error_location,
+        fail("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row", where,
              elevations.size(), calibration.laser, n_rows);
     for (const double elevation : elevations)
         if (!(std::abs(elevation) <= kPi / 2))
-            fail("{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2",
-                 error_location, elevation, calibration.laser);
+            fail("{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2", where,
+                 elevation, calibration.laser);
     std::reverse(elevations.begin(), elevations.end());
     return elevations;
 }

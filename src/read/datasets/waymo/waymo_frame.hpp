@@ -12,7 +12,7 @@
 
 namespace relidar::waymo {
 
-inline constexpr int kTop = 1;  ///< LaserName of TOP, the long-range LiDAR on the roof
+inline constexpr int kTopLaser = 1;  ///< LaserName of TOP, the long-range LiDAR on the roof
 
 /// x forward, y left, z up
 struct WaymoLidarCalibration {
@@ -43,13 +43,13 @@ struct WaymoFrameRecord {
     /// set.
     std::vector<BoxLabel> labels;
 };
-WaymoFrameRecord parse_frame_record(std::string_view record_bytes, const std::string& error_location);
+WaymoFrameRecord parse_frame(std::string_view record_bytes, const std::string& where);
 
 struct DecompressedImage {
     int rows = 0, columns = 0, channels = 0;
     std::vector<float> values;
 
-    const float* get_pixel_values(std::size_t pixel_index) const {
+    const float* pixel_values(std::size_t pixel_index) const {
         return &values[pixel_index * std::size_t(channels)];
     }
 };
@@ -57,11 +57,11 @@ enum class PixelType { real, integer };
 /// @param compressed_image  zlib stream
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
-DecompressedImage inflate_image(std::string_view compressed_image, int n_channels,
-                                const std::string& error_location, PixelType pixel_type = PixelType::real);
+DecompressedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
+                                PixelType pixel_type = PixelType::real);
 
 /// from the top row to the bottom row
-std::vector<double> compute_row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
-                                               const std::string& error_location);
+std::vector<double> row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+                                       const std::string& where);
 
 }  // namespace relidar::waymo

@@ -62,11 +62,10 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             ray.point_m =
                 kCity_m + intersect_yard(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
             const bool hidden = lidar == 1 && n >= 700 && n < 741;  // the vehicle blocks all beams
-            ray.returned =
-                !hidden && hash_integer_pair(std::uint64_t(n * 32 + k),
-                                             std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
-                                   10 !=
-                               0;
+            ray.returned = !hidden && hash_pair(std::uint64_t(n * 32 + k),
+                                                std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
+                                              10 !=
+                                          0;
             rays.push_back(ray);
             if (!ray.returned) continue;
             const glm::dvec3 p = inverse(vehicle_at_sweep) * ray.point_m;

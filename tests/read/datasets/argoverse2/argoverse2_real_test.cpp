@@ -4,8 +4,8 @@
 // contain them or if Python has no numpy. The sweeps have no calibration, so the pose of
 // each LiDAR was fitted to them with five numbers. The elevations of 64 lasers still show
 // errors of half precision, order and compensation.
-#include <relidar/read/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/read/dataset.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -186,12 +186,12 @@ protected:
 
     inline static fs::path folder_;
     inline static std::vector<RealSweep> real_;
-    inline static LidarSequence log_;
+    inline static Log log_;
     inline static std::vector<Beam> beams_;  ///< beams of the table, highest first
 };
 
 TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
-    for (const LidarFrame& frame : log_.frames) {
+    for (const Frame& frame : log_.frames) {
         std::vector<double> sum(32), n(32);
         std::size_t off = 0, returns = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -206,7 +206,7 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
         }
         double worst = 0.0;
         for (std::size_t k = 0; k < 32; ++k) worst = std::max(worst, std::abs(sum[k] / n[k]));
-        EXPECT_LT(worst, 0.1) << log_.get_lidar(frame).name;
+        EXPECT_LT(worst, 0.1) << log_.lidar_of(frame).name;
         EXPECT_LT(double(off), 5e-3 * double(returns));
     }
 }
@@ -239,9 +239,9 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
         points.push_back(real_[0].city_from_vehicle *
                          glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
     std::vector<glm::dvec3> read;
-    for (const LidarFrame& frame : log_.frames) {
+    for (const Frame& frame : log_.frames) {
         if (frame.index != 0) continue;
-        const PoseTrack track = log_.get_world_from_sensor(frame.lidar);
+        const PoseTrack track = log_.lidar_track(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const WorldRay ray = make_world_ray(track, frame.time_s, frame.scan.rays, i, true);
@@ -249,7 +249,7 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
         }
     }
     ASSERT_EQ(log_.boxes.size(), 81u);
-    EXPECT_EQ(checks::describe_box_fault(log_), "");
+    EXPECT_EQ(checks::describe_fault(log_), "");
     std::size_t n_near_boxes = 0, n_empty_boxes = 0;
     for (const BoxTrack& box : log_.boxes) {
         const auto count = [&](const std::vector<glm::dvec3>& cloud, const glm::dvec3& shift) {
@@ -279,7 +279,7 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
         std::size_t in_another_cell = 0;
         for (std::size_t i = 0; i < real_[s].laser.size(); ++i) {
             const int lidar = real_[s].laser[i] / 32;
-            const LidarFrame& frame = log_.frames[2 * s + std::size_t(lidar)];
+            const Frame& frame = log_.frames[2 * s + std::size_t(lidar)];
             const RayTable& rays = frame.scan.rays;
             const glm::dvec3 p = measured(s, i, lidar);
             const double elevation = std::atan2(p.z, std::hypot(p.x, p.y)),
@@ -301,9 +301,8 @@ TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
                     cell = at;
                 }
             }
-            const bool here =
-                std::abs(double(frame.scan.range_m[cell]) - glm::length(p)) < 1e-3 &&
-                glm::distance(glm::dvec3(frame.scan.compute_return_point_in_sensor_frame(cell)), p) < 1e-3;
+            const bool here = std::abs(double(frame.scan.range_m[cell]) - glm::length(p)) < 1e-3 &&
+                              glm::distance(glm::dvec3(frame.scan.return_point(cell)), p) < 1e-3;
             in_another_cell += !here;
         }
         EXPECT_LT(double(in_another_cell), 1e-3 * double(real_[s].laser.size()));

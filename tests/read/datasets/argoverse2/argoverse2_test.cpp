@@ -61,22 +61,22 @@ constexpr double kNearest_m = 4.7;
 
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     const Argoverse2Log log("rays");
-    EXPECT_EQ(detect_dataset_kind(log.folder), "argoverse2");
-    const LidarSequence sequence = log.load(kFar);
+    EXPECT_EQ(detect_kind(log.folder), "argoverse2");
+    const Log sequence = log.load(kFar);
     ASSERT_EQ(sequence.frames.size(), 6u);
     ASSERT_EQ(sequence.lidars.size(), 2u);
     EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
     EXPECT_TRUE(sequence.lidars[0].sensor.clockwise);
     EXPECT_FALSE(sequence.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
     EXPECT_TRUE(sequence.rolling_shutter);
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
-        const Lidar& lidar = sequence.get_lidar(frame);
+        const Lidar& lidar = sequence.lidar_of(frame);
         ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         const TrueRays truth(rays, lidar.sensor);
-        const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
+        const PoseTrack track = sequence.lidar_track(frame.lidar);
         const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const float range_m = frame.scan.range_m[i];
@@ -103,14 +103,13 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
 /// objects must still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
-    const LidarSequence sequence = log.load(kFar);
-    for (const LidarFrame& frame : sequence.frames) {
+    const Log sequence = log.load(kFar);
+    for (const Frame& frame : sequence.frames) {
         ASSERT_TRUE(frame.start.has_value());
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s =
-                compute_time_when_lidar_faces_point_s(sequence, point_m, get_sweep_timing_of_frame(frame));
+            const double facing_s = facing_time_s(sequence, point_m, timing_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
         // Only few rays may be late. Beams deviate by up to 4.2 degrees from the sensor's
@@ -121,7 +120,7 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
 
 TEST(Argoverse2, TimesPosesAndBoxes) {
     const Argoverse2Log log("boxes");
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
     EXPECT_EQ(sequence.start_unix_ns, Argoverse2Log::kFirstSweep_ns);
     for (std::size_t i = 0; i < 3; ++i) {
@@ -145,12 +144,12 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
 /// farther than this rounding.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
-    const LidarSequence sequence = log.load(kFar);
+    const Log sequence = log.load(kFar);
     double worst = 0.0;
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
-                             sequence.get_lidar(frame).sensor);
-        const PoseTrack track = sequence.get_world_from_sensor(frame.lidar);
+                             sequence.lidar_of(frame).sensor);
+        const PoseTrack track = sequence.lidar_track(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const Argoverse2Ray& ray =
@@ -172,15 +171,15 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
     const Argoverse2Log log("halves",
                             {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
-    const LidarSequence sequence = log.load(kFar);
-    for (const LidarFrame& frame : sequence.frames) {
+    const Log sequence = log.load(kFar);
+    for (const Frame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
             const double beam =
-                sequence.get_lidar(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
+                sequence.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
             ASSERT_NEAR(std::atan2(d.z, std::hypot(d.x, d.y)), beam, kBeyond_m / kNearest_m);
         }
     }
@@ -189,7 +188,7 @@ TEST(Argoverse2, PointsTellWhichHalfIsUp) {
 TEST(Argoverse2, FrameRangePosesAndNoLabels) {
     const Argoverse2Log log("range");
     fs::remove(log.file("annotations.feather"));
-    const LidarSequence sequence = log.load({.frames = {1, 3}});
+    const Log sequence = log.load({.frames = {1, 3}});
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 1);
     EXPECT_NEAR(sequence.frames[0].time_s, 0.100252, 1e-9);
@@ -216,7 +215,7 @@ std::string make_point_bytes(float x, std::uint8_t laser, std::int32_t offset_ns
 TEST(Argoverse2, ASweepMayLackALidar) {
     const Argoverse2Log log("lacking");
     test::write_text(log.sweep(1), make_point_bytes(8.0f, 40, 5000000));
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     ASSERT_EQ(sequence.frames.size(), 5u);
     EXPECT_EQ(sequence.frames[2].lidar, 1);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames ... skipped")));

@@ -8,8 +8,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "read/scans/stamped_folders.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/scans/stamped_folders.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -21,9 +21,9 @@ using test::StampedRay;
 
 /// Checks that every return is at the point where its ray hit the yard, and that no
 /// return is lost.
-void expect_boreas_truth(const BoreasFolder& data, const LidarSequence& sequence) {
-    const PoseTrack track = sequence.get_world_from_sensor(0);
-    for (const LidarFrame& frame : sequence.frames) {
+void expect_boreas_truth(const BoreasFolder& data, const Log& sequence) {
+    const PoseTrack track = sequence.lidar_track(0);
+    for (const Frame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
@@ -45,8 +45,8 @@ void expect_boreas_truth(const BoreasFolder& data, const LidarSequence& sequence
 
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
-    EXPECT_EQ(detect_dataset_kind(data.folder), "boreas");
-    const LidarSequence sequence = data.load();
+    EXPECT_EQ(detect_kind(data.folder), "boreas");
+    const Log sequence = data.load();
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, test::Names("-42.60 degrees"));
     EXPECT_EQ(sequence.start_unix_ns, 1000 * BoreasFolder::stamp(0));
@@ -76,7 +76,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
         const BoreasFolder data("angles", angles);
         for (const bool calibrated : {true, false}) {
             if (!calibrated) fs::remove(data.calibration());
-            const LidarSequence sequence = data.load();
+            const Log sequence = data.load();
             EXPECT_THAT(sequence.notes,
                         testing::Contains(test::Names(std::string("angles ... poses ... ") + names[angles])));
             expect_boreas_truth(data, sequence);
@@ -87,7 +87,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
 TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
     const BoreasFolder data("uncalibrated");
     fs::remove(data.calibration());
-    const LidarSequence sequence = data.load();
+    const Log sequence = data.load();
     expect_boreas_truth(data, sequence);
     const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), data.drive.heading_rad, 0.01);
@@ -95,13 +95,13 @@ TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
 
 TEST(Boreas, FramesAndOtherPoses) {
     const BoreasFolder data("frames");
-    const LidarSequence some = data.load({.frames = {2, 4}});
+    const Log some = data.load({.frames = {2, 4}});
     ASSERT_EQ(some.frames.size(), 2u);
     EXPECT_EQ(some.frames[0].index, 2);
     EXPECT_NEAR(some.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     data.expect_error("frames 6:9 ... boreas-frames ... [0, 5]", {.frames = {6, 9}});
     fs::remove(data.poses());
-    const LidarSequence none = data.load({.poses_file = kNoPoses});
+    const Log none = data.load({.poses_file = kNoPoses});
     EXPECT_EQ(none.frames.size(), std::size_t(BoreasFolder::kScans));
     EXPECT_EQ(none.world_from_vehicle.pose[5].translation, glm::dvec3(0.0));
     EXPECT_THAT(none.notes, testing::Contains(test::Names("poses ... read")));
@@ -119,7 +119,7 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
         test::write_text(data.poses(), text);
     };
     without(0, 1);
-    const LidarSequence sequence = data.load();
+    const Log sequence = data.load();
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 2);
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names(

@@ -55,7 +55,7 @@ Channels list_channels(const Scan& scan) {
 /// A street with second returns, saved as a plain folder. EXR images replace the scans.
 /// @param keep channels that are written
 struct StreetOfImages {
-    LidarSequence truth = make_synthetic_street({.n_frames = 3, .rows = 32, .columns = 500});
+    Log truth = make_street_log({.n_frames = 3, .rows = 32, .columns = 500});
     fs::path folder;
 
     StreetOfImages(const std::string& name, const std::function<bool(const std::string&)>& keep)
@@ -66,7 +66,7 @@ struct StreetOfImages {
         for (std::size_t at = 0; (at = head.find(".npz", at)) != std::string::npos;)
             head.replace(at, 4, ".exr");
         test::write_text(folder / "sequence.json", head);
-        for (const LidarFrame& frame : truth.frames) {
+        for (const Frame& frame : truth.frames) {
             Channels channels = list_channels(frame.scan);
             channels["range_2"] = frame.scan.second_returns[0].range_m;
             channels["intensity_2"] = frame.scan.second_returns[0].intensity;
@@ -81,7 +81,7 @@ struct StreetOfImages {
 
 /// Compares every ray with the simulated street: its return (within 1 mm in the sensor's
 /// world), its beam, column and time.
-void expect_same_scans(const LidarSequence& sequence, const LidarSequence& truth, double ray_tolerance) {
+void expect_same_scans(const Log& sequence, const Log& truth, double ray_tolerance) {
     ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
         const Scan &a = sequence.frames[f].scan, &b = truth.frames[f].scan;
@@ -113,7 +113,7 @@ TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
         return name.starts_with("range") || name.starts_with("intensity");
     };
     const StreetOfImages street("sensor", keep);
-    const LidarSequence sequence = load_sequence(street.folder.string(), {});
+    const Log sequence = load_sequence(street.folder.string(), {});
     expect_same_scans(sequence, street.truth, 1e-6);  // 0.1 mm at 80 m
 }
 

@@ -127,15 +127,14 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
         std::string text;
         for (double t_s = -1.0; t_s < 1.55; t_s += 0.1) {
             text += fmt::format("{}", t_s);
-            for (const double v : numbers(truth.interpolate_pose(t_s))) text += fmt::format(" {:.15f}", v);
+            for (const double v : numbers(truth.pose_at(t_s))) text += fmt::format(" {:.15f}", v);
             text += "\n";
         }
         test::write_text(log.folder / "poses.txt", text);
     };
     const auto expect = [&](const std::string& note, const Pose& of_vehicle) {
-        const LidarSequence sequence = log.load();
-        const PoseTrack world =
-            add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
+        const Log sequence = log.load();
+        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
         for (std::size_t i = 0; i < world.pose.size(); ++i) {
             const Pose off = inverse(truth.pose[i] * of_vehicle) * world.pose[i];
             EXPECT_LT(glm::length(off.translation), 1e-6) << note;
@@ -189,13 +188,13 @@ TEST(OtherPrograms, TheScansDecideTheOrderOfQuaternions) {
                 const Pose turned{make_rotation(heading_deg * kPi / 180.0, 0, 0), {}};
                 std::string text;
                 for (double t_s = -1.0; t_s < 1.55; t_s += 0.1) {
-                    const auto& [q, t] = turned * truth.interpolate_pose(t_s) * front;
+                    const auto& [q, t] = turned * truth.pose_at(t_s) * front;
                     text += fmt::format("{} {} {} {}", t_s, t.x, t.y, t.z);
                     text += is_scalar_last ? fmt::format(" {} {} {} {}\n", q.x, q.y, q.z, q.w)
                                            : fmt::format(" {} {} {} {}\n", q.w, q.x, q.y, q.z);
                 }
                 test::write_text(log.folder / "poses.txt", text);
-                const LidarSequence sequence = log.load();
+                const Log sequence = log.load();
                 const Pose off =
                     inverse(turned * truth.pose[2] * front) * sequence.world_from_vehicle.pose[2];
                 EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9)
@@ -229,8 +228,7 @@ TEST(OtherPrograms, FindsRingsInTheOrderOfTheFile) {
     for (int frame = 0; frame < 3; ++frame)
         fs::copy_file(drive.scan(frame), folder / "scans" / fmt::format("{}.bin", frame));
     test::write_text(folder / "sequence.json", test::make_head());
-    const LidarSequence kitti = drive.load(),
-                        plain = load_sequence(folder.string(), {.poses_file = kNoPoses});
+    const Log kitti = drive.load(), plain = load_sequence(folder.string(), {.poses_file = kNoPoses});
     ASSERT_EQ(plain.lidars[0].sensor.beams.size(), 64u);
     for (std::size_t b = 0; b < 64; ++b)
         EXPECT_NEAR(plain.lidars[0].sensor.beams[b].elevation_rad, drive.beams[b].elevation_rad, 0.03) << b;
@@ -249,7 +247,7 @@ TEST(OtherPrograms, InventsNoBeamsForThinnedClouds) {
         return test::bin(some);
     };
     const PointLog log("thinned", "bin", thinned, test::kNoRings);
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     EXPECT_TRUE(sequence.lidars[0].sensor.beams.empty());
     EXPECT_TRUE(std::ranges::any_of(sequence.notes, [](const std::string& n) {
         return n.find("removed") != n.npos || n.find("order") != n.npos;
@@ -320,7 +318,7 @@ TEST(OtherPrograms, TwoReturnsWithoutNumbers) {
         const PointLog log(fmt::format("two_returns_{}", k), k == 1 ? "ply" : "pcd", layouts[k],
                            k == 1 ? R"(, "point_times": "absolute")" : kStamped);
         expect_street(log, 1e-6);
-        const LidarSequence sequence = log.load();
+        const Log sequence = log.load();
         EXPECT_THAT(sequence.notes, testing::Contains(test::Names("two returns ... without numbers")));
         for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
             const Scan &scan = sequence.frames[f].scan, &truth = log.street.frames[f].scan;
@@ -376,7 +374,7 @@ TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
     const PointLog log("float_times", "bin", bytes_of,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring", "time"], "intensity_max": 1,
                            "point_times": "absolute")");
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     for (const char* note : {"lost their precision", "no times ... azimuths", "negative, down to -0.25"})
         EXPECT_THAT(sequence.notes, testing::Contains(test::Names(note)));
 }
@@ -387,9 +385,9 @@ TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
         return test::make_pcd_binary(points);
     };
     const PointLog log("late_points", "pcd", late, kStamped);
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("80 points of 4 scans ... times")));
-    for (const LidarFrame& frame : sequence.frames)
+    for (const Frame& frame : sequence.frames)
         for (const float t_s : frame.scan.rays.time_offset_s) EXPECT_LT(std::abs(t_s), 0.06f);
 }
 

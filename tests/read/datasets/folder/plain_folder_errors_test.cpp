@@ -11,8 +11,8 @@
 
 #include <relidar/base/error.hpp>
 
-#include "read/files/point_writers.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/files/point_writers.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -63,7 +63,7 @@ protected:
                      const DatasetOptions& options = {}) const {
         expect("sequence.json", text, parts, options);
     }
-    LidarSequence load(const DatasetOptions& options = {}) const {
+    Log load(const DatasetOptions& options = {}) const {
         return load_sequence("folder:" + folder.string(), options);
     }
     std::string load_notes() const { return test::join_lines(load().notes); }
@@ -283,7 +283,7 @@ TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {
 
 TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {
     put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
-    const LidarSequence log = load({.poses_file = kNoPoses});
+    const Log log = load({.poses_file = kNoPoses});
     EXPECT_EQ(log.frames.size(), 2u);
     EXPECT_THAT(test::join_lines(log.notes),
                 test::Names("poses.txt: found 1 lines ... boxes ... wrong places"));

@@ -18,9 +18,9 @@
 #include <relidar/base/files.hpp>
 #include "../../../support/rig_street.hpp"
 #include "../../../support/two_lidars.hpp"
-#include "read/files/point_writers.hpp"
 #include "read/datasets/folder/point_log.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/files/point_writers.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -33,8 +33,8 @@ using test::make_fresh_folder_path;
 using test::PointLog;
 
 /// Makes a street with two LiDARs, second returns, moving cars and a world offset.
-LidarSequence make_rich_street() {
-    LidarSequence street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
+Log make_rich_street() {
+    Log street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     test::add_second_returns(street, 7, 2.5f, 77.0f);
     street.notes = {"a first note", {"speed", -1, "found again by each load"}, "a second one"};
     street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
@@ -50,7 +50,7 @@ void expect_same_poses(const PoseTrack& sequence, const PoseTrack& truth, double
     }
 }
 
-void expect_same_log(const LidarSequence& sequence, const LidarSequence& truth) {
+void expect_same_log(const Log& sequence, const Log& truth) {
     EXPECT_EQ(sequence.name, truth.name);
     EXPECT_EQ(sequence.conventions, truth.conventions);
     EXPECT_EQ(sequence.start_unix_ns, truth.start_unix_ns);
@@ -94,10 +94,10 @@ void expect_same_log(const LidarSequence& sequence, const LidarSequence& truth) 
     }
 }
 
-void expect_same_scans(const LidarSequence& sequence, const LidarSequence& truth) {
+void expect_same_scans(const Log& sequence, const Log& truth) {
     ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t i = 0; i < truth.frames.size(); ++i) {
-        const LidarFrame &a = sequence.frames[i], &b = truth.frames[i];
+        const Frame &a = sequence.frames[i], &b = truth.frames[i];
         EXPECT_EQ(std::tuple(a.index, a.time_s, a.lidar), std::tuple(b.index, b.time_s, b.lidar));
         EXPECT_EQ(std::tuple(a.scan.rays.rows, a.scan.rays.columns, a.scan.rays.divergence_rad),
                   std::tuple(b.scan.rays.rows, b.scan.rays.columns, b.scan.rays.divergence_rad));
@@ -119,57 +119,57 @@ void expect_same_scans(const LidarSequence& sequence, const LidarSequence& truth
 }
 
 /// Saves a log to a new folder.
-fs::path save(const std::string& name, const LidarSequence& log) {
+fs::path save(const std::string& name, const Log& log) {
     const fs::path folder = make_fresh_folder_path(name);
     save_folder(log, folder);
     return folder;
 }
 
 TEST(SaveFolder, IsReadAsTheSameLog) {
-    const LidarSequence street = make_rich_street();
+    const Log street = make_rich_street();
     ASSERT_FALSE(street.boxes.empty());
     const fs::path folder = save("saved", street);
-    EXPECT_EQ(detect_dataset_kind(folder), "folder");
-    const LidarSequence sequence = load_sequence(folder.string(), {});
+    EXPECT_EQ(detect_kind(folder), "folder");
+    const Log sequence = load_sequence(folder.string(), {});
     expect_same_log(sequence, street);
     expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, KeepsADrive) {
-    const LidarSequence truth = test::KittiDrive("to_folder").load();
-    const LidarSequence sequence = load_sequence(save("drive", truth).string(), {});
+    const Log truth = test::KittiDrive("to_folder").load();
+    const Log sequence = load_sequence(save("drive", truth).string(), {});
     expect_same_log(sequence, truth);
     expect_same_scans(sequence, truth);
 }
 
 TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
-    LidarSequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
+    Log street = make_street_log({.n_frames = 3, .rows = 8, .columns = 64});
     street.lidars[0].sensor = {
         .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
     const fs::path folder = save("flash", street);
-    const LidarSequence sequence = load_sequence(folder.string(), {});
+    const Log sequence = load_sequence(folder.string(), {});
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     EXPECT_EQ(sequence.lidars[0].sensor.max_range_m, 60.0);
-    for (LidarFrame& frame : street.frames) remove_returns_outside_limits(frame.scan, {0.0, 60.0});
+    for (Frame& frame : street.frames) limit_ranges(frame.scan, {0.0, 60.0});
     expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
-    SyntheticOptions options{.n_frames = 2};
+    StreetOptions options{.n_frames = 2};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_folder_rig");
-    LidarSequence street = make_synthetic_street(options);
-    RayTable table = make_nominal_rays(street.lidars[test::kRosette], 0.4);
+    Log street = make_street_log(options);
+    RayTable table = make_lidar_rays(street.lidars[test::kRosette], 0.4);
     for (std::size_t i = 0; i < table.size(); ++i) table.ray_divergence_rad.push_back(1e-3f * float(i % 7));
-    for (LidarFrame& frame : street.frames)
+    for (Frame& frame : street.frames)
         if (frame.lidar == test::kRosette) frame.scan.rays.ray_divergence_rad = table.ray_divergence_rad;
     street.lidars[test::kRosette].pattern = table;
     const fs::path folder = save("rig", street);
-    const LidarSequence sequence = load_sequence(folder.string(), {});
+    const Log sequence = load_sequence(folder.string(), {});
     ASSERT_EQ(sequence.lidars.size(), 4u);
     EXPECT_FALSE(sequence.lidars[test::kSpinning].pattern);
     for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
-        const RayTable a = make_nominal_rays(sequence.lidars[std::size_t(l)], 0.7),
-                       b = make_nominal_rays(street.lidars[std::size_t(l)], 0.7);
+        const RayTable a = make_lidar_rays(sequence.lidars[std::size_t(l)], 0.7),
+                       b = make_lidar_rays(street.lidars[std::size_t(l)], 0.7);
         ASSERT_EQ(a.size(), b.size());
         for (std::size_t i = 0; i < a.size(); ++i)
             ASSERT_LT(glm::distance(a.direction[i], b.direction[i]), 2e-7f);
@@ -183,18 +183,18 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
 }
 
 TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
-    LidarSequence street = make_synthetic_street({.n_frames = 3, .rows = 8, .columns = 64});
+    Log street = make_street_log({.n_frames = 3, .rows = 8, .columns = 64});
     street.rolling_shutter = false;
     const fs::path folder = save("compensated_log", street);
     const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
-    EXPECT_EQ(find_array(arrays, "deskewed")->convert_to_floats(), std::vector<float>{1.0f});
-    EXPECT_EQ(find_array(arrays, "time")->convert_to_floats(), std::vector<float>(8 * 64, 0.0f));
-    const LidarSequence sequence = load_sequence(folder.string(), {});
+    EXPECT_EQ(find_array(arrays, "deskewed")->to_floats(), std::vector<float>{1.0f});
+    EXPECT_EQ(find_array(arrays, "time")->to_floats(), std::vector<float>(8 * 64, 0.0f));
+    const Log sequence = load_sequence(folder.string(), {});
     EXPECT_FALSE(sequence.rolling_shutter);
     EXPECT_FALSE(sequence.frames[1].start);
     for (std::size_t i = 0; i < 8 * 64; ++i) {
-        const auto loaded_return = compute_world_return(sequence, sequence.frames[1], i),
-                   truth = compute_world_return(street, street.frames[1], i);
+        const auto loaded_return = locate_return(sequence, sequence.frames[1], i),
+                   truth = locate_return(street, street.frames[1], i);
         ASSERT_LT(glm::distance(loaded_return.point_m, truth.point_m), 1e-6) << i;
     }
     const std::regex statement("\"motion_compensated\": true");
@@ -205,9 +205,9 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
 }
 
 TEST(SaveFolder, ReadsARangeOfItsFrames) {
-    const LidarSequence street = make_rich_street();
+    const Log street = make_rich_street();
     const fs::path folder = save("range", street);
-    const LidarSequence sequence = load_sequence(folder.string(), {.frames = {1, 3}});
+    const Log sequence = load_sequence(folder.string(), {.frames = {1, 3}});
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].scan.range_m, street.frames[2].scan.range_m);
     for (const BoxTrack& box : sequence.boxes)
@@ -222,9 +222,9 @@ std::vector<std::string> list_names_in(const fs::path& folder) {
 }
 
 TEST(SaveFolder, ReadsAFewScansForALook) {
-    const LidarSequence street = make_rich_street();  // five frames of each LiDAR
+    const Log street = make_rich_street();  // five frames of each LiDAR
     const fs::path folder = save("looked_at", street);
-    const LidarSequence sequence = load_sequence(folder.string(), {.max_scans = 2});
+    const Log sequence = load_sequence(folder.string(), {.max_scans = 2});
     expect_same_log(sequence, street);
     ASSERT_EQ(sequence.frames.size(), street.frames.size());
     for (std::size_t i = 0; i < street.frames.size(); ++i) {
@@ -237,7 +237,7 @@ TEST(SaveFolder, ReadsAFewScansForALook) {
 }
 
 TEST(SaveFolder, LeavesNothingUnfinished) {
-    const LidarSequence street = make_rich_street();
+    const Log street = make_rich_street();
     const fs::path folder = make_fresh_folder_path("place") / "saved";
     fs::create_directory(folder.parent_path());
     LogFolderOptions options;
@@ -252,7 +252,7 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_THROW(save_folder(street, folder, options), Error);
     EXPECT_EQ(load_sequence(folder.string(), {}).frames.size(), street.frames.size())
         << "the old one stays until the new one is complete";
-    LidarSequence shorter = street;
+    Log shorter = street;
     shorter.frames.resize(2);
     shorter.world_from_vehicle.time_s.resize(1);
     shorter.world_from_vehicle.pose.resize(1);
@@ -265,7 +265,7 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
 }
 
 TEST(SaveFolder, DeletesNoFilesOfOthers) {
-    const LidarSequence street = make_rich_street();
+    const Log street = make_rich_street();
     for (const char* name : {"notes.txt", "labels/a.txt", "scans/000000.bin"}) {
         const fs::path folder = make_fresh_folder_path("theirs");
         save_folder(street, folder);
@@ -315,7 +315,7 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
     // the sensor is fitted
     expect_street({"lowest", "bin", mirror_vertically, test::kRings}, 1e-4);
     std::string csv = "elevation_deg\n";
-    const LidarSequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
+    const Log street = make_street_log({.n_frames = 1, .rows = 16, .columns = 8});
     for (const Beam& beam : street.lidars[0].sensor.beams)
         csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
     test::write_text(fs::path(testing::TempDir()) / "relidar_folder/lowest/beams.csv", csv);
@@ -338,7 +338,7 @@ TEST(PlainFolder, AScanWithoutValidPointsHasOnlyDroppedRays) {
     for (const std::size_t empty : {0, 2}) {
         const PointLog log("empty_scan", "bin", test::bin, test::kRings);
         log.change_points(empty, [](test::FilePoint& p) { p.point_m = glm::vec3(NAN); });
-        const LidarSequence sequence = log.load();
+        const Log sequence = log.load();
         ASSERT_EQ(sequence.frames.size(), 4u);
         EXPECT_EQ(sequence.frames[empty].scan.count_returns(), 0u);
         EXPECT_EQ(sequence.frames[empty].scan.range_m.size(), sequence.frames[1].scan.range_m.size());
@@ -353,7 +353,7 @@ TEST(PlainFolder, ALogWithoutValidPointsIsRead) {
     for (const bool has_sensor : {false, true}) {
         log.put_head(std::string(test::kRings) +
                      (has_sensor ? R"(, "lidars": [{"sensor": "VLP-16:900x10"}])" : ""));
-        const LidarSequence sequence = log.load();
+        const Log sequence = log.load();
         ASSERT_EQ(sequence.frames.size(), 4u);
         EXPECT_EQ(sequence.frames[1].scan.count_returns(), 0u);
         EXPECT_EQ(sequence.frames[1].scan.range_m.size(), has_sensor ? 16u * 900u : 0u);
@@ -373,30 +373,28 @@ TEST(PlainFolder, NotesASensorThatDoesNotFitThePoints) {
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
     const PointLog log("solid", "bin", test::bin,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
     for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
         const test::FilePoints points = PointLog::points(log.street.frames[f]);
         ASSERT_EQ(sequence.frames[f].scan.rays.rows, 1);
         ASSERT_EQ(sequence.frames[f].scan.range_m.size(), points.size());
         for (std::size_t i = 0; i < points.size(); ++i)
-            EXPECT_LT(glm::distance(sequence.frames[f].scan.compute_return_point_in_sensor_frame(i),
-                                    points[i].point_m),
-                      1e-4f);
+            EXPECT_LT(glm::distance(sequence.frames[f].scan.return_point(i), points[i].point_m), 1e-4f);
     }
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
     // The sensor drives at 8 m/s, so that it moves 0.4 m in half a sweep.
-    const LidarSequence street = make_synthetic_street(
+    const Log street = make_street_log(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
-    const PoseTrack track = street.get_world_from_sensor(0);
+    const PoseTrack track = street.lidar_track(0);
     std::size_t frame = 0;
     const auto compensated = [&](test::FilePoints points) {
         const double t_s = street.frames[frame++].time_s;
         for (test::FilePoint& p : points)
-            p.point_m = glm::vec3(inverse(track.interpolate_pose(t_s)) *
-                                  (track.interpolate_pose(p.time_s) * glm::dvec3(p.point_m)));
+            p.point_m =
+                glm::vec3(inverse(track.pose_at(t_s)) * (track.pose_at(p.time_s) * glm::dvec3(p.point_m)));
         return test::npy(points);
     };
     const PointLog log(
@@ -420,9 +418,8 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
         "0.7071067811865476\n"};
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
-        const LidarSequence sequence = log.load();
-        const PoseTrack world =
-            add_offset_to_track_positions(sequence.world_from_vehicle, sequence.world_offset_m);
+        const Log sequence = log.load();
+        const PoseTrack world = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
         EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
         EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
@@ -436,7 +433,7 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
         {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
         {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
         {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
-    const LidarSequence sequence = log.load();
+    const Log sequence = log.load();
     ASSERT_EQ(sequence.boxes.size(), 2u);
     EXPECT_EQ(sequence.boxes[0].id, "7");
     EXPECT_EQ(sequence.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
@@ -457,7 +454,7 @@ TEST(PlainFolder, ReadsRenderedScans) {
                                    make_array("drop_prob", {1, 2}, drop.data(), 2),
                                    make_array("intensity", {1, 2}, intensity.data(), 2),
                                    make_array("directions", {1, 2, 3}, directions.data(), 6),
-                                   make_single_text_array("sensor", "native")};
+                                   single_text("sensor", "native")};
     write_npz(folder / "scans/frame_000000.npz", arrays);
     test::write_text(folder / "sequence.json", test::make_head());
     test::write_text(folder / "poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");

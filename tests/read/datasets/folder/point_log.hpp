@@ -14,8 +14,8 @@
 
 #include <relidar/read/dataset.hpp>
 
-#include "read/files/point_writers.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/files/point_writers.hpp"
 
 namespace relidar::test {
 
@@ -48,8 +48,8 @@ inline fs::path make_fresh_folder_path(const std::string& name) {
 }
 
 /// Adds second returns `farther_m` behind every `step`-th first return.
-inline void add_second_returns(LidarSequence& log, std::size_t step, float farther_m, float max_range_m) {
-    for (LidarFrame& frame : log.frames) {
+inline void add_second_returns(Log& log, std::size_t step, float farther_m, float max_range_m) {
+    for (Frame& frame : log.frames) {
         Scan& scan = frame.scan;
         const std::vector<float> none(scan.range_m.size());
         AdditionalReturns& second = scan.second_returns.emplace_back(AdditionalReturns{none, none});
@@ -64,7 +64,7 @@ inline void add_second_returns(LidarSequence& log, std::size_t step, float farth
 /// Log of point files with the returns of a street. Points are in the order of the rays
 /// of the street.
 struct PointLog {
-    LidarSequence street = make_synthetic_street(
+    Log street = make_street_log(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     fs::path folder;
 
@@ -73,7 +73,7 @@ struct PointLog {
         : folder(make_fresh_folder_path(name)) {
         fs::create_directories(folder / "scans");
         std::string poses;
-        for (const LidarFrame& frame : street.frames) {
+        for (const Frame& frame : street.frames) {
             const std::size_t i = std::size_t(&frame - street.frames.data());
             write_text(folder / "scans" / fmt::format("{:02}.{}", i, ending), written(points(frame)));
             const glm::dmat4 m = to_matrix(street.world_from_vehicle.pose[i]);
@@ -87,9 +87,7 @@ struct PointLog {
     void put_head(const std::string& members, double rate_hz = 10.0) const {
         write_text(folder / "sequence.json", make_head(members, rate_hz));
     }
-    LidarSequence load(const DatasetOptions& options = {}) const {
-        return load_sequence(folder.string(), options);
-    }
+    Log load(const DatasetOptions& options = {}) const { return load_sequence(folder.string(), options); }
     /// Writes the points of a frame after a change of each point.
     void change_points(std::size_t frame, const std::function<void(FilePoint&)>& change) const {
         FilePoints changed = points(street.frames[frame]);
@@ -97,14 +95,13 @@ struct PointLog {
         write_text(folder / fmt::format("scans/{:02}.bin", frame), bin(changed));
     }
 
-    static FilePoints points(const LidarFrame& frame) {
+    static FilePoints points(const Frame& frame) {
         FilePoints points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
             if (frame.scan.range_m[i] > 0.0f)
-                points.push_back({frame.scan.compute_return_point_in_sensor_frame(i),
-                                  std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
-                                  frame.scan.rays.channel[i],
-                                  frame.time_s + double(frame.scan.rays.time_offset_s[i])});
+                points.push_back(
+                    {frame.scan.return_point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
+                     frame.scan.rays.channel[i], frame.time_s + double(frame.scan.rays.time_offset_s[i])});
         return points;
     }
 };
@@ -115,7 +112,7 @@ struct Difference {
 };
 
 /// Compares two logs ray by ray. The image must have the rows and columns of the street.
-inline Difference measure_difference(const LidarSequence& sequence, const LidarSequence& street) {
+inline Difference measure_difference(const Log& sequence, const Log& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
         const Scan &a = sequence.frames[f].scan, &b = street.frames[f].scan;
@@ -128,16 +125,16 @@ inline Difference measure_difference(const LidarSequence& sequence, const LidarS
                 std::max(worst.time_s, double(std::abs(a.rays.time_offset_s[i] - b.rays.time_offset_s[i])));
             if (a.range_m[i] == 0.0f || b.range_m[i] == 0.0f) continue;
             worst.intensity = std::max(worst.intensity, double(std::abs(a.intensity[i] - b.intensity[i])));
-            worst.point_m = std::max(
-                worst.point_m, glm::distance(compute_world_return(sequence, sequence.frames[f], i).point_m,
-                                             compute_world_return(street, street.frames[f], i).point_m));
+            worst.point_m =
+                std::max(worst.point_m, glm::distance(locate_return(sequence, sequence.frames[f], i).point_m,
+                                                      locate_return(street, street.frames[f], i).point_m));
         }
     }
     return worst;
 }
 
 inline void expect_street(const PointLog& log, double time_s) {
-    const LidarSequence sequence = load_sequence(log.folder.string(), {});
+    const Log sequence = load_sequence(log.folder.string(), {});
     ASSERT_EQ(sequence.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
     const Difference worst = measure_difference(sequence, log.street);
     EXPECT_LT(worst.point_m, 1e-4);

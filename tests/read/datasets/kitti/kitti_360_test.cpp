@@ -24,18 +24,18 @@ using test::read_text;
 using test::write_text;
 using testing::Contains;
 
-std::size_t points_in(const LidarSequence& log, const LidarFrame& frame, const BoxTrack& box) {
+std::size_t points_in(const Log& log, const Frame& frame, const BoxTrack& box) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
         n += frame.scan.range_m[i] > 0.0f &&
-             box.contains_point(compute_world_return(log, frame, i).point_m, frame.time_s, 0.0);
+             box.contains_point(locate_return(log, frame, i).point_m, frame.time_s, 0.0);
     return n;
 }
 
 TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     const Kitti360Folder kitti("k360");
-    EXPECT_EQ(detect_dataset_kind(kitti.folder), "kitti360");
-    const LidarSequence log = kitti.load();
+    EXPECT_EQ(detect_kind(kitti.folder), "kitti360");
+    const Log log = kitti.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_TRUE(log.rolling_shutter);
     EXPECT_EQ(log.frames[0].index, Kitti360Folder::kFirst);
@@ -45,15 +45,15 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
     EXPECT_EQ(log.lidars[0].sensor.columns, test::KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), kitti.sweeps.n_points);
     double farthest = 0.0, latest = 0.0;
-    for (const LidarFrame& frame : log.frames)
+    for (const Frame& frame : log.frames)
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const glm::dvec3 point(frame.scan.compute_return_point_in_sensor_frame(i));
+            const glm::dvec3 point(frame.scan.return_point(i));
             const double late = double(frame.scan.rays.time_offset_s[i]) / Kitti360Folder::kPeriod_s;
             const glm::dvec3 truth(Kitti360Folder::compute_world_from_velo(frame.index + late) *
                                    glm::dvec4(point, 1.0));
-            farthest = std::max(farthest, glm::distance(truth, compute_world_return(log, frame, i).point_m +
-                                                                   log.world_offset_m));
+            farthest = std::max(
+                farthest, glm::distance(truth, locate_return(log, frame, i).point_m + log.world_offset_m));
             const double head = std::atan2(point.y, point.x) -
                                 log.lidars[0].sensor.beams[frame.scan.rays.channel[i]].azimuth_offset_rad;
             latest = std::max(latest, std::abs(std::remainder(late + head / (2 * kPi), 1.0)));
@@ -64,7 +64,7 @@ TEST(Kitti360, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     const Kitti360Folder kitti("k360_boxes");
-    const LidarSequence log = kitti.load();
+    const Log log = kitti.load();
     ASSERT_EQ(log.boxes.size(), 2u);
     const BoxTrack &driving = log.boxes[0], &standing = log.boxes[1];
     EXPECT_EQ(driving.id, "13005");
@@ -85,8 +85,8 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
         EXPECT_LT(glm::distance(actual.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
-    for (const LidarFrame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
-    EXPECT_FALSE(standing.is_observed_at_time(log.frames[0].time_s)) << "not labelled there";
+    for (const Frame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
+    EXPECT_FALSE(standing.is_observed(log.frames[0].time_s)) << "not labelled there";
     EXPECT_GT(points_in(log, log.frames[1], standing), 100u);
     EXPECT_GT(points_in(log, log.frames[2], standing), 100u);
 }
@@ -99,7 +99,7 @@ TEST(Kitti360, LabelsAreXmlForOthers) {
 
 TEST(Kitti360, DrivesAndPartsHaveNames) {
     const Kitti360Folder kitti("k360_names");
-    const LidarSequence log = kitti.load({.sequence = "kd1"});
+    const Log log = kitti.load({.sequence = "kd1"});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[0].index, 2351);
     EXPECT_EQ(log.start_unix_ns, 1369730760904000000) << "2013-05-28 08:46:00.904";
@@ -107,7 +107,7 @@ TEST(Kitti360, DrivesAndPartsHaveNames) {
     EXPECT_EQ(kitti.load({.sequence = "kd1", .frames = {2352, -1}}).frames.size(), 1u);
     EXPECT_THROW(kitti.load({.sequence = "kd1", .frames = {0, 2351}}), UsageError);
     for (const char* name : {"0000", "2013_05_28_drive_0000_sync"}) {
-        const LidarSequence named = kitti.load({.sequence = name});
+        const Log named = kitti.load({.sequence = name});
         EXPECT_EQ(named.frames.size(), 3u);
         EXPECT_TRUE(named.test_frames.empty()) << "nobody has published a split of the drive";
     }
@@ -130,7 +130,7 @@ TEST(Kitti360, MissingPartsAreErrorsOfUsage) {
 TEST(Kitti360, FramesWithoutAPose) {
     const Kitti360Folder kitti("k360_gaps");
     kitti.write_poses({2350, 2352});
-    LidarSequence log = kitti.load();
+    Log log = kitti.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_THAT(log.notes, Contains(Names("interpolated ... data_poses ... 2351")));
     const glm::dvec3 there(Kitti360Folder::compute_world_from_velo(2351)[3]);
@@ -151,7 +151,7 @@ TEST(Kitti360, FramesWithoutAPose) {
 TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     const Kitti360Folder kitti("k360_poses");
     DatasetOptions options{.poses_file = kNoPoses};
-    const LidarSequence none = kitti.load(options);
+    const Log none = kitti.load(options);
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     ASSERT_EQ(none.boxes.size(), 2u);
     for (const Pose& pose : none.boxes[0].world_from_box.pose)
@@ -160,7 +160,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     for (int frame = 0; frame < 2353; ++frame) lines += fmt::format("1 0 0 {} 0 1 0 0 0 0 1 0\n", frame);
     options.poses_file = kitti.folder / "mine.txt";
     write_text(options.poses_file, lines);
-    const LidarSequence mine = kitti.load(options);
+    const Log mine = kitti.load(options);
     EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
     EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
     fs::remove_all(kitti.folder / "data_poses");
@@ -188,7 +188,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
                              test::make_object_xml(2, fields("pedestrian", 12, 2351), world_from_object) +
                              test::make_object_xml(3, fields("car", 13, -1), world_from_object) +
                              test::make_object_xml(4, fields("trafficSign", 14, -1), world_from_object)));
-    const LidarSequence log = kitti.load();
+    const Log log = kitti.load();
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "car-13");
     EXPECT_EQ(log.boxes[0].world_from_box.pose.size(), 1u);

@@ -29,7 +29,7 @@ std::vector<Beam> make_beams() {
         const double elevation_deg = k < 32 ? 2.0 - 0.34 * k : -9.0 - 0.51 * (k - 32);
         Beam& beam = beams[std::size_t(k)];
         beam.elevation_rad = elevation_deg * kPi / 180.0;
-        beam.azimuth_offset_rad = random.sample_uniform_number(-0.14, 0.14);
+        beam.azimuth_offset_rad = random.sample_uniform(-0.14, 0.14);
         beam.origin_up_m = (k < 32 ? 0.20 : 0.12) * std::cos(beam.elevation_rad);
         beam.origin_left_m = k % 2 == 0 ? -0.026 : 0.026;
         mean += beam.azimuth_offset_rad / 64;
@@ -38,12 +38,12 @@ std::vector<Beam> make_beams() {
     return beams;
 }
 
-double compute_head_azimuth(Heads heads, int firing, int frame) {
+double azimuth_facing(Heads heads, int firing, int frame) {
     const double even = firing * 4000.0 / KittiDrive::kFirings;
     if (heads == Heads::even) return (2000.0 - even) * kTick;
     if (heads == Heads::jittered) {
-        Random random(hash_integer_pair(std::uint64_t(firing), std::uint64_t(frame)));
-        return (2000.0 - even - random.sample_uniform_number(0.0, 2.5)) * kTick;
+        Random random(hash_pair(std::uint64_t(firing), std::uint64_t(frame)));
+        return (2000.0 - even - random.sample_uniform(0.0, 2.5)) * kTick;
     }
     const double wobble = 1.4 * std::sin(6.0 * kPi * firing / KittiDrive::kFirings) + 1.9 * frame;
     return (2000.0 - std::floor(even + wobble)) * kTick;
@@ -60,11 +60,11 @@ Sweep make_sweep(const std::vector<Beam>& beams, Heads heads, int frame) {
     for (std::size_t k = 0; k < beams.size(); ++k) {
         std::vector<std::pair<double, glm::vec4>> ring;
         for (int n = 0; n < KittiDrive::kFirings; ++n) {
-            const BeamRay ray = compute_beam_ray(beams[k], compute_head_azimuth(heads, n, frame));
+            const BeamRay ray = aim_beam(beams[k], azimuth_facing(heads, n, frame));
             const double azimuth = std::atan2(ray.direction.y, ray.direction.x);
             const double reach =
                 9.0 + 4.0 * std::sin(3.0 * azimuth) + 2.0 * std::cos(7.0 * azimuth + 0.3 * double(k));
-            const bool drop = hash_integer_pair(k * 1000 + std::uint64_t(n), std::uint64_t(frame)) % 10 == 0;
+            const bool drop = hash_pair(k * 1000 + std::uint64_t(n), std::uint64_t(frame)) % 10 == 0;
             if (drop) {
                 sweep.dropped.push_back(ray.direction);
                 continue;

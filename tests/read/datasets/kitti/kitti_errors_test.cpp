@@ -215,8 +215,8 @@ TEST(KittiErrors, Tracklets) {
 
 TEST(Registry, KindsAreRecognisedAndNamed) {
     const KittiDrive drive("kinds");
-    EXPECT_EQ(detect_dataset_kind(drive.folder), "kitti_raw");
-    EXPECT_THROW(detect_dataset_kind(drive.folder.parent_path()), DataError);
+    EXPECT_EQ(detect_kind(drive.folder), "kitti_raw");
+    EXPECT_THROW(detect_kind(drive.folder.parent_path()), DataError);
     EXPECT_THAT(test::find_load_error("kiti_raw:" + drive.folder.string()), test::Names("'kitti_raw'"));
 }
 

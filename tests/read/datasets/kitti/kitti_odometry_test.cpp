@@ -46,8 +46,8 @@ struct Odometry : test::LogFolder {
 
 TEST(KittiOdometry, IsRecognisedAndRead) {
     const Odometry odometry("odometry");
-    EXPECT_EQ(detect_dataset_kind(odometry.folder), "kitti_odometry");
-    const LidarSequence log = odometry.load();
+    EXPECT_EQ(detect_kind(odometry.folder), "kitti_odometry");
+    const Log log = odometry.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_FALSE(log.rolling_shutter);
     EXPECT_EQ(log.frames[1].time_s, 0.1037);
@@ -100,7 +100,7 @@ TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
         test::write_text(odometry.folder / "labels" / fmt::format("{:06d}.label", frame),
                          {reinterpret_cast<const char*>(labels.data()), 4 * labels.size()});
     }
-    const LidarSequence log = odometry.load();
+    const Log log = odometry.load();
     EXPECT_TRUE(log.frames[1].scan.classes.empty()) << "a frame without a file";
     for (const int frame : {0, 2}) {
         const std::string bytes = test::read_text(odometry.drive.scan(frame));
@@ -119,9 +119,7 @@ TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
         ASSERT_EQ(scan.classes.size(), scan.range_m.size());
         for (std::size_t ray = 0; ray < scan.classes.size(); ++ray)
             ASSERT_EQ(scan.classes[ray],
-                      scan.range_m[ray] > 0.0f
-                          ? expected.at(key_of(scan.compute_return_point_in_sensor_frame(ray)))
-                          : unknown);
+                      scan.range_m[ray] > 0.0f ? expected.at(key_of(scan.return_point(ray))) : unknown);
     }
 }
 

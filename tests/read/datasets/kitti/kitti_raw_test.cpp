@@ -29,7 +29,7 @@ using test::KittiDrive;
 
 TEST(KittiRaw, RecoversTheSensorFromItsScans) {
     const KittiDrive drive("sensor");
-    const LidarSequence log = drive.load();
+    const Log log = drive.load();
     EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     ASSERT_EQ(log.lidars[0].sensor.beams.size(), 64u);
@@ -46,7 +46,7 @@ TEST(KittiRaw, RecoversTheSensorFromItsScans) {
 
 TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
     const KittiDrive drive("rays");
-    const LidarSequence log = drive.load();
+    const Log log = drive.load();
     const Scan& scan = log.frames[0].scan;
     ASSERT_EQ(scan.rays.rows, 64);
     ASSERT_EQ(scan.rays.columns, KittiDrive::kFirings);
@@ -78,7 +78,7 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
 
 TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
     const KittiDrive even("even", test::Heads::even), jittered("jittered", test::Heads::jittered);
-    LidarSequence log = load_sequence(even.folder.string(), {});
+    Log log = load_sequence(even.folder.string(), {});
     EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
     log = load_sequence(jittered.folder.string(), {});
@@ -107,7 +107,7 @@ const double kStep_m = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
 
 TEST(KittiRaw, PosesTimesAndBoxes) {
     const KittiDrive drive("poses");
-    const LidarSequence log = drive.load();
+    const Log log = drive.load();
     ASSERT_EQ(log.frames.size(), 3u);
     EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
     EXPECT_EQ(log.start_unix_ns, 1325375999850000000) << "2011-12-31 23:59:59.85";
@@ -144,7 +144,7 @@ TEST(KittiRaw, PosesFileInTumOrder) {
     const DatasetOptions options{.poses_file = drive.file("poses.txt")};
     for (const char* order : {"0 0 0.70710678 0.70710678", "0.70710678 0 0 0.70710678"}) {
         write(order);
-        const LidarSequence log = drive.load(options);
+        const Log log = drive.load(options);
         const Pose pose = log.world_from_vehicle.pose[2];
         EXPECT_NEAR(glm::distance(pose.rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, 1, 0)), 0.0, 1e-6);
         EXPECT_NEAR(glm::distance(pose.translation + log.world_offset_m, glm::dvec3(5, 1.6, 0)), 0.0, 0.1);
@@ -160,7 +160,7 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     const auto poses = drive.file("poses.txt");
     test::write_text(poses, "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n0 -1 0 5 1 0 0 6 0 0 1 7\n");
     drive.expect_error("missing (1)", {.poses_file = poses, .allow_missing_scans = false});
-    const LidarSequence log = drive.load({.poses_file = poses});
+    const Log log = drive.load({.poses_file = poses});
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s, 0.2, 1e-9);
@@ -188,7 +188,7 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     fs::remove(drive.scan(1));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
         erase_lines(drive.file(std::string("velodyne_points/") + name), {1});
-    const LidarSequence log = drive.load();
+    const Log log = drive.load();
     ASSERT_EQ(log.frames.size(), 2u);
     EXPECT_EQ(log.frames[1].index, 2);
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
@@ -208,7 +208,7 @@ TEST(KittiRaw, TimesAreCountedFromTheFirstLineThatHasOne) {
     fs::remove(drive.scan(0));
     for (const char* name : {"timestamps.txt", "timestamps_start.txt", "timestamps_end.txt"})
         erase_lines(drive.file(std::string("velodyne_points/") + name), {0});
-    const LidarSequence log = drive.load();
+    const Log log = drive.load();
     EXPECT_NEAR(log.frames[0].time_s, 0.0, 1e-9);
     EXPECT_NEAR(log.frames[1].time_s, 0.1, 1e-9);
     EXPECT_EQ(log.start_unix_ns, 1325375999950000000);
@@ -229,11 +229,11 @@ TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
 
 TEST(KittiRaw, WithoutPosesAndTracklets) {
     const KittiDrive drive("no_poses");
-    const LidarSequence original = drive.load();
+    const Log original = drive.load();
     fs::remove_all(drive.file("oxts"));
     fs::remove(drive.calibration());
     const DatasetOptions options{.poses_file = kNoPoses};
-    LidarSequence log = drive.load(options);
+    Log log = drive.load(options);
     EXPECT_THAT(log.notes, testing::Contains(test::Names("poses ... read")));
     for (std::size_t i = 0; i < 3; ++i) {
         EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
@@ -242,7 +242,7 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
         EXPECT_EQ(log.frames[i].scan.range_m, original.frames[i].scan.range_m);
     }
     EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));  // as labelled
-    set_vehicle_poses(log, original.world_from_vehicle);
+    set_trajectory(log, original.world_from_vehicle);
     for (std::size_t k = 0; k < 2; ++k)
         EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation,
                                   original.boxes[0].world_from_box.pose[k].translation),
@@ -274,7 +274,7 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
         }
         test::write_text(drive.scan(frame), bytes);
     }
-    const LidarSequence log = drive.load({.max_range_m = INFINITY});
+    const Log log = drive.load({.max_range_m = INFINITY});
     double offset_m = 0.0;  // ranges start at the origin of a beam, not at the sensor
     for (const Beam& beam : drive.beams)
         offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m,
@@ -296,13 +296,13 @@ protected:
 };
 
 TEST_F(KittiRawReal, Drive) {
-    const LidarSequence log = load_sequence(folder, {.frames = {0, 12}});
+    const Log log = load_sequence(folder, {.frames = {0, 12}});
     ASSERT_EQ(log.frames.size(), 12u);
     EXPECT_NEAR(log.lidars[0].sensor.columns, 2152, 10);
     EXPECT_NEAR(log.lidars[0].sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
     EXPECT_NEAR(log.lidars[0].sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
     const RayTable nominal = make_rays(log.lidars[0].sensor);
-    for (const LidarFrame& frame : log.frames) {
+    for (const Frame& frame : log.frames) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.rays.size(), nominal.size());
         double elevation_error = 0.0;
@@ -345,18 +345,17 @@ std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm:
 }
 
 TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
-    const LidarSequence log = load_sequence(folder, {.frames = {0, 12}});
+    const Log log = load_sequence(folder, {.frames = {0, 12}});
     std::size_t all = 0, lost_native = 0, lost_grid = 0;
-    for (const LidarFrame& frame : log.frames) {
+    for (const Frame& frame : log.frames) {
         const fs::path file =
             fs::path(folder) / "velodyne_points/data" / (fmt::format("{:010}.bin", frame.index));
         std::vector<float> intensity;
         const std::vector<glm::vec3> points = read_file_points(file, 79.9f, intensity);
         std::vector<glm::vec3> scan_points;
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (frame.scan.range_m[i] > 0.0f)
-                scan_points.push_back(frame.scan.compute_return_point_in_sensor_frame(i));
-        const ProjectedRangeImage grid = project_points(make_kitti360_grid(), points, intensity);
+            if (frame.scan.range_m[i] > 0.0f) scan_points.push_back(frame.scan.return_point(i));
+        const ProjectedRangeImage grid = project_points(kitti360_grid(), points, intensity);
         all += points.size();
         lost_native += count_missing(points, std::move(scan_points));
         lost_grid +=
@@ -370,11 +369,11 @@ TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
 /// nominal rays of each firing are rotated together, they must equal the rays of the
 /// scan, including dropped rays.
 TEST_F(KittiRawReal, ScansHaveOneAzimuthAFiring) {
-    const LidarSequence log = load_sequence(folder, {.frames = {40, 44}});
-    for (const LidarFrame& frame : log.frames) {
-        const SpinningSensor& sensor = log.get_lidar(frame).sensor;
+    const Log log = load_sequence(folder, {.frames = {40, 44}});
+    for (const Frame& frame : log.frames) {
+        const SpinningSensor& sensor = log.lidar_of(frame).sensor;
         const RayTable nominal = make_rays(sensor),
-                       turned = rotate_firings_by_azimuth_shifts(nominal, sensor, frame.azimuth_shift_rad);
+                       turned = rotate_firings(nominal, sensor, frame.azimuth_shift_rad);
         std::vector<float> followed;
         for (std::size_t i = 0; i < nominal.size(); ++i)
             followed.push_back(glm::length(turned.direction[i] - frame.scan.rays.direction[i]));

@@ -9,8 +9,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "read/scans/stamped_folders.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/scans/stamped_folders.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -22,9 +22,9 @@ using test::StampedRay;
 
 /// Checks that every return is at the point where its ray hit the yard, and that no
 /// return is lost.
-void expect_mulran_truth(const MulranFolder& data, const LidarSequence& sequence) {
-    const PoseTrack track = sequence.get_world_from_sensor(0);
-    for (const LidarFrame& frame : sequence.frames) {
+void expect_mulran_truth(const MulranFolder& data, const Log& sequence) {
+    const PoseTrack track = sequence.lidar_track(0);
+    for (const Frame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
@@ -46,8 +46,8 @@ void expect_mulran_truth(const MulranFolder& data, const LidarSequence& sequence
 
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
-    EXPECT_EQ(detect_dataset_kind(data.folder), "mulran");
-    const LidarSequence sequence = data.load();
+    EXPECT_EQ(detect_kind(data.folder), "mulran");
+    const Log sequence = data.load();
     EXPECT_EQ(sequence.name, "MulRan KAIST01");
     EXPECT_EQ(sequence.start_unix_ns, MulranFolder::stamp(0)) << "of the skipped scan";
     ASSERT_EQ(sequence.frames.size(), 3u);
@@ -71,14 +71,14 @@ TEST(Mulran, PointsRingByRingInTheOtherFolder) {
     const MulranFolder data("ring-by-ring", false);
     fs::create_directory(data.folder / "sensor_data");
     fs::rename(data.folder / "Ouster", data.folder / "sensor_data/Ouster");
-    const LidarSequence sequence = data.load();
+    const Log sequence = data.load();
     ASSERT_EQ(sequence.frames.size(), 3u);
     expect_mulran_truth(data, sequence);
 }
 
 TEST(Mulran, FramesAndOtherPoses) {
     const MulranFolder data("frames");
-    const LidarSequence one = data.load({.frames = {2, 3}});
+    const Log one = data.load({.frames = {2, 3}});
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
     data.expect_error("global_pose.csv ... 0.046 to 0.356 s ... frames 0 to 0", {.frames = {0, 1}});
@@ -109,7 +109,7 @@ TEST(Mulran, BrightPointsAreCut) {
     const float bright = 6000.0f;
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
-    const LidarSequence sequence = data.load();
+    const Log sequence = data.load();
     EXPECT_THAT(sequence.notes,
                 testing::Contains(test::Names("intensities ... 6000 ... 200 ... 99.5th percentile")));
 }

@@ -50,9 +50,8 @@ std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
             ray.direction = d;
             ray.origin_m = fired.translation;
             ray.point_m = kMap_m + intersect_yard(ray.origin_m - kMap_m, fired.rotation * raw);
-            ray.returned =
-                hash_integer_pair(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 &&
-                column % 60 != 7;
+            ray.returned = hash_pair(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 &&
+                           column % 60 != 7;
             // compensated like all other points
             const glm::dvec3 nothing = fired * glm::dvec3(0.0, 1e-3, 0.0);
             const glm::dvec3 p = inverse(map_from_raw) * (ray.returned ? ray.point_m : nothing);

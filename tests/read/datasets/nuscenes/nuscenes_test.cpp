@@ -24,7 +24,7 @@ using test::NuscenesRay;
 
 const DatasetOptions kScene{.sequence = "scene-0103"};
 
-LidarSequence load(const NuscenesFolder& data, DatasetOptions options = {}) {
+Log load(const NuscenesFolder& data, DatasetOptions options = {}) {
     if (options.sequence.empty()) options.sequence = "scene-0103";
     return data.load(options);
 }
@@ -40,16 +40,16 @@ double measure_distance_to_arc_m(int frame, double fraction) {
 
 TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     const NuscenesFolder data("rays");
-    EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
-    const LidarSequence actual = load(data);
+    EXPECT_EQ(detect_kind(data.folder), "nuscenes");
+    const Log actual = load(data);
     EXPECT_EQ(actual.name, "nuScenes scene-0103");
     ASSERT_EQ(actual.frames.size(), std::size_t(NuscenesFolder::kSweeps));
     const SpinningSensor& sensor = actual.lidars[0].sensor;
     ASSERT_EQ(sensor.beams.size(), 32u);
     EXPECT_NEAR(sensor.beams[0].elevation_rad * 180.0 / kPi, 10.67, 5e-3);
     EXPECT_NEAR(sensor.beams[31].elevation_rad * 180.0 / kPi, -30.67, 5e-3);
-    const PoseTrack track = actual.get_world_from_sensor(0);
-    for (const LidarFrame& frame : actual.frames) {
+    const PoseTrack track = actual.lidar_track(0);
+    for (const Frame& frame : actual.frames) {
         ASSERT_EQ(frame.scan.rays.columns, data.columns);
         std::size_t n_returns = 0;
         for (const NuscenesRay& ray : data.rays[std::size_t(frame.index)]) n_returns += ray.returned;
@@ -98,8 +98,8 @@ void write_categories(const NuscenesFolder& data) {
 TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
     const NuscenesFolder data("lidarseg");
     write_categories(data);
-    const LidarSequence actual = load(data);
-    for (const LidarFrame& frame : actual.frames) {
+    const Log actual = load(data);
+    for (const Frame& frame : actual.frames) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.classes.size(), frame.index % 10 == 0 ? scan.range_m.size() : 0u);
         for (std::size_t i = 0; i < scan.classes.size(); ++i) {
@@ -120,7 +120,7 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     const fs::path file = data.folder / "lidarseg/v1.0-mini/10_lidarseg.bin";
     data.expect_error_with(file, "123", "10_lidarseg.bin has 3 bytes ... 1280 points", kScene);
     fs::remove(file);
-    const LidarSequence log = load(data);
+    const Log log = load(data);
     EXPECT_THAT(log.notes,
                 testing::Contains("labels of points: 1 of the files in lidarseg.json are missing"));
     EXPECT_TRUE(log.frames[10].scan.classes.empty());
@@ -132,10 +132,10 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
 
 TEST(Nuscenes, TablesOfT4) {
     const NuscenesFolder data("t4");
-    const LidarSequence nuscenes = load(data);
+    const Log nuscenes = load(data);
     fs::rename(data.folder / "v1.0-mini", data.folder / "annotation");
-    EXPECT_EQ(detect_dataset_kind(data.folder), "t4");
-    const LidarSequence t4 = load(data);
+    EXPECT_EQ(detect_kind(data.folder), "t4");
+    const Log t4 = load(data);
     EXPECT_EQ(t4.name, "T4 scene-0103");
     ASSERT_EQ(t4.frames.size(), nuscenes.frames.size());
     EXPECT_EQ(t4.boxes.size(), nuscenes.boxes.size());
@@ -148,7 +148,7 @@ TEST(Nuscenes, TablesOfT4) {
 
 TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const NuscenesFolder data("boxes", 40);
-    const LidarSequence actual = load(data);
+    const Log actual = load(data);
     EXPECT_EQ(actual.start_unix_ns, 1533151603547590000);
     for (std::size_t i = 0; i < actual.frames.size(); ++i) {
         EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
@@ -171,12 +171,12 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     EXPECT_EQ(data.load().frames.size(), 1u);
     EXPECT_EQ(load(data, {.sequence = "103"}).name, "nuScenes scene-0103");
     data.expect_error("dataset.sequence 'scene-0104' ... scene-0061, scene-0103", {.sequence = "scene-0104"});
-    const LidarSequence part = load(data, {.frames = {3, 5}});
+    const Log part = load(data, {.frames = {3, 5}});
     ASSERT_EQ(part.frames.size(), 2u);
     EXPECT_EQ(part.frames[0].index, 3);
     EXPECT_NEAR(part.frames[0].time_s, 0.15, 1e-9);
     EXPECT_THROW(load(data, {.frames = {11, -1}}), UsageError);
-    const LidarSequence unposed = load(data, {.poses_file = kNoPoses});
+    const Log unposed = load(data, {.poses_file = kNoPoses});
     EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
     const glm::dvec3 box_in_vehicle_m =
         inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
@@ -192,14 +192,14 @@ TEST(Nuscenes, KeyframesAlone) {
     data.expect_error("turn_4.pcd.bin ... use dataset.skip_broken=true", kScene);
     EXPECT_EQ(load(data, {.skip_broken = true}).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
-    const LidarSequence actual = load(data);
+    const Log actual = load(data);
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("keyframes")));
     ASSERT_EQ(actual.frames.size(), 2u);
     EXPECT_EQ(actual.frames[1].index, 10);
     EXPECT_NEAR(actual.frames[1].time_s, 0.5, 1e-9);
     EXPECT_EQ(actual.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, actual.frames[1].time_s}));
-    const PoseTrack track = actual.get_world_from_sensor(0);
-    for (const LidarFrame& frame : actual.frames)
+    const PoseTrack track = actual.lidar_track(0);
+    for (const Frame& frame : actual.frames)
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;

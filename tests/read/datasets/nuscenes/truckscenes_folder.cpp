@@ -65,9 +65,8 @@ void TruckScenesFolder::write_clouds(Lidar& lidar, double later_s) const {
                 ray.origin_m = fired.translation;
                 ray.point_m = kWorld_m + intersect_yard(ray.origin_m - kWorld_m, fired.rotation * d);
                 const double range_m = glm::distance(ray.origin_m, ray.point_m);
-                ray.returned =
-                    range_m < 200.0 &&
-                    hash_integer_pair(std::uint64_t(column) * n_beams + beam, std::uint64_t(s)) % 8 != 0;
+                ray.returned = range_m < 200.0 &&
+                               hash_pair(std::uint64_t(column) * n_beams + beam, std::uint64_t(s)) % 8 != 0;
                 lidar.rays.back().push_back(ray);
                 if (!ray.returned) continue;
                 const glm::dvec3 p = range_m * d;

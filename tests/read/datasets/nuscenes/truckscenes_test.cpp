@@ -27,17 +27,16 @@ namespace fs = std::filesystem;
 using test::TruckRay;
 using test::TruckScenesFolder;
 
-LidarSequence load(const TruckScenesFolder& data, DatasetOptions options = {}) {
+Log load(const TruckScenesFolder& data, DatasetOptions options = {}) {
     options.max_range_m = 200.0;
     return data.load(options);
 }
 
 /// Checks that every return of a frame belongs to the ray that was fired at the time of
 /// the return, and that no return is lost.
-void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
-                  const TruckScenesFolder::Lidar& lidar) {
+void expect_truth(const Log& actual, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
     const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
-    const PoseTrack track = actual.get_world_from_sensor(frame.lidar);
+    const PoseTrack track = actual.lidar_track(frame.lidar);
     const std::size_t n_beams = lidar.elevations_deg.size();
     std::size_t n_returns = 0;
     for (const TruckRay& ray : truth) n_returns += ray.returned;
@@ -53,7 +52,7 @@ void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
         const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
         // Tolerance: the interpolated LiDAR moves along chords, less than 2.5 m from the
         // axle, at 20 degrees per second.
-        const TrackInterpolation interpolation = track.find_poses_before_and_after_time(fired_s);
+        const TrackInterpolation interpolation = track.find_segment(fired_s);
         const double rotation_rad =
             20.0 * kPi / 180.0 * (track.time_s[interpolation.left + 1] - track.time_s[interpolation.left]);
         const double off_m =
@@ -67,8 +66,8 @@ void expect_truth(const LidarSequence& actual, const LidarFrame& frame,
 
 TEST(TruckScenes, EveryReturnOfBothLidars) {
     const TruckScenesFolder data("rays");
-    EXPECT_EQ(detect_dataset_kind(data.folder), "nuscenes");
-    const LidarSequence actual = load(data);
+    EXPECT_EQ(detect_kind(data.folder), "nuscenes");
+    const Log actual = load(data);
     EXPECT_EQ(actual.name, "TruckScenes scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(actual.lidars.size(), 2u);
     ASSERT_EQ(actual.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1))
@@ -76,14 +75,14 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
     for (std::size_t l = 0; l < 2; ++l) {
         const Lidar& lidar = actual.lidars[l];
         EXPECT_EQ(lidar.name, data.lidars[l].channel);
-        EXPECT_NEAR(lidar.get_sweep_period_s(), TruckScenesFolder::kSweep_s, 1e-4);
+        EXPECT_NEAR(lidar.sweep_period_s(), TruckScenesFolder::kSweep_s, 1e-4);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
         ASSERT_EQ(lidar.sensor.beams.size(), data.lidars[l].elevations_deg.size());
         for (std::size_t b = 0; b < lidar.sensor.beams.size(); ++b)
             EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad * 180.0 / kPi, data.lidars[l].elevations_deg[b],
                         1e-3);
     }
-    for (const LidarFrame& frame : actual.frames) {
+    for (const Frame& frame : actual.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * TruckScenesFolder::kSweep_s, 1e-9)
             << "LiDARs share the time of the first";
         expect_truth(actual, frame, data.lidars[std::size_t(frame.lidar)]);
@@ -95,7 +94,7 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
 
 TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     const TruckScenesFolder data("poses");
-    const LidarSequence actual = load(data);
+    const Log actual = load(data);
     ASSERT_EQ(actual.world_from_vehicle.time_s.size(), std::size_t(TruckScenesFolder::kSweeps));
     for (std::size_t i = 0; i < actual.world_from_vehicle.time_s.size(); ++i) {
         const Pose truth = TruckScenesFolder::compute_vehicle_pose(actual.world_from_vehicle.time_s[i]);
@@ -104,7 +103,7 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     ASSERT_EQ(actual.boxes.size(), 1u);
     const BoxTrack& box = actual.boxes[0];
     EXPECT_EQ(box.category, "vehicle.other");
-    EXPECT_EQ(parse_object_kind(box.category), ObjectKind::vehicle);
+    EXPECT_EQ(parse_kind(box.category), ObjectKind::vehicle);
     EXPECT_EQ(box.size_m, glm::dvec3(5.5, 2.1, 2.4));
     ASSERT_EQ(box.world_from_box.pose.size(), std::size_t(TruckScenesFolder::kSweeps))
         << "the first and last label are near their sweeps";
@@ -118,22 +117,22 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
 
 TEST(TruckScenes, LidarsFramesAndKeyframes) {
     const TruckScenesFolder data("choice");
-    const LidarSequence top = load(data, {.frames = {3, 6}, .lidars = {"LIDAR_TOP_FRONT"}});
+    const Log top = load(data, {.frames = {3, 6}, .lidars = {"LIDAR_TOP_FRONT"}});
     ASSERT_EQ(top.lidars.size(), 1u);
     EXPECT_EQ(top.lidars[0].name, "LIDAR_TOP_FRONT");
     ASSERT_EQ(top.frames.size(), 2u);
     EXPECT_EQ(top.frames[0].index, 3);
     EXPECT_EQ(top.frames[1].index, 5) << "numbers are those of LIDAR_LEFT";
-    for (const LidarFrame& frame : top.frames) expect_truth(top, frame, data.lidars[1]);
+    for (const Frame& frame : top.frames) expect_truth(top, frame, data.lidars[1]);
     EXPECT_THAT(top.notes, testing::Contains(test::Names("LiDARs ... read: LIDAR_LEFT")));
     data.expect_error("LiDAR 'LIDAR_REAR' ... LIDAR_LEFT", {.lidars = {"LIDAR_REAR"}});
     EXPECT_EQ(load(data, {.sequence = "0044"}).frames.size(),
               std::size_t(2 * TruckScenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
     fs::remove(data.table("sample_annotation"));
-    const LidarSequence keyframes = load(data);
+    const Log keyframes = load(data);
     ASSERT_EQ(keyframes.frames.size(), 6u);
-    EXPECT_NEAR(keyframes.lidars[0].get_sweep_period_s(), TruckScenesFolder::kSweep_s, 1e-4)
+    EXPECT_NEAR(keyframes.lidars[0].sweep_period_s(), TruckScenesFolder::kSweep_s, 1e-4)
         << "a turn, not the time between keyframes";
     EXPECT_EQ(keyframes.lidars[1].sensor.beams.size(), 24u);
     EXPECT_TRUE(keyframes.boxes.empty());
@@ -195,8 +194,8 @@ std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& dat
 TEST(Lyft, ReturnsOfBothLidars) {
     const TruckScenesFolder data("lyft");
     auto ranges = make_lyft(data);
-    EXPECT_EQ(detect_dataset_kind(data.folder), "lyft");
-    const LidarSequence actual = load(data);
+    EXPECT_EQ(detect_kind(data.folder), "lyft");
+    const Log actual = load(data);
     EXPECT_EQ(actual.name, "Lyft Level 5 scene-0044384af3d8494e913fb8b14915239e-3");
     ASSERT_EQ(actual.lidars.size(), 2u);
     EXPECT_EQ(actual.lidars[0].name, "LIDAR_TOP") << "comes first";
@@ -207,12 +206,12 @@ TEST(Lyft, ReturnsOfBothLidars) {
                 testing::Contains(test::Names("LIDAR_LEFT ... 1 sweeps ... skipped ... LIDAR_TOP")));
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("LIDAR_LEFT ... times")));
     for (const Lidar& lidar : actual.lidars) {
-        EXPECT_NEAR(lidar.get_sweep_period_s(), 0.1, 1e-9);
+        EXPECT_NEAR(lidar.sweep_period_s(), 0.1, 1e-9);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
     }
     EXPECT_EQ(actual.lidars[0].sensor.beams.size(), 24u);
     EXPECT_EQ(actual.lidars[1].sensor.beams.size(), 17u);
-    for (const LidarFrame& frame : actual.frames) {
+    for (const Frame& frame : actual.frames) {
         const int sweep = frame.index < TruckScenesFolder::kMissing ? frame.index : frame.index + 1;
         std::vector<float> read,
             &written =
@@ -228,10 +227,9 @@ TEST(Lyft, ReturnsOfBothLidars) {
         for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
     }
     const Pose truth = TruckScenesFolder::compute_vehicle_pose(0.507);
-    EXPECT_LT(
-        glm::distance(actual.world_from_vehicle.interpolate_pose(0.5).translation + actual.world_offset_m,
-                      truth.translation),
-        1e-5);
+    EXPECT_LT(glm::distance(actual.world_from_vehicle.pose_at(0.5).translation + actual.world_offset_m,
+                            truth.translation),
+              1e-5);
 }
 
 TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
@@ -249,7 +247,7 @@ TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
         }
         test::write_text(file.path(), bytes);
     }
-    const LidarSequence actual = load(data, {.lidars = {"LIDAR_TOP"}});
+    const Log actual = load(data, {.lidars = {"LIDAR_TOP"}});
     EXPECT_EQ(actual.frames[0].scan.rays.rows, 1) << "rays without order";
     EXPECT_EQ(actual.frames[0].scan.count_returns(), actual.frames[0].scan.rays.size());
     EXPECT_THAT(actual.notes, testing::Contains(test::Names("dropped")));

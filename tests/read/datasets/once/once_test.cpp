@@ -9,8 +9,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "read/scans/stamped_folders.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
+#include "read/scans/stamped_folders.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -21,10 +21,10 @@ using test::OnceFolder;
 
 /// Checks that every return is on a surface of the yard, that its ray starts at the
 /// LiDAR, and that no return is lost.
-void expect_once_truth(const OnceFolder& data, const LidarSequence& sequence) {
-    const PoseTrack track = sequence.get_world_from_sensor(0);
+void expect_once_truth(const OnceFolder& data, const Log& sequence) {
+    const PoseTrack track = sequence.lidar_track(0);
     const Pose yard_from_once{data.drive.compute_lidar_pose_at(0.0)};
-    for (const LidarFrame& frame : sequence.frames) {
+    for (const Frame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.5, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
@@ -46,8 +46,8 @@ void expect_once_truth(const OnceFolder& data, const LidarSequence& sequence) {
 
 TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
-    EXPECT_EQ(detect_dataset_kind(data.folder), "once");
-    const LidarSequence sequence = data.load();
+    EXPECT_EQ(detect_kind(data.folder), "once");
+    const Log sequence = data.load();
     EXPECT_EQ(sequence.start_unix_ns, 1000000 * OnceFolder::stamp(0));
     EXPECT_EQ(sequence.name, "ONCE 000076");
     ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
@@ -68,7 +68,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
 
 TEST(Once, QuaternionsWithWFirst) {
     const OnceFolder data("w-first", true);
-    const LidarSequence sequence = data.load();
+    const Log sequence = data.load();
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("quaternions ... w")));
     expect_once_truth(data, sequence);
 }
@@ -86,20 +86,20 @@ TEST(Once, PointsOfAnotherLidar) {
         }
         test::write_text(data.scan(s), bytes);
     }
-    const LidarSequence sequence = data.load();
+    const Log sequence = data.load();
     EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
     EXPECT_THAT(sequence.notes, testing::Contains(test::Names("dropped")));
 }
 
 TEST(Once, FramesOtherPosesAndMissingScans) {
     const OnceFolder data("frames");
-    const LidarSequence some = data.load({.frames = {1, 3}});
+    const Log some = data.load({.frames = {1, 3}});
     ASSERT_EQ(some.frames.size(), 2u);
     EXPECT_EQ(some.frames[0].index, 1);
     EXPECT_NEAR(some.frames[0].time_s, 0.5, 1e-9);
     data.expect_error("ONCE ... [0, 3]", {.frames = {4, -1}});
     fs::remove(data.scan(1));
-    const LidarSequence rest = data.load();
+    const Log rest = data.load();
     ASSERT_EQ(rest.frames.size(), 3u);
     EXPECT_EQ(rest.frames[1].index, 2);
     EXPECT_THAT(rest.notes, testing::Contains(test::Names("1 frames ... skipped")));

@@ -40,7 +40,7 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     Random random(5);
     int hits = 0;
     for (int i = 0; i < 4000; ++i) {
-        const double t_s = random.sample_uniform_number(0.0, 3.0);
+        const double t_s = random.sample_uniform(0.0, 3.0);
         const double pitch =
             limb.swing_rad * std::sin(2.0 * kPi * walker.speed_mps * t_s / walker.stride_m + limb.phase_rad);
         const glm::dvec3 ahead(std::cos(walker.yaw_rad), std::sin(walker.yaw_rad), 0.0),
@@ -49,11 +49,10 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
         const glm::dvec3 joint = box + limb.joint_m.x * ahead + limb.joint_m.y * left + limb.joint_m.z * up;
         const glm::dvec3 end = joint + limb.length_m * (std::sin(pitch) * ahead - std::cos(pitch) * up);
         const auto somewhere = [&] {
-            return glm::dvec3(random.sample_standard_normal(), random.sample_standard_normal(),
-                              random.sample_standard_normal());
+            return glm::dvec3(random.sample_normal(), random.sample_normal(), random.sample_normal());
         };
         const glm::dvec3 origin = box + 4.0 * glm::normalize(somewhere());
-        const glm::dvec3 aim = glm::mix(joint, end, random.sample_uniform_number()) + 0.05 * somewhere();
+        const glm::dvec3 aim = glm::mix(joint, end, random.sample_uniform()) + 0.05 * somewhere();
         const WorldRay ray{origin, glm::normalize(aim - origin)};
         double t = 0.0, gap = 1.0;
         for (int step = 0; step < 400 && gap > 1e-9 && t < 8.0; ++step, t += gap)
@@ -72,8 +71,8 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
 /// Two people walk on the same path, one of them at half the speed. At the same position,
 /// both must have the same steps and the same shape.
 TEST(Gait, GoesByDistance) {
-    const SyntheticOptions options{.n_frames = 9, .people = true, .gait = true};
-    const LidarSequence street = make_synthetic_street(options);
+    const StreetOptions options{.n_frames = 9, .people = true, .gait = true};
+    const Log street = make_street_log(options);
     const std::size_t walker = 3;
     SyntheticCar slow{walker, street.boxes[walker]};
     for (double& t_s : slow.track.world_from_box.time_s) t_s *= 2.0;
@@ -91,8 +90,7 @@ TEST(Gait, GoesByDistance) {
     rays.channel.assign(kRays, 0);
     const Pose sensor{glm::dquat(1, 0, 0, 0), at - glm::dvec3(3.0, 0.0, 0.0)};
     const auto cast_ranges = [&](const SyntheticCar& car, double time_s) {
-        return cast_rays_into_synthetic_street(options, {car}, rays, PoseTrack{{time_s}, {sensor}}, time_s)
-            .range_m;
+        return cast_street_rays(options, {car}, rays, PoseTrack{{time_s}, {sensor}}, time_s).range_m;
     };
     const std::vector<float> at_normal_speed = to_vector(cast_ranges({walker, box}, 0.4)),
                              at_half_speed = to_vector(cast_ranges(slow, 0.8));

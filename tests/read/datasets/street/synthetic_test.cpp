@@ -22,7 +22,7 @@ using test::Names;
 
 namespace fs = std::filesystem;
 
-SyntheticOptions small() { return {.n_frames = 5, .rows = 16, .columns = 256}; }
+StreetOptions small() { return {.n_frames = 5, .rows = 16, .columns = 256}; }
 
 RayTable make_one_ray(const glm::vec3& direction) {
     RayTable rays;
@@ -35,35 +35,35 @@ RayTable make_one_ray(const glm::vec3& direction) {
 }
 
 TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
-    const SyntheticOptions options = small();
+    const StreetOptions options = small();
     // The origin of relidar's world is the sensor in the middle frame, at a height of 1.8
     // m.
     const PoseTrack level{{0.2}, {Pose{}}};
     for (const double elevation : {-0.8, -0.5, -0.4}) {
         const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
-        const Scan scan = cast_rays_into_synthetic_street(options, make_one_ray(d), level, 0.2);
+        const Scan scan = cast_street_rays(options, make_one_ray(d), level, 0.2);
         EXPECT_NEAR(scan.range_m[0], 1.8 / std::sin(-elevation), 1e-5);
         EXPECT_GT(scan.intensity[0], 0.05f);
     }
-    EXPECT_EQ(cast_rays_into_synthetic_street(options, make_one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
+    EXPECT_EQ(cast_street_rays(options, make_one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
 /// Returns the cars of the street before any edits.
-std::vector<SyntheticCar> make_street_cars(const SyntheticOptions& options) {
+std::vector<SyntheticCar> make_street_cars(const StreetOptions& options) {
     std::vector<SyntheticCar> cars;
-    for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
+    for (const BoxTrack& box : make_street_log(options).boxes) cars.push_back({cars.size(), box});
     return cars;
 }
 
 TEST(Synthetic, StreetCastAgainWithItsOwnCarsIsTheSame) {
-    const SyntheticOptions options = small();
-    const LidarSequence street = make_synthetic_street(options);
+    const StreetOptions options = small();
+    const Log street = make_street_log(options);
     const RayTable rays = make_rays(street.lidars[0].sensor);
-    const Scan plain = cast_rays_into_synthetic_street(options, rays, street.world_from_vehicle, 0.3),
-               again = cast_rays_into_synthetic_street(options, make_street_cars(options), rays,
-                                                       street.world_from_vehicle, 0.3);
+    const Scan plain = cast_street_rays(options, rays, street.world_from_vehicle, 0.3),
+               again =
+                   cast_street_rays(options, make_street_cars(options), rays, street.world_from_vehicle, 0.3);
     std::size_t on_cars = 0;
-    const Scan without = cast_rays_into_synthetic_street(options, {}, rays, street.world_from_vehicle, 0.3);
+    const Scan without = cast_street_rays(options, {}, rays, street.world_from_vehicle, 0.3);
     for (std::size_t i = 0; i < rays.size(); ++i) {
         ASSERT_NEAR(plain.range_m[i], again.range_m[i], 1e-4);
         on_cars += std::abs(plain.range_m[i] - without.range_m[i]) > 0.01f;
@@ -78,8 +78,7 @@ constexpr double kRear_m = 12.0 - 0.5 * 4.3;
 
 TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
     const auto range_ahead = [](const std::vector<SyntheticCar>& cars, double time_s) {
-        return cast_rays_into_synthetic_street(small(), cars, make_one_ray({1, 0, 0}), kLowSensor, time_s)
-            .range_m[0];
+        return cast_street_rays(small(), cars, make_one_ray({1, 0, 0}), kLowSensor, time_s).range_m[0];
     };
     std::vector<SyntheticCar> cars{make_street_cars(small())[0]};
     for (Pose& pose : cars[0].track.world_from_box.pose) pose.translation.x -= 4.0;
@@ -93,7 +92,7 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
 
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
     const auto range_of = [](const RayTable& rays, double time_s) {
-        return cast_rays_into_synthetic_street(small(), rays, kLowSensor, time_s).range_m[0];
+        return cast_street_rays(small(), rays, kLowSensor, time_s).range_m[0];
     };
     constexpr double t = 0.05, kSpeed_mps = 1.05 * 8.0;  // faster than the sensor
     RayTable ahead = make_one_ray({1, 0, 0});
@@ -104,10 +103,10 @@ TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
 }
 
 TEST(Synthetic, SameSeedSameLog) {
-    const LidarSequence a = make_synthetic_street(small()), b = make_synthetic_street(small());
-    SyntheticOptions other = small();
+    const Log a = make_street_log(small()), b = make_street_log(small());
+    StreetOptions other = small();
     other.seed = 2;
-    const LidarSequence c = make_synthetic_street(other);
+    const Log c = make_street_log(other);
     for (std::size_t f = 0; f < a.frames.size(); ++f) {
         EXPECT_EQ(a.frames[f].scan.range_m, b.frames[f].scan.range_m);
         EXPECT_EQ(a.frames[f].scan.intensity, b.frames[f].scan.intensity);
@@ -116,13 +115,12 @@ TEST(Synthetic, SameSeedSameLog) {
 }
 
 TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
-    SyntheticOptions options = small();
+    StreetOptions options = small();
     options.range_noise_m = 0.0;
-    const LidarSequence log = make_synthetic_street(options);
+    const Log log = make_street_log(options);
     EXPECT_NEAR(glm::length(log.world_from_vehicle.pose[2].translation), 0.0, 1e-12);
-    for (const LidarFrame& frame : log.frames) {
-        const Scan exact =
-            cast_rays_into_synthetic_street(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
+    for (const Frame& frame : log.frames) {
+        const Scan exact = cast_street_rays(options, frame.scan.rays, log.world_from_vehicle, frame.time_s);
         std::size_t agree = 0;
         for (std::size_t i = 0; i < exact.range_m.size(); ++i) {
             const bool hit = exact.range_m[i] > 0.0f, measured = frame.scan.range_m[i] > 0.0f;
@@ -137,9 +135,9 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
 
 TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_limits";
-    save_synthetic_options(small(), folder);
-    const LidarSequence all = load_sequence(folder.string(), {}),
-                        some = load_sequence(folder.string(), {.max_range_m = 20.0, .min_range_m = 5.0});
+    save_street(small(), folder);
+    const Log all = load_sequence(folder.string(), {}),
+              some = load_sequence(folder.string(), {.max_range_m = 20.0, .min_range_m = 5.0});
     EXPECT_EQ(some.lidars[0].sensor.min_range_m, 5.0);
     EXPECT_EQ(some.lidars[0].sensor.max_range_m, 20.0);
     std::size_t n_below_limit = 0, n_beyond_limit = 0;
@@ -159,8 +157,8 @@ TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
 
 TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_poses";
-    save_synthetic_options(small(), folder);
-    const LidarSequence exact = load_sequence(folder.string(), {});
+    save_street(small(), folder);
+    const Log exact = load_sequence(folder.string(), {});
     const fs::path file = folder / "poses.txt";
     {
         std::ofstream out(file);
@@ -174,7 +172,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
                 out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
         }
     }
-    const LidarSequence moved = load_sequence(folder.string(), {.poses_file = file});
+    const Log moved = load_sequence(folder.string(), {.poses_file = file});
     const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
         ASSERT_EQ(from.pose.size(), to.pose.size());
         for (std::size_t k = 0; k < from.pose.size(); ++k)
@@ -207,26 +205,25 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
 }
 
 /// Returns the options of a street that a rig of several LiDARs records.
-SyntheticOptions make_rig_street() {
-    SyntheticOptions options{.n_frames = 4, .range_noise_m = 0.0};
+StreetOptions make_rig_street() {
+    StreetOptions options{.n_frames = 4, .range_noise_m = 0.0};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
     return options;
 }
 
 TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
-    const SyntheticOptions options = make_rig_street();
-    const LidarSequence log = make_synthetic_street(options);
+    const StreetOptions options = make_rig_street();
+    const Log log = make_street_log(options);
     ASSERT_EQ(log.lidars.size(), 4u);
     ASSERT_EQ(log.frames.size(), 16u);
     EXPECT_EQ(log.world_from_vehicle.pose.size(), 4u) << "a pose for each sweep";
-    for (const LidarFrame& frame : log.frames) {
-        const Lidar& lidar = log.get_lidar(frame);
-        const PoseTrack track = log.get_world_from_sensor(frame.lidar);
-        EXPECT_EQ(frame.scan.rays.direction, make_nominal_rays(lidar, frame.time_s).direction) << lidar.name;
-        const Scan truth =
-            frame.lidar == test::kTwoReturns
-                ? cast_beams_into_synthetic_street(options, frame.scan.rays, track, frame.time_s)
-                : cast_rays_into_synthetic_street(options, frame.scan.rays, track, frame.time_s);
+    for (const Frame& frame : log.frames) {
+        const Lidar& lidar = log.lidar_of(frame);
+        const PoseTrack track = log.lidar_track(frame.lidar);
+        EXPECT_EQ(frame.scan.rays.direction, make_lidar_rays(lidar, frame.time_s).direction) << lidar.name;
+        const Scan truth = frame.lidar == test::kTwoReturns
+                               ? cast_street_beams(options, frame.scan.rays, track, frame.time_s)
+                               : cast_street_rays(options, frame.scan.rays, track, frame.time_s);
         std::size_t n = 0;
         for (std::size_t i = 0; i < truth.range_m.size(); ++i) {
             if (!(truth.range_m[i] > 0.0f && frame.scan.range_m[i] > 0.0f)) continue;
@@ -242,11 +239,11 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
 }
 
 TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
-    const SyntheticOptions options = make_rig_street();
-    const LidarSequence log = make_synthetic_street(options);
-    const LidarFrame& frame = log.frames[test::kTwoReturns];
+    const StreetOptions options = make_rig_street();
+    const Log log = make_street_log(options);
+    const Frame& frame = log.frames[test::kTwoReturns];
     ASSERT_EQ(frame.scan.second_returns.size(), 1u);
-    const PoseTrack track = log.get_world_from_sensor(frame.lidar);
+    const PoseTrack track = log.lidar_track(frame.lidar);
     std::size_t n = 0, met = 0;
     for (std::size_t i = 0; i < frame.scan.range_m.size() && n < 200; ++i) {
         const float second_m = frame.scan.second_returns[0].range_m[i];
@@ -270,7 +267,7 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
             fan.channel.push_back(0);
         }
         fan.columns = 400;
-        const Scan scan = cast_rays_into_synthetic_street(options, fan, track, frame.time_s);
+        const Scan scan = cast_street_rays(options, fan, track, frame.time_s);
         const auto [low, high] = std::ranges::minmax(scan.range_m);
         const bool has_similar_range =
             std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
@@ -284,11 +281,11 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
 
 TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_synthetic_rig_log";
-    const SyntheticOptions options = make_rig_street();
-    save_synthetic_options(options, folder);
-    EXPECT_EQ(read_synthetic_options(folder).rig, options.rig);
-    const LidarSequence all = load_sequence(folder.string(), {});
-    const LidarSequence two = load_sequence(folder.string(), {.lidars = {"wide", "front"}});
+    const StreetOptions options = make_rig_street();
+    save_street(options, folder);
+    EXPECT_EQ(load_street(folder).rig, options.rig);
+    const Log all = load_sequence(folder.string(), {});
+    const Log two = load_sequence(folder.string(), {.lidars = {"wide", "front"}});
     ASSERT_EQ(two.lidars.size(), 2u);
     EXPECT_EQ(two.lidars[0].name, "front") << "in the order of the log";
     ASSERT_EQ(two.frames.size(), 8u);
@@ -302,14 +299,12 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
 }
 
 TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
-    EXPECT_THROW(cast_beams_into_synthetic_street(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2),
-                 UsageError);
+    EXPECT_THROW(cast_street_beams(small(), make_one_ray({1, 0, 0}), {{0.2}, {Pose{}}}, 0.2), UsageError);
 }
 
 TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
-    const SyntheticOptions options = small();
-    const PoseTrack track{{0.2},
-                          {make_synthetic_street(options).get_world_from_sensor(0).interpolate_pose(0.2)}};
+    const StreetOptions options = small();
+    const PoseTrack track{{0.2}, {make_street_log(options).lidar_track(0).pose_at(0.2)}};
     RayTable narrow = make_rays(WindowScanSensor{.name = "",
                                                  .rows = 12,
                                                  .columns = 30,
@@ -321,9 +316,7 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
     narrow.divergence_rad = 1e-3f;
     wide.divergence_rad = 0.03f;
     for (std::size_t i = 0; i < mixed.size(); ++i) mixed.ray_divergence_rad.push_back(i % 2 ? 0.03f : 1e-3f);
-    const auto cast = [&](const RayTable& rays) {
-        return cast_beams_into_synthetic_street(options, rays, track, 0.2);
-    };
+    const auto cast = [&](const RayTable& rays) { return cast_street_beams(options, rays, track, 0.2); };
     const Scan a = cast(narrow), b = cast(wide), both = cast(mixed);
     std::size_t differ = 0;
     for (std::size_t i = 0; i < mixed.size(); ++i) {
@@ -336,14 +329,14 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
 
 TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
-    save_synthetic_options(small(), folder);
-    const LidarSequence exact = load_sequence(folder.string(), {});
-    LidarSequence log = load_sequence(folder.string(), {.poses_file = kNoPoses});
+    save_street(small(), folder);
+    const Log exact = load_sequence(folder.string(), {});
+    Log log = load_sequence(folder.string(), {.poses_file = kNoPoses});
     for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
     const glm::dvec3 box_in_vehicle_m =
         inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation, box_in_vehicle_m), 1e-9);
-    set_vehicle_poses(log, exact.world_from_vehicle);
+    set_trajectory(log, exact.world_from_vehicle);
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation,
                             exact.boxes[0].world_from_box.pose[0].translation),
               1e-9);
@@ -351,10 +344,10 @@ TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
 }
 
 TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
-    SyntheticOptions with = small(), without = small();
+    StreetOptions with = small(), without = small();
     with.range_noise_m = without.range_noise_m = 0.0;
     without.moving_cars = false;
-    const LidarSequence log = make_synthetic_street(with), empty = make_synthetic_street(without);
+    const Log log = make_street_log(with), empty = make_street_log(without);
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_TRUE(empty.boxes.empty());
     std::size_t on_cars = 0;
@@ -362,8 +355,7 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
         const Scan &scan = log.frames[f].scan, &bare = empty.frames[f].scan;
         for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
             const double t = log.frames[f].time_s + double(scan.rays.time_offset_s[i]);
-            const glm::dvec3 world = log.world_from_vehicle.interpolate_pose(t) *
-                                     glm::dvec3(scan.compute_return_point_in_sensor_frame(i));
+            const glm::dvec3 world = log.world_from_vehicle.pose_at(t) * glm::dvec3(scan.return_point(i));
             const bool changed = scan.range_m[i] > 0.0f && scan.range_m[i] != bare.range_m[i];
             on_cars += changed;
             if (scan.range_m[i] == 0.0f) continue;
@@ -375,19 +367,19 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
 
 TEST(Synthetic, SavedAndLoadedAgain) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_street";
-    SyntheticOptions options = small();
+    StreetOptions options = small();
     options.seed = 99;
     options.speed_mps = 6;
     options.people = options.gait = true;
-    save_synthetic_options(options, folder);
-    EXPECT_EQ(detect_dataset_kind(folder), "synthetic");
+    save_street(options, folder);
+    EXPECT_EQ(detect_kind(folder), "synthetic");
     EXPECT_THROW(load_sequence(folder.string(), {.sequence = "kd1"}), UsageError) << "a street is one drive";
     EXPECT_THROW(load_sequence("synthetc:" + folder.string(), {}), UsageError);
     EXPECT_THROW(load_sequence((folder / "none").string(), {}), DataError);
     EXPECT_THROW(load_sequence("synthetic:" + (folder / "none").string(), {}), DataError);
-    const LidarSequence made = make_synthetic_street(options);
+    const Log made = make_street_log(options);
     DatasetOptions range{.frames = {1, 3}};
-    const LidarSequence read = load_sequence("synthetic:" + folder.string(), range);
+    const Log read = load_sequence("synthetic:" + folder.string(), range);
     ASSERT_EQ(read.frames.size(), 2u);
     EXPECT_EQ(read.frames[1].index, 2);
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);
@@ -419,9 +411,9 @@ TEST(Synthetic, WrongFilesAreNamed) {
     for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})
         EXPECT_THAT(message(std::string("rows = ") + real + "\n"),
                     Names("street.toml line 1 ... rows ... whole"));
-    SyntheticOptions options;
+    StreetOptions options;
     options.columns = 0;
-    EXPECT_THROW(make_synthetic_street(options), UsageError);
+    EXPECT_THROW(make_street_log(options), UsageError);
 }
 
 /// The boxes of people must contain their returns, and the number of returns must
@@ -430,21 +422,21 @@ class SyntheticPeople : public testing::TestWithParam<bool> {};
 INSTANTIATE_TEST_SUITE_P(GaitPhaseWindow, SyntheticPeople, testing::Bool());
 
 TEST_P(SyntheticPeople, AreMetInTheirBoxes) {
-    SyntheticOptions options = {
+    StreetOptions options = {
         .n_frames = 5, .rows = 64, .columns = 512, .range_noise_m = 0.0, .people = true, .gait = GetParam()};
-    const LidarSequence street = make_synthetic_street(options);
+    const Log street = make_street_log(options);
     options.people = options.gait = false;
-    EXPECT_EQ(make_synthetic_street(options).boxes.size(), 2u);
+    EXPECT_EQ(make_street_log(options).boxes.size(), 2u);
     std::vector<std::string> categories;
     for (const BoxTrack& box : street.boxes) categories.push_back(box.category);
     EXPECT_THAT(categories,
                 testing::ElementsAre("Car", "Car", "Pedestrian", "Pedestrian", "Pedestrian", "Cyclist"));
     for (const std::size_t person : {2u, 5u}) {
         std::size_t inside = 0;
-        const LidarFrame& frame = street.frames[2];
+        const Frame& frame = street.frames[2];
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray)
             if (frame.scan.range_m[ray] > 0.0f) {
-                const WorldReturn w = compute_world_return(street, frame, ray);
+                const WorldReturn w = locate_return(street, frame, ray);
                 inside += street.boxes[person].contains_point(w.point_m, w.time_s, 0.01);
             }
         EXPECT_GT(inside, 10u) << categories[person];

@@ -105,7 +105,7 @@ WaymoPixel make_pixel(const Rig& rig, int row, int column, int frame, double tim
     const glm::dvec3 origin(world_from_laser[3]),
         direction(world_from_laser * glm::dvec4(compute_pixel_direction(rig, row, column), 0));
     const std::uint64_t luck =
-        hash_integer_pair(std::uint64_t(row * 10000 + column), std::uint64_t(frame * 10 + rig.laser));
+        hash_pair(std::uint64_t(row * 10000 + column), std::uint64_t(frame * 10 + rig.laser));
     WaymoPixel pixel{{}, time_us};
     const double range = luck % 10 == 0 ? 0.0 : cast(origin, direction);
     pixel.range_m = float(range);

@@ -24,20 +24,20 @@ using test::Names;
 using test::WaymoPixel;
 using test::WaymoSegment;
 
-LidarSequence read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
+Log read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
     return load_sequence(segment.file.string(), options);
 }
 
 TEST(Waymo, IntensitiesAreCutOrSquashed) {
     const WaymoSegment segment("waymo_intensity");
-    const LidarSequence squashed = read(segment), cut = read(segment, {.waymo = {.clamp_intensity = true}});
+    const Log squashed = read(segment), cut = read(segment, {.waymo = {.clamp_intensity = true}});
     int above_1 = 0;
     for (std::size_t i = 0; i < segment.top[0].size(); ++i) {
         const WaymoPixel& pixel = segment.top[0][i];
         if (pixel.range_m == 0.0f) continue;
         above_1 += pixel.intensity > 1.0f;
-        const auto frame = std::ranges::find_if(
-            cut.frames, [&](const LidarFrame& f) { return cut.get_lidar(f).name == "TOP"; });
+        const auto frame =
+            std::ranges::find_if(cut.frames, [&](const Frame& f) { return cut.lidar_of(f).name == "TOP"; });
         const auto at = std::size_t(frame - cut.frames.begin());
         EXPECT_EQ(cut.frames[at].scan.intensity[i], std::min(pixel.intensity, 1.0f)) << i;
         EXPECT_NEAR(squashed.frames[at].scan.intensity[i], std::tanh(pixel.intensity), 1e-6f) << i;
@@ -54,7 +54,7 @@ TEST(Waymo, MissingPartsAreErrorsOfUsage) {
 }
 
 /// Compares every pixel of a frame with its exact content.
-void expect_pixels(const LidarSequence& log, const LidarFrame& frame, const std::vector<WaymoPixel>& truth) {
+void expect_pixels(const Log& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());
     std::size_t n = 0;
     for (std::size_t i = 0; i < truth.size(); ++i) {
@@ -63,7 +63,7 @@ void expect_pixels(const LidarSequence& log, const LidarFrame& frame, const std:
         ASSERT_EQ(frame.scan.rays.channel[i], i / std::size_t(frame.scan.rays.columns));
         if (truth[i].range_m == 0.0f) continue;
         ++n;
-        const WorldReturn actual = compute_world_return(log, frame, i);
+        const WorldReturn actual = locate_return(log, frame, i);
         ASSERT_LT(glm::distance(actual.point_m + log.world_offset_m, truth[i].point_m), 1e-3) << i;
         if (frame.scan.second_returns.empty()) continue;
         ASSERT_EQ(frame.scan.second_returns[0].range_m[i], truth[i].second_m) << i;
@@ -73,17 +73,17 @@ void expect_pixels(const LidarSequence& log, const LidarFrame& frame, const std:
 
 TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
     const WaymoSegment segment("waymo");
-    EXPECT_EQ(detect_dataset_kind(segment.file), "waymo");
-    EXPECT_EQ(detect_dataset_kind(segment.folder), "waymo");
+    EXPECT_EQ(detect_kind(segment.file), "waymo");
+    EXPECT_EQ(detect_kind(segment.folder), "waymo");
     EXPECT_TRUE(is_dataset(segment.file));
-    const LidarSequence log = read(segment);
+    const Log log = read(segment);
     ASSERT_EQ(log.lidars.size(), 2u);
     EXPECT_EQ(log.lidars[0].name, "TOP");
     EXPECT_EQ(log.lidars[1].name, "SIDE_LEFT");
     ASSERT_EQ(log.frames.size(), 6u);
     ASSERT_EQ(log.world_from_vehicle.pose.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
-        const LidarFrame &top = log.frames[2 * i], &side = log.frames[2 * i + 1];
+        const Frame &top = log.frames[2 * i], &side = log.frames[2 * i + 1];
         EXPECT_EQ(top.index, int(i));
         EXPECT_EQ(top.scan.rays.rows, WaymoSegment::kTopRows);
         EXPECT_EQ(side.scan.rays.columns, WaymoSegment::kSideColumns);
@@ -96,14 +96,14 @@ TEST(Waymo, PointsStandInTheWorldWhereTheyWere) {
 
 TEST(Waymo, RaysAreTheSensorsOwn) {
     const WaymoSegment segment("waymo_rays");
-    const LidarSequence log = read(segment);
+    const Log log = read(segment);
     const Lidar& lidar = log.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-9);
     for (int row = 0; row < WaymoSegment::kTopRows; ++row)
         EXPECT_EQ(lidar.sensor.beams[std::size_t(row)].elevation_rad,
                   WaymoSegment::list_top_inclinations()[std::size_t(WaymoSegment::kTopRows - 1 - row)]);
     const RayTable model = make_rays(lidar.sensor);
-    const LidarFrame& frame = log.frames[2];
+    const Frame& frame = log.frames[2];
     const glm::dvec3 forward(
         WaymoSegment::world_from_vehicle(frame.time_s * 1e6 + WaymoSegment::kStart_us)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, forward), 0.03)
@@ -118,8 +118,7 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
             << "the vehicle turns 1 mrad in 2 ms";
         if (truth.range_m > 0.0f) continue;
         ++n_dropped;
-        const WorldRay ray =
-            make_world_ray(log.get_world_from_sensor(0), frame.time_s, frame.scan.rays, i, true);
+        const WorldRay ray = make_world_ray(log.lidar_track(0), frame.time_s, frame.scan.rays, i, true);
         const glm::dvec3 there = ray.origin_m + log.world_offset_m + 10.0 * ray.direction;
         EXPECT_LT(glm::distance(there, truth.point_m), 0.06)
             << "the way between its pixel's time and its column's";
@@ -129,7 +128,7 @@ TEST(Waymo, RaysAreTheSensorsOwn) {
 
 TEST(Waymo, LabelsAreBoxesOfTheWorld) {
     const WaymoSegment segment("waymo_boxes");
-    const LidarSequence log = read(segment);
+    const Log log = read(segment);
     ASSERT_EQ(log.boxes.size(), 2u) << "signs stay where they are";
     const BoxTrack &parked = log.boxes[0], &walker = log.boxes[1];
     EXPECT_EQ(parked.id, "parked");
@@ -146,12 +145,12 @@ TEST(Waymo, LabelsAreBoxesOfTheWorld) {
         EXPECT_LT(glm::distance(parked.world_from_box.pose[i].translation + log.world_offset_m, centre),
                   1e-6);
     }
-    for (const LidarFrame& frame : log.frames) {
+    for (const Frame& frame : log.frames) {
         if (frame.lidar != 0) continue;
         std::size_t inside = 0;
         for (std::size_t ray = 0; ray < frame.scan.rays.size(); ++ray)
             inside += frame.scan.range_m[ray] > 0.0f &&
-                      parked.contains_point(compute_world_return(log, frame, ray).point_m, frame.time_s, 0.1);
+                      parked.contains_point(locate_return(log, frame, ray).point_m, frame.time_s, 0.1);
         EXPECT_GT(inside, 10u) << frame.index;
     }
 }
@@ -160,7 +159,7 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     const WaymoSegment segment("waymo_names");
     fs::copy_file(segment.file, segment.folder / "segment-9.tfrecord");
     EXPECT_THAT(segment.load().notes, testing::Contains(Names("2 segments")));
-    const LidarSequence one = segment.load({.sequence = "9", .frames = {1, 2}});
+    const Log one = segment.load({.sequence = "9", .frames = {1, 2}});
     EXPECT_EQ(one.name, "segment-9");
     EXPECT_EQ(one.start_unix_ns, 1000 * WaymoSegment::kStart_us);
     ASSERT_EQ(one.frames.size(), 2u);
@@ -169,12 +168,12 @@ TEST(Waymo, SegmentsFramesAndPoses) {
     EXPECT_THROW(segment.load({.sequence = "7"}), UsageError);
     EXPECT_THROW(read(segment, {.frames = {3, -1}}), UsageError);
     fs::copy_file(segment.file, segment.folder / "segment-113792_x.tfrecord");
-    const LidarSequence paper = segment.load({.sequence = "ws1"});
+    const Log paper = segment.load({.sequence = "ws1"});
     EXPECT_EQ(paper.name, "segment-113792_x");
     EXPECT_EQ(paper.lidars.size(), 1u) << "the paper renders TOP";
     ASSERT_EQ(paper.frames.size(), 2u);
     EXPECT_EQ(paper.frames[0].index, 1);
-    const LidarSequence none = read(segment, {.poses_file = kNoPoses});
+    const Log none = read(segment, {.poses_file = kNoPoses});
     EXPECT_EQ(none.world_from_vehicle.pose[2].translation, glm::dvec3(0.0));
     const glm::dmat4 from_world = glm::inverse(
         WaymoSegment::world_from_vehicle(WaymoSegment::kStart_us + 1.5 * WaymoSegment::kPeriod_us));
@@ -185,7 +184,7 @@ TEST(Waymo, SegmentsFramesAndPoses) {
 
 TEST(Waymo, Crc32cOfTheStandard) {
     EXPECT_EQ(test::compute_plain_crc32c("123456789"), 0xE3069283u);  // the check value of CRC-32C
-    EXPECT_EQ(compute_masked_crc32c("123456789"),
+    EXPECT_EQ(masked_crc32c("123456789"),
               std::uint32_t(((0xE3069283u >> 15) | (0xE3069283u << 17)) + 0xa282ead8u));
 }
 
@@ -300,9 +299,9 @@ TEST(Waymo, ReadsTheClassesOfPoints) {
     const int h = WaymoSegment::kTopRows, w = WaymoSegment::kTopColumns;
     segment.frames[1].lasers[1] = make_labelled_top(h * w, {h, w, 2});
     segment.write();
-    const LidarSequence log = read(segment);
-    for (const LidarFrame& frame : log.frames) {
-        const bool has_labels = frame.index == 1 && log.get_lidar(frame).name == "TOP";
+    const Log log = read(segment);
+    for (const Frame& frame : log.frames) {
+        const bool has_labels = frame.index == 1 && log.lidar_of(frame).name == "TOP";
         ASSERT_EQ(frame.scan.classes.size(), has_labels ? frame.scan.range_m.size() : 0u);
         for (std::size_t i = 0; i < frame.scan.classes.size(); ++i)
             ASSERT_EQ(frame.scan.classes[i], kClasses[i % 4]) << i;
