@@ -3,10 +3,7 @@
 #include "base/files.hpp"
 
 #include <cstdlib>
-#include <functional>
 
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 #include <unistd.h>
 
 #include "base/codecs/temporary_folder.hpp"

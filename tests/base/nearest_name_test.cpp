@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/base/error.hpp>
 
-#include <gtest/gtest.h>
-
 #include "support/names.hpp"
 
 namespace relidar {

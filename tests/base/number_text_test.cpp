@@ -3,14 +3,10 @@
 #include "base/number_text.hpp"
 
 #include <cmath>
-#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <limits>
 #include <random>
-#include <sstream>
-#include <vector>
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>

@@ -1,22 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "base/parallel.hpp"
 
-#include <atomic>
-#include <chrono>
-#include <cstdint>
-#include <map>
 #include <numeric>
 #include <stdexcept>
-#include <string>
-#include <thread>
-#include <vector>
 
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
-#include <tbb/task_arena.h>
 #include <tbb/task_group.h>
 
 #include "base/geometry/cell_numbers.hpp"

@@ -4,8 +4,6 @@
 
 #include <cstdlib>
 
-#include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 #include "base/codecs/feather.hpp"
 #include "changed_files.hpp"
 #include "read/datasets/argoverse2/argoverse2_log.hpp"

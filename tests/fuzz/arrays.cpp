@@ -2,11 +2,8 @@
 // Fuzzes binary files: arrays, models, checkpoints, surfels and weights.
 #include "harness.hpp"
 
-#include <cstring>
-
 #include <relidar/base/arrays.hpp>
 #include <relidar/run/checkpoint.hpp>
-#include <relidar/run/run.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 #include <relidar/score/metrics.hpp>
 

@@ -2,21 +2,16 @@
 // ROS recordings: full files of each format, and single messages, by the specifications.
 #include "harness.hpp"
 
-#include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <cstring>
 
 #include <lz4frame.h>
 #include <sqlite3.h>
 #include <zstd.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
 
 #include "base/bytes.hpp"
 #include "base/codecs/byte_reader.hpp"
-#include "read/bag/messages.hpp"
 #include "read/packets/ouster.hpp"
 #include "read/packets/packet_log.hpp"
 #include "read/packets/packet_messages.hpp"

@@ -4,18 +4,13 @@
 #include "harness.hpp"
 
 #include <cstdlib>
-#include <functional>
-#include <optional>
 
 #include <fmt/format.h>
-
-#include <relidar/read/dataset.hpp>
 
 #include "changed_files.hpp"
 #include "read/datasets/kitti/hdl64_rings.hpp"
 #include "read/datasets/kitti/kitti_360.hpp"
 #include "read/datasets/kitti/kitti_360_folder.hpp"
-#include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/kitti/log_files.hpp"
 
 namespace relidar::fuzz {

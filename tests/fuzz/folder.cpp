@@ -5,17 +5,12 @@
 // the rays of the image or of the log's sensor.
 #include "harness.hpp"
 
-#include <cmath>
 #include <iterator>
 
 #include <fmt/format.h>
 
-#include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
-#include <relidar/base/math.hpp>
-#include <relidar/read/dataset.hpp>
 
-#include "read/files/point_table.hpp"
 #include "read/files/point_writers.hpp"
 #include "read/scans/folder_points.hpp"
 

@@ -4,7 +4,6 @@
 
 #include <cstdlib>
 
-#include <relidar/read/dataset.hpp>
 #include "changed_files.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
 

@@ -2,11 +2,9 @@
 // Data from the network, without device or socket (tools/dev/fuzz_view: the sockets).
 #include "harness.hpp"
 
-#include <algorithm>
 #include <cstdlib>
 
 #include <relidar/base/error.hpp>
-#include <relidar/run/run.hpp>
 
 #include "../../tools/view/request.hpp"
 #include "run/files/example_run.hpp"
@@ -17,9 +15,7 @@
 #include "../../tools/serve/answer_messages.hpp"
 #include "../../tools/serve/asset_catalogue.hpp"
 #include "../../tools/serve/refusal.hpp"
-#include "../../tools/serve/request_messages.hpp"
 #include "../../tools/serve/sensorsim_messages.hpp"
-#include "../../tools/serve/spawned.hpp"
 #endif
 
 namespace relidar::fuzz {

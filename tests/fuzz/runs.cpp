@@ -4,8 +4,6 @@
 
 #include <cstdlib>
 
-#include <relidar/run/run.hpp>
-
 #include "run/files/coverage_file.hpp"
 #include "run/files/example_run.hpp"
 #include "run/files/scatter_file.hpp"

@@ -7,9 +7,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/read/dataset.hpp>
-#include <relidar/run/config.hpp>
 #include <relidar/run/edit.hpp>
-#include <relidar/run/run.hpp>
 
 #include "run/files/example_run.hpp"
 

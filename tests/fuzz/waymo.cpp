@@ -7,8 +7,6 @@
 
 #include <cstdlib>
 
-#include <relidar/read/dataset.hpp>
-
 #include "read/datasets/waymo/waymo_segment.hpp"
 
 namespace relidar::fuzz {

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The compiler must reject arrays of the wrong type and parameters of the wrong kernel.
 #include <concepts>
-#include <type_traits>
-
-#include <relidar/gpu/stream.hpp>
 
 #include "../support/device.hpp"
 #include "diff/shared/accel.h"

@@ -1,10 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests devices, copies, fills, memory accounting, and impossible requests.
-#include <algorithm>
 #include <numeric>
-
-#include <relidar/base/error.hpp>
-#include <relidar/gpu/stream.hpp>
 
 #include "../base/codecs/temporary_folder.hpp"
 #include "../support/device.hpp"

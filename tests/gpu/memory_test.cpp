@@ -1,16 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the ranges of a memory block with a map of its bytes.
-#include <algorithm>
-#include <map>
 #include <random>
-#include <utility>
 
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 
 #include "../support/device.hpp"
 #include "gpu/buffer.hpp"
-#include "gpu/context.hpp"
 #include "gpu/memory.hpp"
 #include "support/names.hpp"
 

@@ -3,9 +3,7 @@
 // radix_scan, radix_scatter) against the standard library. Covers sizes near the limits
 // of tiles and levels, counts that only the device has, fewer keys than the capacity, and
 // strided counts. No value may be written beyond the arrays.
-#include <algorithm>
 #include <numeric>
-#include <optional>
 #include <random>
 
 #include "../support/device.hpp"

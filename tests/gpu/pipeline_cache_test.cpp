@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A file of another driver, or a damaged one, is ignored without an error.
 #include <cstring>
-#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <thread>
@@ -9,7 +8,6 @@
 #include <stdlib.h>
 
 #include "../support/device.hpp"
-#include "gpu/context.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"

@@ -1,11 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Edits of SPIR-V modules: the remaining code must not change.
 #include <cstdlib>
-#include <filesystem>
 #include <fstream>
-#include <functional>
-#include <map>
-#include <set>
 
 #include <unistd.h>
 

@@ -1,24 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the limits of a submission, readbacks, and the kernel gpu/copy.
-#include <filesystem>
 #include <fstream>
-#include <map>
 #include <numeric>
-#include <optional>
-#include <utility>
 
 #include <stdlib.h>
-
-#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 #include "../support/device.hpp"
 #include "../support/work_in_flight.hpp"
 #include "gpu/copy_rate.hpp"
-#include "gpu/forced.hpp"
-#include "gpu/kernel.hpp"
 #include "gpu/prefix_sum.hpp"
-#include "gpu/shared/gpu.h"
 #include "gpu/stream.hpp"
 #include "support/names.hpp"
 

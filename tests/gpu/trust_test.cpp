@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests gpu/check_atomics and gpu/check_subgroups with forced faults.
-#include <filesystem>
 #include <fstream>
-
-#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 

@@ -3,16 +3,10 @@
 // returns beyond the limit.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
-
 #include <fmt/format.h>
-#include <gmock/gmock.h>
 
-#include <relidar/base/error.hpp>
-#include <relidar/base/math.hpp>
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/files/point_writers.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

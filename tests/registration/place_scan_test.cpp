@@ -2,7 +2,6 @@
 // Registers a scan to a scene: a hall with exact wall positions, a sensor that drives and
 // turns, and wrong initial poses.
 #include <cmath>
-#include <limits>
 #include <random>
 
 #include <gtest/gtest.h>

@@ -2,10 +2,7 @@
 // Registers scans of the synthetic street and compares them with the exact poses. Covers
 // poses with white noise and with drift, held-out scans, an invalid scan, and a
 // correction beyond the limit.
-#include <algorithm>
 #include <random>
-
-#include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>

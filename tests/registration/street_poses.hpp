@@ -2,10 +2,6 @@
 // Makes wrong poses of the synthetic street, and computes the errors of poses.
 #pragma once
 
-#include <cstdint>
-#include <vector>
-
-#include <relidar/base/math.hpp>
 #include <relidar/log/sequence.hpp>
 
 namespace relidar::test {

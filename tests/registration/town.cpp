@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "town.hpp"
 
-#include <algorithm>
-#include <cmath>
-
 #include "base/parallel.hpp"
 #include "base/random.hpp"
 #include "read/datasets/street/street.hpp"

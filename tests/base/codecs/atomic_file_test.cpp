@@ -2,8 +2,6 @@
 // Tests that write_atomically() creates the complete file or nothing. After an
 // error, no temporary file may remain and the target must be unchanged.
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/files.hpp>
-#include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
 #include <relidar/simulate/point_files.hpp>
 
@@ -14,8 +12,6 @@
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
-
-#include <relidar/base/error.hpp>
 
 #include "../../support/file_size_limit.hpp"
 #include "temporary_folder.hpp"

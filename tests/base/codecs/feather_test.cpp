@@ -7,11 +7,6 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
-#include <limits>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>

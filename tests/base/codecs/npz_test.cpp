@@ -3,7 +3,6 @@
 #include <relidar/base/arrays.hpp>
 
 #include <cstring>
-#include <limits>
 
 #include "numpy_files.hpp"
 #include "temporary_folder.hpp"

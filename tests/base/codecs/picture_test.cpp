@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <csetjmp>
-#include <limits>
 
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>

@@ -3,10 +3,7 @@
 // recognised. Right boxes get no note.
 #include "log/checks/box_conventions.hpp"
 
-#include <functional>
-
 #include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include <relidar/read/dataset.hpp>
 

@@ -4,12 +4,6 @@
 #include <relidar/log/checks.hpp>
 #include <relidar/read/clouds.hpp>
 
-#include <functional>
-#include <limits>
-
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
 
 #include "log/checks/checks.hpp"

@@ -2,10 +2,6 @@
 // Checks the notes about values that are valid but probably wrong. A good log gets none.
 #include "log/checks/checks.hpp"
 
-#include <functional>
-
-#include <gtest/gtest.h>
-
 #include <relidar/read/dataset.hpp>
 
 #include "support/names.hpp"

@@ -3,12 +3,6 @@
 // points with a search through all cells.
 #include <relidar/log/classes.hpp>
 
-#include <array>
-#include <cmath>
-#include <limits>
-#include <map>
-#include <tuple>
-
 #include <gtest/gtest.h>
 
 #include <relidar/read/dataset.hpp>

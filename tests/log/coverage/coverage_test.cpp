@@ -4,10 +4,6 @@
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
-#include <cmath>
-#include <limits>
-#include <set>
-#include <tuple>
 
 #include <gtest/gtest.h>
 

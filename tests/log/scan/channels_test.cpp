@@ -5,8 +5,6 @@
 
 #include <cstring>
 
-#include <gmock/gmock.h>
-
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"

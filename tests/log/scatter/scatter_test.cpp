@@ -1,11 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fits scatter trees to simulated sensors. Values drawn from the tree must have the same
 // distribution, including the correlation with neighbouring rays.
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <utility>
-#include <vector>
 
 #include <gtest/gtest.h>
 

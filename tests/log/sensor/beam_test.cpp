@@ -3,8 +3,6 @@
 // other. The firing azimuth computed from a point must be the original azimuth.
 #include <relidar/log/sensor.hpp>
 
-#include <cmath>
-
 #include <gtest/gtest.h>
 
 #include <relidar/base/math.hpp>

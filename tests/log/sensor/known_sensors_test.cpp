@@ -4,12 +4,6 @@
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/math.hpp>
-
-#include "support/names.hpp"
 #include "support/sensor_texts.hpp"
 
 namespace relidar {

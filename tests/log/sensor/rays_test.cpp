@@ -3,9 +3,6 @@
 // origins, firing times, and offset beams that are shifted by full columns.
 #include <relidar/log/sensor.hpp>
 
-#include <cmath>
-#include <limits>
-
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>

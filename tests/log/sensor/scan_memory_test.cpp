@@ -6,17 +6,12 @@
 
 #include <csignal>
 #include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <numeric>
 #include <random>
-#include <string>
 #include <thread>
 
-#include <gmock/gmock.h>
 #include <sys/resource.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

@@ -8,14 +8,9 @@
 #include <cmath>
 
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
-#include <relidar/base/math.hpp>
 
-#include "support/names.hpp"
 #include "support/sensor_texts.hpp"
 
 namespace relidar {

@@ -5,7 +5,6 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/log/sequence.hpp>
 #include <relidar/read/dataset.hpp>
 
 namespace relidar {

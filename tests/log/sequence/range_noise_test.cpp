@@ -3,7 +3,6 @@
 // was added.
 #include <gtest/gtest.h>
 
-#include <relidar/log/sequence.hpp>
 #include <relidar/read/dataset.hpp>
 
 #include "base/random.hpp"

@@ -3,11 +3,8 @@
 // training and test frames against numbers computed by hand.
 #include <relidar/log/log_time.hpp>
 
-#include <algorithm>
 #include <cmath>
 #include <random>
-
-#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 

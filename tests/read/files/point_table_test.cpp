@@ -4,15 +4,8 @@
 #include "read/files/point_table.hpp"
 
 #include <atomic>
-#include <cmath>
-#include <cstdint>
-#include <limits>
-#include <optional>
-#include <type_traits>
 
 #include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 
 #include "read/scans/far_marker.hpp"
 #include "read/scans/folder_points.hpp"

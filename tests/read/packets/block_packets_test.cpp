@@ -4,17 +4,9 @@
 // ignores the rotation of the head while the lasers of a block fire. The test therefore
 // compares with a head that does not turn, and checks the rotation with the manuals.
 #include <cmath>
-#include <filesystem>
 #include <fstream>
-#include <optional>
-#include <sstream>
-#include <string>
-#include <vector>
-
-#include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/base/math.hpp>
 
 #include "base/files.hpp"
 #include "read/packets/decoder.hpp"

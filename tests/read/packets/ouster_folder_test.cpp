@@ -5,12 +5,7 @@
 // RELIDAR_SHARED (default: ../shared next to the repository) does not contain the scans.
 #include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <cmath>
-#include <filesystem>
-
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/files.hpp>
 

@@ -5,19 +5,11 @@
 // errors for invalid captures and metadata.
 #include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
-#include <map>
-#include <optional>
-#include <utility>
 
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 

@@ -2,18 +2,12 @@
 // Tests the packets that are written for scans. Compares the bytes with the manuals of
 // the manufacturers. Also reads the packets of all products again: every return must have
 // its range, time and reflectivity.
-#include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <filesystem>
-#include <map>
-#include <set>
-#include <string_view>
 
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/base/math.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/read/packets.hpp>

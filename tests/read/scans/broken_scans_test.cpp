@@ -2,26 +2,17 @@
 // Checks logs with unreadable scans. Reading the log must fail, or, if the caller
 // requests it, omit the scan.
 #include <relidar/log/checks.hpp>
-#include <relidar/read/dataset.hpp>
 
-#include <algorithm>
 #include <cstring>
-#include <filesystem>
-#include <string>
-#include <vector>
 
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/read/clouds.hpp>
 
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
 #include "read/files/point_writers.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,8 +3,6 @@
 // must equal the original sensor.
 #include <relidar/read/clouds.hpp>
 
-#include <cmath>
-
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>

@@ -4,10 +4,8 @@
 #include "read/scans/point_times.hpp"
 
 #include <cmath>
-#include <functional>
 
 #include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include "read/scans/cloud_units.hpp"
 

@@ -3,12 +3,7 @@
 // shuffles them. Each point must be assigned to its original ray.
 #include <relidar/read/clouds.hpp>
 
-#include <algorithm>
-#include <array>
-#include <cmath>
 #include <numeric>
-
-#include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 #include "base/random.hpp"

@@ -3,19 +3,11 @@
 // MulRan's tables and mounting, and ONCE's description of its formats.
 #include "read/scans/stamped_folders.hpp"
 
-#include <algorithm>
-#include <cmath>
-
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/datasets/street/yard.hpp"
-#include "support/names.hpp"
 
 namespace relidar::test {
 namespace fs = std::filesystem;

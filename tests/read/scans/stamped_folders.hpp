@@ -4,14 +4,6 @@
 // Axes, names, times and poses follow each dataset.
 #pragma once
 
-#include <cstdint>
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include <relidar/base/math.hpp>
-#include <relidar/log/sensor.hpp>
-#include <relidar/read/dataset.hpp>
 #include "support/logs.hpp"
 
 namespace relidar::test {

@@ -2,8 +2,6 @@
 // Checks a log of two LiDARs: the world positions of their returns, the frames that are
 // held out together, and the estimated beams.
 #include <cmath>
-#include <map>
-#include <tuple>
 
 #include <gtest/gtest.h>
 

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 
-#include <cmath>
-
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"

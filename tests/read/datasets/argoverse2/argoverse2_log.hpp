@@ -4,12 +4,6 @@
 // each sweep.
 #pragma once
 
-#include <array>
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include <relidar/base/math.hpp>
 #include "base/codecs/feather_writer.hpp"
 #include "support/logs.hpp"
 

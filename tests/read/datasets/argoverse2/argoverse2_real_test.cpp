@@ -5,17 +5,11 @@
 // each LiDAR was fitted to them with five numbers. The elevations of 64 lasers still show
 // errors of half precision, order and compensation.
 #include <relidar/log/sensor_files.hpp>
-#include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <cmath>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
-#include <map>
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>

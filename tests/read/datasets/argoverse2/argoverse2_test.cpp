@@ -3,16 +3,8 @@
 // with damage in each file.
 #include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <cmath>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

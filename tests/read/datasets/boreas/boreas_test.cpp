@@ -3,14 +3,8 @@
 // errors for invalid files.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/scans/stamped_folders.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,24 +3,17 @@
 // by OpenEXR, and damaged images.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
 #include <cstring>
-#include <filesystem>
 
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
 #include <ImfOutputFile.h>
-#include <fmt/format.h>
-#include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
-#include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/log/sensor_files.hpp>
 
 #include "read/datasets/folder/point_log.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -1,19 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads point files and poses in the conventions of other programs: text files, numpy
 // arrays with named fields, pose files with different orders, and points without rings.
-#include <cmath>
-#include <iterator>
 #include <random>
 
-#include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 
 #include "read/datasets/folder/point_log.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,17 +3,10 @@
 // single line and name the file and the field.
 #include <relidar/read/dataset.hpp>
 
-#include <filesystem>
-
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/files/point_writers.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,25 +3,16 @@
 // writes the folders, or the test writes point formats of other programs.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
 #include <cstdlib>
-#include <filesystem>
-#include <functional>
 #include <regex>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 #include "../../../support/rig_street.hpp"
 #include "../../../support/two_lidars.hpp"
 #include "read/datasets/folder/point_log.hpp"
-#include "read/datasets/kitti/kitti_drive.hpp"
-#include "read/files/point_writers.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

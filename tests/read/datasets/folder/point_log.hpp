@@ -3,16 +3,7 @@
 // read with the street from which the points were made.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
-#include <filesystem>
-#include <functional>
-#include <string>
-
 #include <fmt/format.h>
-#include <gtest/gtest.h>
-
-#include <relidar/read/dataset.hpp>
 
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/files/point_writers.hpp"

@@ -3,8 +3,6 @@
 // of the library.
 #include "read/datasets/kitti/kitti_360_folder.hpp"
 
-#include <cmath>
-
 #include <fmt/format.h>
 #include <glm/gtc/matrix_transform.hpp>
 

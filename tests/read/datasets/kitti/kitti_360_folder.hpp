@@ -5,11 +5,6 @@
 // computed at any time.
 #pragma once
 
-#include <filesystem>
-#include <string>
-
-#include <glm/glm.hpp>
-
 #include "read/datasets/kitti/kitti_drive.hpp"
 
 namespace relidar::test {

@@ -3,16 +3,11 @@
 // from which it was written.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
 #include <cstdlib>
 
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
 #include "read/datasets/kitti/kitti_360_folder.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,16 +3,10 @@
 // 4000 / 701 + wobble). Each firing has 64 beams.
 #include "read/datasets/kitti/kitti_drive.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <fstream>
-#include <map>
-#include <sstream>
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
-#include <relidar/base/math.hpp>
 #include "base/random.hpp"
 
 namespace relidar::test {

@@ -4,15 +4,6 @@
 // KITTI, coordinates are rounded to millimetres and stored ring by ring.
 #pragma once
 
-#include <array>
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include <glm/glm.hpp>
-
-#include <relidar/log/sensor.hpp>
-
 #include "support/logs.hpp"
 
 namespace relidar::test {

@@ -3,16 +3,9 @@
 // line with the path, the value in the file, and the expected value.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
 #include <cstring>
 
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
-#include <relidar/base/math.hpp>
 #include "read/datasets/kitti/kitti_drive.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

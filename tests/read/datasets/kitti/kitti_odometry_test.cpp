@@ -3,20 +3,11 @@
 // Compares times, poses and directions with their exact values.
 #include <relidar/read/dataset.hpp>
 
-#include <array>
-#include <cmath>
 #include <cstring>
-#include <filesystem>
-#include <functional>
-#include <map>
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 
 #include "kitti_drive.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,22 +3,13 @@
 // real drive 2011_09_26_drive_0005_sync if RELIDAR_KITTI_DRIVE names its folder.
 #include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <cmath>
 #include <cstdlib>
 #include <cstring>
-#include <filesystem>
 #include <fstream>
-#include <sstream>
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 
-#include <gmock/gmock.h>
-
-#include <relidar/base/error.hpp>
 #include "read/datasets/kitti/kitti_drive.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -3,15 +3,10 @@
 // exact rays. Also checks the errors for invalid files.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
-
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/scans/stamped_folders.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
 
-#include <cmath>
-
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <gtest/gtest.h>
 
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"

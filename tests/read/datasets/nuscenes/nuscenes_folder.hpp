@@ -3,11 +3,6 @@
 // drives through a yard with walls.
 #pragma once
 
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include <relidar/base/math.hpp>
 #include "support/logs.hpp"
 
 namespace relidar::test {

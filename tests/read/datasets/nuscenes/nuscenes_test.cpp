@@ -3,17 +3,12 @@
 // folders with damage in each file.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
 #include <cstring>
 
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

@@ -5,11 +5,8 @@
 // refer to the nearest pose.
 #include "read/datasets/nuscenes/truckscenes_folder.hpp"
 
-#include <cmath>
-
 #include <fmt/format.h>
 #include <fmt/ranges.h>
-#include <gtest/gtest.h>
 
 #include "base/random.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"

@@ -3,11 +3,6 @@
 // in beams, pose rates and time stamps.
 #pragma once
 
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include <relidar/base/math.hpp>
 #include "support/logs.hpp"
 
 namespace relidar::test {

@@ -3,22 +3,11 @@
 // Their points are not motion-compensated and have no ring numbers.
 #include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <cmath>
-#include <cstring>
-#include <map>
-#include <string>
-#include <vector>
-
 #include <fmt/format.h>
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/scene/scene.hpp>
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/datasets/nuscenes/truckscenes_folder.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {

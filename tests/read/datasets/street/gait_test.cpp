@@ -2,14 +2,8 @@
 // Checks the walking people of the synthetic street, whose legs and arms swing. Compares
 // hits on limbs with a search in small steps along rays. Steps must depend on the walked
 // distance.
-#include <algorithm>
-#include <cmath>
-#include <optional>
-#include <vector>
 
 #include <gtest/gtest.h>
-
-#include <relidar/read/dataset.hpp>
 
 #include "base/random.hpp"
 #include "read/datasets/street/street.hpp"

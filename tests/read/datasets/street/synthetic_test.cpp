@@ -3,15 +3,6 @@
 // inside their boxes, and the settings file with its error messages.
 #include <relidar/read/dataset.hpp>
 
-#include <algorithm>
-#include <cmath>
-#include <filesystem>
-#include <fstream>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 #include "../../../support/rig_street.hpp"
 #include "support/logs.hpp"
 

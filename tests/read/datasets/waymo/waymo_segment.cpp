@@ -3,16 +3,12 @@
 // products, independently of the library.
 #include "read/datasets/waymo/waymo_segment.hpp"
 
-#include <cmath>
 #include <cstring>
 
 #include <fmt/format.h>
-#include <gtest/gtest.h>
 #include <zlib.h>
 #include <glm/gtc/matrix_transform.hpp>
 #include <protozero/pbf_writer.hpp>
-
-#include <relidar/base/math.hpp>
 
 #include "base/random.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"

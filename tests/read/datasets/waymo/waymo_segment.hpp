@@ -5,13 +5,6 @@
 // firing time and therefore a separate pose.
 #pragma once
 
-#include <cstdint>
-#include <filesystem>
-#include <string>
-#include <vector>
-
-#include <glm/glm.hpp>
-
 #include "support/logs.hpp"
 
 namespace relidar::test {

@@ -3,18 +3,11 @@
 // rays were cast into.
 #include <relidar/read/dataset.hpp>
 
-#include <cmath>
 #include <cstdlib>
-#include <functional>
 
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
-
-#include <relidar/base/error.hpp>
 #include "base/codecs/tfrecord.hpp"
 #include "read/datasets/kitti/kitti_drive.hpp"
 #include "read/datasets/waymo/waymo_segment.hpp"
-#include "support/names.hpp"
 
 namespace relidar {
 namespace {
