@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests error messages for invalid files, folders and texts.
 #include "base/files.hpp"
 
 #include <cstdlib>

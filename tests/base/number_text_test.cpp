@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Three other libraries must read the numbers back bit by bit.
 #include "base/number_text.hpp"
 
 #include <cmath>

@@ -19,7 +19,6 @@
 namespace relidar {
 namespace {
 
-/// Runs task() with `count` threads, even if the machine has fewer cores.
 template <class Task>
 void with_threads(int count, const Task& task) {
     const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, std::size_t(count));

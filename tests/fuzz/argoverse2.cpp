@@ -25,7 +25,6 @@ std::vector<std::string> make_feather_seeds(const fs::path&) {
     return seeds;
 }
 
-/// Reads every column as each possible type.
 void read_feather(std::string_view input, const fs::path&) {
     const Feather table("input", std::string(input));
     std::string failure;

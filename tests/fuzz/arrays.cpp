@@ -50,7 +50,6 @@ std::vector<std::string> make_npy_seeds(const fs::path&) {
     return seeds;
 }
 
-/// Without the last array, because safetensors does not support texts.
 std::vector<NamedArray> make_number_arrays() {
     std::vector<NamedArray> arrays = make_example_arrays();
     arrays.pop_back();

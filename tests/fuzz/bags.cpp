@@ -232,7 +232,7 @@ void read_mcap(std::string_view input, const fs::path& folder) { read_bag(input,
 void read_ros1(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.bag"); }
 void read_db3(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.db3"); }
 
-/// Returns seed messages. The first byte is the message type and a flag for ROS 1.
+/// The first byte of a seed is the message type and a flag for ROS 1.
 std::vector<std::string> make_message_seeds(const fs::path&) {
     std::string livox = Draft(false)
                             .add_header(kStart_ns, "l")
@@ -394,7 +394,6 @@ std::vector<std::string> make_block_seeds(const fs::path&) {
     return seeds;
 }
 
-/// Returns a capture of eight packets of a VLP-16, which is also valid without gzip.
 std::vector<std::string> pcap_seeds(const fs::path&) {
     constexpr std::size_t kPacket = 1206, kHeads = 14 + 20 + 8;  // Ethernet, IPv4 and UDP
     std::string capture("\xd4\xc3\xb2\xa1\2\0\4\0\0\0\0\0\0\0\0\0\xff\xff\0\0\1\0\0\0", 24);

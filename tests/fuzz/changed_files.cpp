@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces the contents of some files of a log while the log is read once.
 #include "changed_files.hpp"
 
 #include <utility>

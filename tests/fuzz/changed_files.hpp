@@ -17,13 +17,11 @@ public:
     explicit ChangedFiles(std::vector<std::filesystem::path> files);
 
     void read(std::string_view input, const std::function<void(unsigned options)>& read) const;
-    /// Returns seed inputs: an input with options only, and an input for each single
-    /// file. The input holds the start of a scan, or the complete text.
+    /// Returns inputs with options only, and inputs with the start of a single file.
     std::vector<std::string> seeds(const std::vector<unsigned>& alone,
                                    const std::vector<unsigned>& with_a_file) const;
 
-    /// Reads an input in a simpler format. The first byte selects the file that the
-    /// remainder replaces. For an empty input, changes and reads no file.
+    /// Reads an input whose first byte selects the file that the remainder replaces.
     void read_one(std::string_view input, const std::function<void()>& read) const;
     std::vector<std::string> make_seeds_of_one() const;
 

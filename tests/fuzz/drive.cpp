@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes a small KITTI drive, an odometry sequence of its scans, and a KITTI-360 log of
-// the same scans. An input replaces the contents of some files.
+// Fuzzes KITTI raw, odometry and KITTI-360 logs of the same scans.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -67,8 +66,7 @@ const Drive& make_drive_in(const fs::path& folder) {
     return drive;
 }
 
-/// Runs all readers, even if some of them fail. Reports the last error. A crash is
-/// reported immediately.
+/// Runs all readers, and reports the last error.
 void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
     for (const auto& read : readers) {

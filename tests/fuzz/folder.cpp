@@ -22,7 +22,6 @@ namespace fs = std::filesystem;
 constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy", "csv", "las"};
 constexpr std::string_view kParting = "\n=====\n";
 
-/// Returns 16 beams x 40 columns on a cylinder.
 test::FilePoints make_cylinder() {
     test::FilePoints points;
     for (int b = 0; b < 16; ++b)
@@ -109,7 +108,6 @@ void read_folder(std::string_view input, const fs::path& folder) {
     load_sequence("folder:" + log.string(), {});
 }
 
-/// Writes a log with a range image of 4 beams x 16 columns and returns its folder.
 fs::path make_image_log_in(const fs::path& folder) {
     static const fs::path log = [&] {
         fs::create_directories(folder / "images/scans");

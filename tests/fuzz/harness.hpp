@@ -11,17 +11,13 @@ namespace relidar::fuzz {
 
 struct Harness {
     const char* name;
-    /// Returns the initial inputs.
     /// @param folder folder in which the writers of the program create files
     std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
-    /// Reads an input. It may only throw a relidar::Error of usage or data, with a
-    /// message short enough for a terminal.
-    /// @param folder folder that is reused for all inputs
+    /// May only throw a relidar::Error of usage or data, with a short message.
     void (*read)(std::string_view input, const std::filesystem::path& folder);
     bool seeds_are_good = true;  ///< true if all seeds can be read without an error
 };
 
-/// Returns the harnesses that a file defines. main.cpp combines them.
 std::vector<Harness> list_array_harnesses();
 std::vector<Harness> list_text_harnesses();
 std::vector<Harness> list_drive_harnesses();

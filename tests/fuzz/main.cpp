@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Contains the entry points of libFuzzer. Usage: relidar_fuzz --harness=NAME
-// [--seeds=FOLDER] CORPUS... With --seeds, the program writes the seeds and exits. With
-// --list, it prints all names.
+// Usage: relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS... or --list
 #include "harness.hpp"
 
 #include <atomic>
@@ -64,8 +62,7 @@ Harness chosen;
     fs::create_directories(folder);
     std::size_t n = 0;
     for (const std::string& seed : chosen.seeds(get_scratch_folder())) {
-        // does not catch exceptions, because the reader must accept the seeds of this
-        // harness
+        // no exception may be caught here: the reader must accept the seeds
         if (chosen.seeds_are_good) chosen.read(seed, get_scratch_folder());
         put(folder / ("seed_" + std::to_string(n++)), seed);
     }
@@ -104,7 +101,6 @@ void check_memory(std::size_t n_input) {
 void read(std::string_view input) {
     try {
         chosen.read(input, get_scratch_folder());
-        // any other type of exception ends the process, and libFuzzer saves the input
     } catch (const Error& error) {
         const std::string message = error.what();
         const bool expected = error.code() == ExitCode::data || error.code() == ExitCode::usage;

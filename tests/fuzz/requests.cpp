@@ -46,7 +46,6 @@ std::vector<std::string> make_head_seeds(const fs::path&) {
         "[::1]:80\nhttp://[::1]\n\n", "127.0.0.1\n\n\n"};
 }
 
-/// Reads the lines Host, Origin, Cookie, query.
 void read_head(std::string_view input, const fs::path&) {
     std::string_view lines[4];
     for (std::string_view& line : lines) {
@@ -100,8 +99,7 @@ void silence_protobuf() {
 #endif
 }
 
-/// Throws an error if the request was rejected: a usage error if the status blames the
-/// client, otherwise a bug.
+/// Throws a usage error if the status blames the client, otherwise a bug.
 void check_status(const grpc::Status& status) {
     if (status.ok()) return;
     const grpc::StatusCode code = status.error_code();

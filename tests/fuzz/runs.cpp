@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes the files of a run except its scene.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -21,8 +20,7 @@ std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
     return {read_contents(folder / "seed")};
 }
 
-/// Reads a coverage file. For any content, the observed share of a line must be between 0
-/// and 1.
+/// The observed share of a line must be between 0 and 1 for any content.
 void read_coverage(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     ObservedVoxelSet coverage = files::load_coverage(folder / "input");

@@ -31,8 +31,7 @@ void read_street(std::string_view input, const fs::path& folder) {
     load_sequence("synthetic:" + folder.string(), one);
 }
 
-/// Returns a run without the file of sweep azimuths, because this file depends on the
-/// sensor that an input changes. The harness "sweeps" reads the file.
+/// The harness "sweeps" reads the azimuths, which depend on the sensor of an input.
 Run run_without_sweeps(const fs::path& folder) {
     Run run = make_example_run(folder);
     for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fuzzes a Waymo Open segment. Random changes would fail at CRCs and zlib streams and not
-// reach the parsers behind them. Therefore the first byte of an input selects how the
-// remainder is used: as the file, as the data of a record, or as an uncompressed matrix
-// of the TOP LiDAR.
+// Random changes would fail at CRCs and zlib streams. Therefore the first byte of an
+// input selects its use: the file, the data of a record, or an uncompressed matrix of
+// TOP.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -28,8 +27,7 @@ std::string make_small_matrix(int channels) {
                                             {rows, columns, channels});
 }
 
-/// Returns a record that contains only the TOP LiDAR.
-/// @param image, poses uncompressed matrices
+/// @param image, poses uncompressed matrices of the TOP LiDAR
 std::string record_with(const test::WaymoSegment& segment, const std::string& image,
                         const std::string& poses) {
     test::WaymoFrame frame = segment.frames[0];
@@ -38,8 +36,6 @@ std::string record_with(const test::WaymoSegment& segment, const std::string& im
     return frame.encode_frame_message();
 }
 
-/// Returns the bytes of a segment file. The first byte of the input selects the part of
-/// the file that the remainder of the input replaces.
 std::string file_of(std::string_view input, const test::WaymoSegment& segment) {
     const unsigned part = input.empty() ? 0u : static_cast<unsigned char>(input[0]) % kParts;
     const std::string bytes(input.substr(std::min<std::size_t>(1, input.size())));

@@ -42,16 +42,14 @@ static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> &&
               std::is_standard_layout_v<Address<float>>);
 
-/// Returns true if either of two members of a parameter struct can be assigned to the
-/// other member. A call with swapped members would then compile.
+/// A call with swapped members would compile.
 template <class Struct, class A, class B>
 consteval bool are_interchangeable(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
-// Tests two pointers to the same type of number from each parameter header. They must not
-// be assignable to each other. tests/structure checks that no struct has two pointers
-// that can be exchanged.
+// Two pointers to the same type of number from each parameter header. tests/structure
+// checks all structs.
 static_assert(!are_interchangeable(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
 static_assert(!are_interchangeable(&shared::GatherParams::parts, &shared::GatherParams::d_records));
 static_assert(!are_interchangeable(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
@@ -81,8 +79,7 @@ static_assert(!are_interchangeable(&shared::CollectHitsParams::instance, &shared
 static_assert(are_interchangeable(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
-// The meaning of an array is declared when it is created. Only address_as() and
-// cast_tag() can change the meaning, for memory that serves several purposes.
+// Only address_as() and cast_tag() change the meaning of an array.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests devices, copies, fills, memory accounting, and impossible requests.
 #include <numeric>
 
 #include "../base/codecs/temporary_folder.hpp"

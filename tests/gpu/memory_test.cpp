@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the ranges of a memory block with a map of its bytes.
 #include <random>
 
 #include <relidar/gpu/out_of_memory.hpp>
@@ -115,9 +114,7 @@ VKAPI_ATTR void VKAPI_CALL small_budget(VkPhysicalDevice physical,
         } else memory->memoryProperties.memoryHeaps[i].size = 60 << 20;
 }
 
-/// An array that exceeds the memory budget must be rejected before the driver is called.
-/// The driver could end the process or move the memory of other programs. The error must
-/// name the size and the free memory.
+/// Otherwise, the driver could end the process or move the memory of other programs.
 TEST_F(GpuMemory, ArrayThatExceedsTheBudgetIsRefused) {
     if (device().allocated_bytes() > (8 << 20)) GTEST_SKIP() << "another test uses much memory";
     real_memory_properties = std::exchange(vkGetPhysicalDeviceMemoryProperties2, small_budget);
@@ -134,8 +131,7 @@ TEST_F(GpuMemory, ArrayThatExceedsTheBudgetIsRefused) {
     EXPECT_THAT(text, test::Names("60.0 MiB ... budget"));
 }
 
-/// An array that is larger than the largest allocation must consist of several
-/// allocations. All its bytes must be usable, also at the borders of the allocations.
+/// All bytes must be usable, also at the borders of the allocations.
 TEST_F(GpuMemory, ArrayOfSeveralAllocations) {
     Device::Impl& impl = device().impl();
     if (!impl.binds_sparse) GTEST_SKIP() << "no sparse binding";

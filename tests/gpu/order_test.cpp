@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count,
-// radix_scan, radix_scatter) against the standard library. Covers sizes near the limits
-// of tiles and levels, counts that only the device has, fewer keys than the capacity, and
-// strided counts. No value may be written beyond the arrays.
+// Compares prefix sums and the stable sort with the standard library, near the limits of
+// tiles and levels. No value may be written beyond the arrays.
 #include <numeric>
 #include <random>
 
@@ -76,9 +74,8 @@ protected:
         return result;
     }
 
-    /// Sorts the keys by their low bits on the device.
-    /// @param n_keys number of keys, which only the device has. Keys beyond `n_keys` must
-    /// not move.
+    /// @param n_keys number of keys, which only the device has. Keys beyond it must not
+    /// move.
     void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits,
                  std::optional<std::uint32_t> n_keys = {}) {
         const auto capacity = static_cast<std::uint32_t>(keys.size()),

@@ -23,8 +23,7 @@ std::string read_contents(const fs::path& path) {
     return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
-/// Recomputes the hash of the driver's bytes (FNV-1a). The file stores the hash after the
-/// magic number and the size.
+/// Recomputes the hash (FNV-1a), which follows the magic number and the size.
 std::string update_hash(std::string bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (std::size_t i = 24; i < bytes.size(); ++i)
@@ -65,8 +64,7 @@ protected:
         const PrefixSum prefix_sum(opened);
         return {opened.impl().pipeline_cache->path(), opened.impl().pipeline_cache->loaded_bytes()};
     }
-    /// Returns true if the driver stores pipelines, which means that its cache is longer
-    /// than the Vulkan header.
+    /// A cache without pipelines has only the Vulkan header.
     static bool is_cached_by_driver() {
         Device opened(apply_environment());
         std::size_t n_bytes = 0;
@@ -144,8 +142,7 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
     EXPECT_TRUE(open().path.empty());
 }
 
-/// Equal kernels must share a pipeline per device, also if the second kernel is created
-/// later. Kernels with any difference must have separate pipelines.
+/// Kernels with any difference must have separate pipelines.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(apply_environment());
     const auto n_made = [&] { return opened.impl().pipelines.by_key.size(); };
@@ -175,8 +172,7 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     EXPECT_EQ(n_made(), 4u);
 }
 
-/// Creating a kernel must start the compilation of its pipeline in a different thread, as
-/// on a GPU. A kernel may be destroyed before its pipeline is ready, or may never run.
+/// A kernel may be destroyed before its pipeline is ready, or may never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     Device opened(apply_environment());
     opened.impl().compiles_ahead = true;

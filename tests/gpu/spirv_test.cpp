@@ -26,8 +26,8 @@ std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     return result;
 }
 
-/// Returns the section of a module that contains an instruction (SPIR-V specification,
-/// 2.4), or 7 for later sections.
+/// Returns the section of an instruction (SPIR-V specification, 2.4), or 7 for later
+/// ones.
 int section(const Words& instruction) {
     static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4},
                                                           {15, 5}, {16, 6}, {331, 6}};
@@ -85,8 +85,7 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         }
 }
 
-/// Counts loads from the parameter block before and after the first branch of the entry
-/// point. Loads in other functions count as loads after the branch.
+/// Loads in other functions count as loads after the branch.
 std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) {
     std::uint32_t block = 0, pointer = 0, entry = 0;
     std::set<std::uint32_t> addresses, member_pointers;
@@ -107,8 +106,7 @@ std::pair<int, int> count_parameter_loads(std::span<const std::uint32_t> words) 
     return n;
 }
 
-/// Parameters must be loaded at the start of the entry point. The only exceptions are
-/// array elements whose index is computed on the device.
+/// The only exceptions are array elements whose index is computed on the device.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -161,8 +159,7 @@ TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) { return hoist_loads(make_nonuniform(words)); });
 }
 
-/// After the modification, every index into an array must be a sum. Indices of parameters
-/// must be constants.
+/// Every index into an array must be a sum, and every index of parameters a constant.
 TEST(SpirvLanes, AreInEveryIndex) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         std::uint32_t block = 0, block_pointer = 0;
@@ -183,8 +180,6 @@ TEST(SpirvLanes, AreInEveryIndex) {
     }
 }
 
-/// Returns a value for each constant that differs from its default, except for the
-/// workgroup size.
 std::map<std::uint32_t, std::uint32_t> change_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](SpecialisationConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
@@ -200,7 +195,6 @@ TEST(SpirvBranches, AreAcceptedBySpirvVal) {
         [](std::span<const std::uint32_t> words) { return remove_branches(words, change_constants(words)); });
 }
 
-/// spirv-opt replaces the constants and removes unreachable code.
 std::string optimise_words(std::span<const std::uint32_t> words,
                            const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file =
@@ -221,9 +215,7 @@ std::string optimise_words(std::span<const std::uint32_t> words,
     return result;
 }
 
-/// The program removes branches that cannot be taken. spirv-opt resolves the remaining
-/// branches and removes unreachable code. Its result must be the same with and without
-/// the removal by the program.
+/// spirv-opt must give the same code with and without the removal of branches.
 TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;

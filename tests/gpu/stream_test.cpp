@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the limits of a submission, readbacks, and the kernel gpu/copy.
 #include <fstream>
 #include <numeric>
 
@@ -20,8 +19,7 @@ using Words = std::vector<std::uint32_t>;
 
 class StreamTest : public test::DeviceTest {};
 
-/// Each launch must receive its own parameters. Launch i runs the kernel gpu/scan_write
-/// to copy word i, as the sum of this single word.
+/// Launch i copies word i with gpu/scan_write, as the sum of this single word.
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     // more submissions than slots, so that memory is reused
     constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;
@@ -48,8 +46,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
 }
 
-/// If an array parameter is not set, the kernel must read zeros instead of reading from
-/// address 0.
+/// An array that is not set must be read as zeros, not from address 0.
 TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     constexpr std::uint32_t n = 64;
     const std::vector<glm::vec4> ones(n, glm::vec4(1.0f));
@@ -128,8 +125,7 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
     EXPECT_NE(readback.wait_for_bytes(stream), nullptr);
 }
 
-/// Checks barriers with the synchronization validation of the Vulkan validation layer,
-/// which tracks fills and copies.
+/// Checks barriers with the synchronization validation of the Vulkan layer.
 class StreamHazards : public StreamTest {
 protected:
     std::optional<Device> hazards;  ///< device with synchronization validation
@@ -247,8 +243,7 @@ TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     EXPECT_THROW(ConcurrentSequenceScope(stream, 0), Error);
 }
 
-/// Launches 32000 threads of gpu/copy. The workgroups are expected to take a millisecond,
-/// so that a launch is cut into 10 pieces of at most 0.1 s.
+/// Workgroups are expected to take 1 ms, so a launch is cut into 10 pieces of 0.1 s.
 class CutLaunches : public StreamTest {
 protected:
     static constexpr std::uint32_t kGroups = 1000, kThreads = 32, kValues = kGroups * kThreads - 5;
@@ -283,7 +278,6 @@ protected:
     }
 };
 
-/// The measured times must count a launch once, not once per piece.
 TEST_F(CutLaunches, DoTheSameWork) {
     EXPECT_EQ(limit().speed_of("gpu/copy").workgroups_for(0.1), 100u);
     EXPECT_EQ(limit().speed_of("unknown").workgroups_for(0.1), gpu::KernelSpeed::kUnknownGroups);
@@ -303,9 +297,8 @@ TEST_F(CutLaunches, DoTheSameWork) {
     EXPECT_EQ(stream.times().milliseconds.at("gpu/copy").size(), 2u);
 }
 
-/// If an exception is thrown after some pieces of a launch were submitted, the arrays of
-/// the launch must stay allocated. The later pieces are recorded, and the next submission
-/// runs them. The arrays must be freed after this submission.
+/// The later pieces are recorded, and the next submission runs them. The arrays must be
+/// freed after this submission.
 TEST_F(CutLaunches, ArraysOutliveAnException) {
     Stream stream(device());
     const std::uint64_t allocated = device().allocated_bytes();
@@ -330,8 +323,7 @@ TEST_F(CutLaunches, ArraysOutliveAnException) {
     EXPECT_EQ(device().allocated_bytes(), allocated);
 }
 
-/// A launch that was slow must count less over time, so that it does not cause all later
-/// launches to be cut.
+/// A slow launch must count less over time.
 TEST(LaunchLimit, ForgetsOldSpeeds) {
     gpu::LaunchTimeLimit limit;
     EXPECT_FALSE(limit.has_limit());
@@ -343,8 +335,7 @@ TEST(LaunchLimit, ForgetsOldSpeeds) {
     EXPECT_DOUBLE_EQ(speed.estimate_s(200), 2.0);
 }
 
-/// Launches of kernels that read the total number of workgroups must not be cut, because
-/// each piece would see a smaller number.
+/// A piece would see a smaller number of workgroups than the launch.
 TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
     namespace fs = std::filesystem;
     const fs::path shaders = fs::path(RELIDAR_SOURCE_DIR) / "shaders";
@@ -374,7 +365,6 @@ VKAPI_ATTR void VKAPI_CALL keep_label(VkCommandBuffer, const VkDebugUtilsLabelEX
     named->labels.push_back(label->pLabelName);
 }
 
-/// Debuggers must see a name for each object and a label for each launch.
 TEST_F(StreamTest, ObjectsAndLaunchesHaveNames) {
     Named recorded_names;
     named = &recorded_names;
@@ -409,8 +399,7 @@ VKAPI_ATTR VkResult VKAPI_CALL allocate_nothing(VkDevice, const VkMemoryAllocate
     return VK_ERROR_OUT_OF_DEVICE_MEMORY;
 }
 
-/// An allocation of 100 MiB is larger than the shared memory blocks, so the driver must
-/// allocate new memory.
+/// 100 MiB exceed the shared blocks, so the driver must allocate new memory.
 TEST_F(StreamTest, FailedAllocationNamesNeedAndBudget) {
     const auto allocate = std::exchange(vkAllocateMemory, allocate_nothing);
     std::string message;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests gpu/check_atomics and gpu/check_subgroups with forced faults.
 #include <fstream>
 
 #include <relidar/base/error.hpp>
@@ -31,7 +30,6 @@ protected:
         std::filesystem::remove_all(folder);
         test::DeviceTest::TearDown();
     }
-    /// Installs a check that returns `result` and counts how often it is called.
     void check_gives(const DeviceTestResults& result) {
         set_open_callbacks({[this, result](const DeviceOptions&) {
                                 ++n_checks;
@@ -60,8 +58,7 @@ TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
     EXPECT_THAT(subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
 }
 
-/// Simulates additions without atomics, which must lose some of the 256 additions to each
-/// sum. The check must detect this.
+/// Without atomics, some of the 256 additions to each sum must be lost.
 TEST_F(TrustTest, ForcedFaultsAreFound) {
     gpu::inject_faults("float_atomics");
     if (device().info().float_atomics) {
@@ -92,8 +89,7 @@ TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
     EXPECT_THAT(notes, IsEmpty());
 }
 
-/// A process that cannot store the results must check a device only once. A forced fault
-/// and a new check function need another check.
+/// A forced fault and a new check function need another check.
 TEST_F(TrustTest, DeviceIsCheckedOncePerProcessWithoutAFolder) {
     std::ofstream(folder) << "a file, so that the folder cannot be created";
     for (const std::filesystem::path& cache : {std::filesystem::path(), folder}) {

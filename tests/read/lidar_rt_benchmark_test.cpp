@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the parts of the LiDAR-RT benchmark by their names in the paper. Checks which
-// frames belong to a part, and which frames are held out.
 #include "read/lidar_rt_benchmark.hpp"
 
 #include <gtest/gtest.h>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks which source determines the range limit of a log's sensor, and the note about
-// returns beyond the limit.
 #include <relidar/read/dataset.hpp>
 
 #include <fmt/format.h>
@@ -18,8 +16,7 @@ using testing::ThrowsMessage;
 constexpr int kColumns = 36, kScans = 2;
 constexpr double kElevation_deg[] = {5.0, -5.0};
 
-/// Writes a plain folder with two scans of a wall at 20 m around the sensor. Each scan
-/// also has a return at 149.25 m and a return at 0.4 m.
+/// Two scans of a wall at 20 m. Each has a return at 149.25 m and a return at 0.4 m.
 class RangeLimit : public testing::Test {
 protected:
     const test::LogFolder files{"relidar_range_limit"};
@@ -47,8 +44,7 @@ protected:
             }
         return points;
     }
-    /// Loads the log with a sensor whose beam table has additional columns. By default,
-    /// the limits are those of the sensor, as in the presets of the program.
+    /// @param names, values additional columns of the sensor's beam table
     Log load(const std::string& names, const std::string& values,
              const DatasetOptions& options = {.max_range_m = INFINITY}) const {
         test::write_text(files.folder / "beams.csv",

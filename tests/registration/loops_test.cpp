@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Detects roads that are driven again. One drive goes around a block with drifted
-// odometry. A second drive crosses itself only because its poses are wrong. A third drive
-// follows a street once.
+// A drive around a block with drifted odometry, a drive that crosses itself only because
+// its poses are wrong, and a street that is driven once.
 
 #include <gtest/gtest.h>
 
@@ -23,7 +22,6 @@ SubsampledScans thin(const Log& log) {
     return thin_sweeps(log, group_sweeps(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
 }
 
-/// Simulates the drift of odometry by rotating every step slightly sideways and down.
 PoseTrack bend_track(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
     PoseTrack track = exact;
     for (std::size_t k = 1; k < track.pose.size(); ++k) {
@@ -36,7 +34,6 @@ PoseTrack bend_track(const PoseTrack& exact, double yaw_rad_per_m, double pitch_
     return track;
 }
 
-/// Returns the position error of the last pose relative to the first pose.
 double gap_m(const PoseTrack& track, const PoseTrack& exact) {
     return glm::distance((inverse(track.pose.front()) * track.pose.back()).translation,
                          (inverse(exact.pose.front()) * exact.pose.back()).translation);
@@ -63,8 +60,7 @@ TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
     EXPECT_EQ(close(exact, scans).n_closures, 0u);
-    // Wrong poses turn the straight street into a circle. The end of the circle is close
-    // to its start, but the scans at both positions differ.
+    // Poses turn the street into a circle, but the scans at its ends differ.
     const PoseTrack circle = bend_track(exact, 2.0 * kPi / 120.0, 0.0);
     const LoopClosureResult closed = close(circle, scans);
     EXPECT_EQ(closed.n_closures, 0u) << "up to " << closed.largest_m << " m";

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers a scan to a scene: a hall with exact wall positions, a sensor that drives and
-// turns, and wrong initial poses.
+// A hall with exact wall positions, a sensor that drives and turns, and wrong poses.
 #include <cmath>
 #include <random>
 
@@ -14,7 +13,6 @@ namespace {
 // walls of the hall along x, y and z
 constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};
 
-/// Returns the wall that a ray from inside hits.
 SurfaceHit intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double nearest = std::numeric_limits<double>::infinity();
     SurfaceHit wall;
@@ -30,8 +28,7 @@ SurfaceHit intersect_wall(const glm::dvec3& origin_m, const glm::dvec3& directio
     return wall;
 }
 
-/// Makes three sweeps of 24 x 360 rays through the hall, without noise. Each ray has a
-/// separate firing time.
+/// Each ray has a separate firing time, and no noise.
 Log drive() {
     Log log;
     for (int k = 0; k < 3; ++k) {
@@ -122,8 +119,7 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     EXPECT_LT(alignment.on_surfaces, 0.9);
 }
 
-/// Makes the same drive with two LiDARs that measure different surfaces. The LiDAR
-/// `first` has only the returns of the two side walls.
+/// The LiDARs measure different surfaces: `first` has only the two side walls.
 Log make_drive_of_two() {
     Log log = drive();
     const Pose mounted{make_rotation(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};

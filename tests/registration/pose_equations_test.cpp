@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the Gauss-Newton step of all poses with the same least-squares problem in
-// dense form. The dense problem has unknowns for poses and planes, and a row per point.
+// Compares the Gauss-Newton step with the dense problem: unknowns for poses and planes, a
+// row per point.
 #include <random>
 
 #include <gtest/gtest.h>
@@ -28,8 +28,7 @@ LocalPlane make_plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) 
     return {at_m, n, u, glm::cross(n, u)};
 }
 
-/// Makes planes that are observed from poses a metre apart. A third of the points
-/// deviates by a kernel width or more.
+/// A third of the points deviates by a kernel width or more.
 Problem make_random_problem(unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> uniform(-1.0, 1.0);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers moving boxes on the synthetic street and compares them with the exact tracks.
-// The labels have a slow drift along the track, jitter, and errors of the yaw.
 #include <cmath>
 #include <random>
 
@@ -14,8 +12,7 @@ namespace {
 
 constexpr double kDegree = 0.017453292519943295;
 
-/// Adds typical label errors to all poses of a box: a drift of 10 cm along the track,
-/// jitter with a standard deviation of 5 cm, and a yaw that drifts by 2 degrees.
+/// A drift of 10 cm along the track, 5 cm of jitter, and a yaw that drifts by 2 degrees.
 BoxTrack add_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> jitter(0.0, 0.05);
@@ -29,8 +26,7 @@ BoxTrack add_label_errors(BoxTrack box, std::uint64_t seed) {
     return box;
 }
 
-/// Largest errors of a track. The mean error in the frame of the box is removed first,
-/// because points cannot determine a constant offset of a box.
+/// The mean error is removed first: points do not determine a constant offset of a box.
 struct TrackError {
     double along_m = 0.0, across_m = 0.0, yaw_rad = 0.0;
 };
@@ -52,8 +48,7 @@ TrackError measure_error_of_track(const BoxTrack& box, const BoxTrack& exact) {
     return result;
 }
 
-/// Registration must correct labels that drift. The car drives ahead of the sensor, so
-/// that only its rear is visible. The rear determines the position along the track and
+/// Only the rear of the car is visible. It determines the position along the track and
 /// the yaw. Only the labels determine the position across the track.
 TEST(RegisterActors, CorrectsDriftingLabels) {
     const Log exact = make_street_log({.n_frames = 30, .rows = 64, .columns = 1024});
@@ -73,7 +68,6 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
     EXPECT_LT(after.across_m, before.across_m + 0.01);
 }
 
-/// Exact labels must not change, because a correction would only add noise.
 TEST(RegisterActors, KeepsExactLabels) {
     const Log exact = make_street_log({.n_frames = 12, .rows = 32, .columns = 512});
     Log street = exact;
@@ -82,7 +76,6 @@ TEST(RegisterActors, KeepsExactLabels) {
         EXPECT_LT(measure_error_of_track(street.boxes[i], exact.boxes[i]).along_m, 0.01) << "box " << i;
 }
 
-/// A parked car must get a single pose, although its label drifts by 2.5 m.
 TEST(RegisterActors, FindsStandingCarsWithDriftingLabels) {
     Log street = make_street_log({.n_frames = 20, .rows = 64, .columns = 1024, .speed_mps = 0.001});
     ASSERT_FALSE(street.boxes.empty());

@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers scans of the synthetic street and compares them with the exact poses. Covers
-// poses with white noise and with drift, held-out scans, an invalid scan, and a
-// correction beyond the limit.
 #include <random>
 
 #include <relidar/base/error.hpp>
@@ -32,8 +29,6 @@ RegistrationResult register_street(const Log& street, int test_every = 0) {
                           make_options_without_movers(street.boxes));
 }
 
-/// Checks that the poses of training and test scans have the required accuracy: 1 cm and
-/// 0.05 degrees.
 void expect_registered(const RegistrationResult& registration, const PoseTrack& exact, const Split& split,
                        const char* description) {
     const PoseTrack& track = registration.world_from_vehicle;
@@ -53,8 +48,7 @@ void expect_registered(const RegistrationResult& registration, const PoseTrack& 
     }
 }
 
-/// Each sweep covers a fifth of the street. The two ends of the street are therefore
-/// connected only if the poses of all sweeps are solved together.
+/// Each sweep covers a fifth of the street, so only all sweeps together connect its ends.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     const Log street = make_street_log({.seed = 7, .n_frames = 400, .rows = 32, .columns = 256});
     const RegistrationResult registration = register_street(street, 10);
@@ -78,8 +72,7 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
         split, "drift of 20 cm");
 }
 
-/// Two training sweeps must suffice, with a held-out sweep between them. With only two
-/// scans, a plane needs more points of each scan.
+/// With only two scans, a plane needs more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
     const Log street = make_street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
@@ -131,7 +124,6 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     EXPECT_TRUE(exact_registration.lost.empty());
 }
 
-/// The content of a held-out scan must not change the training poses in any bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
     Log street = make_street_of(11);
     set_trajectory(street, test::perturb_track(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers logs of two LiDARs. Sweeps at the same time form a single scan of the
-// vehicle. A LiDAR that sweeps at other times uses the interpolated poses.
+// Sweeps at the same time form a single scan of the vehicle. A LiDAR that sweeps at other
+// times uses the interpolated poses.
 #include <gtest/gtest.h>
 
 #include <relidar/log/checks.hpp>
@@ -17,7 +17,6 @@ StreetOptions make_two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
-/// Doubles the poses: the second LiDAR sweeps off_s later than the first.
 Log make_staggered_street(double off_s) {
     const Log together = test::make_two_lidar_street(make_two_lidar_options());
     Log street = together;

@@ -62,8 +62,8 @@ PoseTrack add_drift_and_jumps(const PoseTrack& exact) {
 
 namespace {
 
-/// Removes the mean rigid motion between `track` and the exact track from `track`.
-/// @param positions poses from which the mean motion is computed
+/// Removes the mean rigid motion at the given positions between a track and the exact
+/// track.
 PoseTrack align_track(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (const int k : positions) {

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes wrong poses of the synthetic street, and computes the errors of poses.
 #pragma once
 
 #include <relidar/log/sequence.hpp>
@@ -10,20 +9,18 @@ inline constexpr double kDegree = kPi / 180.0;
 
 Log set_poses(Log street, PoseTrack track);
 
-/// Adds white noise with these total standard deviations to every pose.
 PoseTrack perturb_track(PoseTrack track, double sigma_m, double sigma_rad, std::uint64_t seed);
-/// Adds a smooth curve with these amplitudes to the poses.
 PoseTrack add_drift(PoseTrack track, double amplitude_m, double amplitude_rad);
 
-/// Returns poses with the errors of wheel odometry and gyroscopes: 1 % too much distance,
-/// 1 degree of heading and 0.3 degrees of pitch per 100 m. The poses also jump by 0.3 m
-/// at 1/5, 2/5, 3/5 and 4/5 of the track.
+/// Errors of wheel odometry and gyroscopes: 1 % too much distance, 1 degree of heading
+/// and 0.3 degrees of pitch per 100 m, jumps of 0.3 m at 1/5, 2/5, 3/5 and 4/5 of the
+/// track.
 PoseTrack add_drift_and_jumps(const PoseTrack& exact);
 
 struct PoseError {
     double median_m, median_deg, rms_m, worst_m, worst_deg;
 };
-/// Returns the errors of some poses after removing their common rigid motion.
+/// Errors after removing the common rigid motion.
 PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions);
 
 }  // namespace relidar::test

@@ -23,7 +23,6 @@ struct Place {
     bool in_curve = false;
 };
 
-/// Returns the position of the centre of the lane after a driven distance.
 Place lane(double s_m) {
     s_m = std::fmod(s_m + compute_loop_length(), compute_loop_length());
     Place p;
@@ -93,8 +92,7 @@ street::SyntheticStreet make_town() {
     return town;
 }
 
-/// Returns the distance that the car has driven at a time. The speed is constant except
-/// for a stop half-way, which is smoothed to limit the acceleration.
+/// The speed is constant except for a smoothed stop half-way.
 double compute_driven_m(double t_s, double duration_s) {
     const double speed = (compute_loop_length() + kBeyond_m) / (duration_s - kStop_s),
                  middle = 0.5 * (duration_s - kStop_s);

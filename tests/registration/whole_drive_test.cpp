@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers a complete drive around a block with a stop: from exact poses, from poses
-// with drift and jumps, and without poses. Odometry divides the 400 sweeps into two
-// sections.
+// From exact poses, from poses with drift and jumps, and without poses. Odometry divides
+// the 400 sweeps into two sections.
 #include <gtest/gtest.h>
 
 #include <relidar/registration/registration.hpp>
@@ -29,8 +28,6 @@ protected:
         return register_scans(wrong, split_frames(drive(), 10), options);
     }
 
-    /// Checks that the errors are at most 2 cm and 0.05 degrees over the complete drive,
-    /// including held-out scans, and that all scans are registered.
     static void expect_registered(const RegistrationResult& registration, const char* description) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that write_atomically() creates the complete file or nothing. After an
-// error, no temporary file may remain and the target must be unchanged.
+// After an error, no temporary file may remain, and the target must be unchanged.
 #include <relidar/base/arrays.hpp>
 #include <relidar/score/report.hpp>
 #include <relidar/simulate/point_files.hpp>

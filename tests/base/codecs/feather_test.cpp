@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests Feather files: values from the tests' writer and from files of pyarrow
-// (../shared/data/fixtures, skipped if RELIDAR_SHARED does not contain them). Any damaged
-// byte must cause an error or different values, never a crash.
+// Compares with pyarrow's files in ../shared/data/fixtures if RELIDAR_SHARED contains
+// them.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -112,7 +111,6 @@ TEST(Feather, SaysWhatIsWrong) {
     expect(large, "column 'x' ... 9223372036854775808", [](const Feather& t) { t.read_integers("x"); });
 }
 
-/// Damages every byte of a small file in turn.
 TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         const std::string good =

@@ -30,7 +30,6 @@ struct Block {
 
 flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
 
-/// Writes a Feather table. The function `Add` adds the fields of the table.
 template <class Add>
 Offset table(Builder& builder, const Add& add) {
     const auto start = builder.StartTable();
@@ -167,8 +166,7 @@ Offset make_batch(Builder& builder, const Body& body, std::size_t rows) {
     });
 }
 
-/// Appends a message with its body to the file.
-/// @param header type of the message header: 1 schema, 2 dictionary, 3 record batch
+/// @param header type of the message: 1 schema, 2 dictionary, 3 record batch
 Block append_message(std::string& file, Builder& builder, std::uint8_t kind, Offset header,
                      const std::string& body) {
     builder.Finish(table(builder, [&] {

@@ -41,8 +41,7 @@ FeatherColumn make_texts(const std::string& name, const std::vector<std::string>
 
 enum class FeatherCodec { none, lz4, zstd };
 
-/// Returns the bytes of a Feather file.
-/// @param rows_a_batch rows per record batch. 0 puts all rows into a single record batch.
+/// @param rows_a_batch rows per record batch; 0: a single record batch
 std::string make_feather_bytes(const std::vector<FeatherColumn>& columns,
                                FeatherCodec codec = FeatherCodec::none, std::size_t rows_a_batch = 0);
 

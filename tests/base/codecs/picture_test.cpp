@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads EXR and PNG files with OpenEXR and libpng. Also tests colour maps.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 

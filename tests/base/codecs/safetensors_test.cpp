@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests round trips, the layout byte by byte, and damaged files.
 #include <relidar/base/arrays.hpp>
 
 #include <algorithm>

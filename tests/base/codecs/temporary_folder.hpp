@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// A folder that is deleted at the end of the test.
 #pragma once
 
 #include <filesystem>
@@ -14,7 +13,6 @@
 
 namespace relidar {
 
-/// A new folder that is deleted with this object.
 struct ScratchFolder {
     std::filesystem::path path;
 
@@ -54,7 +52,6 @@ inline void put(const std::filesystem::path& path, std::string_view bytes) {
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Calls a function that must throw an `ExpectedError`, and returns its message.
 template <class ExpectedError, class Call>
 std::string error_message(const Call& call) {
     try {

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that boxes of another convention, and a box of the recording vehicle, are
-// recognised. Right boxes get no note.
 #include "log/checks/box_conventions.hpp"
 
 #include <gmock/gmock.h>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the validation of logs. A valid log must be accepted. Every error must name the
-// frame or box and the field.
 #include <relidar/log/checks.hpp>
 #include <relidar/read/clouds.hpp>
 
@@ -31,7 +29,6 @@ std::string get_error_after(const std::function<void(Log&)>& damage) {
     return "none";
 }
 
-/// Returns the index of the first ray with a return.
 std::size_t returned(const Scan& scan) {
     std::size_t i = 0;
     while (!(scan.range_m[i] > 0.0f)) ++i;
@@ -48,7 +45,6 @@ TEST(CheckSequence, GoodLogsPass) {
               "none");
 }
 
-/// Checks that each modification of a sequence causes an error that names the values.
 void expect_errors(const std::vector<std::pair<std::function<void(Log&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) EXPECT_THAT(get_error_after(damage), test::Names(expected));
 }
@@ -146,7 +142,6 @@ TEST(CheckSequence, NamesFrameRayAndField) {
     });
 }
 
-/// Makes ten frames. One frame starts `gap_s` seconds late.
 Log make_sequence_with_gap(double gap_s) {
     Log log;
     log.name = "log";

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the notes about values that are valid but probably wrong. A good log gets none.
 #include "log/checks/checks.hpp"
 
 #include <relidar/read/dataset.hpp>

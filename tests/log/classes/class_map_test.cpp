@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the class map of a street with a count of its labels, and the class of random
-// points with a search through all cells.
 #include <relidar/log/classes.hpp>
 
 #include <gtest/gtest.h>
@@ -16,7 +14,6 @@ namespace {
 using Place = std::tuple<int, int, int>;
 Place to_place(const glm::ivec3& place) { return {place.x, place.y, place.z}; }
 
-/// Counts the labels in each cell, except those in moving boxes.
 std::map<Place, std::array<int, kSurfaceClasses>> count_labels(const Log& log,
                                                                const std::vector<int>& positions) {
     std::map<Place, std::array<int, kSurfaceClasses>> counts;
@@ -56,7 +53,6 @@ TEST(ClassMap, HasTheMostFrequentClassOfEachCell) {
         EXPECT_EQ(n_cells[std::size_t(surface)], 0u) << int(surface) << ": only in moving boxes";
 }
 
-/// Training refines the boxes of a log. Only the refined boxes must count.
 TEST(ClassMap, IgnoresReturnsInTheBoxesThatAreGiven) {
     Log log = make_street_log({.n_frames = 4, .rows = 16, .columns = 256, .people = true});
     const std::vector<BoxTrack> boxes = log.boxes;

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the cells that segments cross with a box test of each cell. Also checks which
-// space a scan observes indoors and under the open sky.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -18,8 +16,7 @@ struct Segment {
     glm::dvec3 from_m, to_m;
 };
 
-/// Computes the length of a segment within a cell by clipping the segment to the six
-/// planes of the cell.
+/// Clips a segment to the six planes of a cell.
 double measure_length_within(const Segment& segment, const Cell& cell) {
     const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)),
         d = segment.to_m - segment.from_m;
@@ -88,8 +85,7 @@ TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
     EXPECT_EQ(coverage.observed_fraction({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
 }
 
-/// Makes a LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees and 360
-/// columns.
+/// Makes a LiDAR at 2 m with beams at 20, 0, -20 and -40 degrees and 360 columns.
 Log make_sweep(const std::array<float, 4>& range_m) {
     Log sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
@@ -111,8 +107,6 @@ ObservedVoxelSet observe(const std::array<float, 4>& range_m) {
     return observe_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
 }
 
-/// Returns the share of a segment ahead of the sensor, at an elevation, that the scans
-/// have observed.
 double seen(const ObservedVoxelSet& coverage, double elevation_deg, double from_m, double to_m) {
     const double e = elevation_deg * kPi / 180.0;
     const glm::dvec3 sensor(0.0, 0.0, 2.0),

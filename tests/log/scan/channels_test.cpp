@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the list of channels: their names, the errors for user-defined channels, and
-// whether the guide documents the same channels.
 #include <relidar/log/channels.hpp>
 
 #include <cstring>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits scatter trees to simulated sensors. Values drawn from the tree must have the same
-// distribution, including the correlation with neighbouring rays.
+// Values drawn from a fitted tree must have the distribution of the simulated sensor.
 
 #include <gtest/gtest.h>
 
@@ -165,7 +164,6 @@ TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
 }
 
-/// The first rows and columns of an image.
 RenderedIntensityImage crop_image(const RenderedIntensityImage& image, int rows, int columns) {
     const auto cut = [&](const std::vector<float>& values) {
         std::vector<float> part;

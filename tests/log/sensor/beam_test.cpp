@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the measurement model of a beam. Its two directions must be inverse to each
-// other. The firing azimuth computed from a point must be the original azimuth.
 #include <relidar/log/sensor.hpp>
 
 #include <gtest/gtest.h>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks sensors that are selected by name or read from CSV tables, and the error
-// messages for wrong names and tables.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -51,14 +49,12 @@ TEST(KnownSensors, Vlp16HasTheVerticalOffsetsOfItsManual) {
         }
 }
 
-/// Sensors of a log have the maximum range of their product.
 TEST(KnownSensors, SpecifiedRangesAreThoseOfTheProduct) {
     EXPECT_EQ(nominal_max_range_m("HDL-64E fitted to KITTI odometry 04"), 120.0);
     EXPECT_EQ(nominal_max_range_m("VLP-16"), 100.0);
     EXPECT_FALSE(nominal_max_range_m("/lidar_top"));
 }
 
-/// Compares field of view and resolution of the sensor with its data sheet.
 TEST(KnownSensors, Pandar128LooksAsItsDataSheetSays) {
     const SpinningSensor sensor = spinning("Pandar128");
     ASSERT_EQ(sensor.beams.size(), 128u);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the rays of LiDARs that do not spin with the definition of their scan
-// patterns.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -20,9 +18,8 @@ const RosetteSensor kRosette{.name = "r",
                              .n_rays = 5000,
                              .period_s = 0.1};
 
-/// A rosette is the sum of two rotating deflections of equal size. The length of the sum
-/// must be 2 |cos| of half the angle between them. Its direction must be their mean
-/// direction.
+/// The sum of two equal rotating deflections has the length 2 |cos| of half their angle,
+/// and their mean direction.
 TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
     const double time_s = 12.34;
     const RayTable rays = make_rays(kRosette, time_s);

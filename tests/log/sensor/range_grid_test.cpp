@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks range images with a regular grid. The projection of a ray must give the pixel of
-// this ray (Eq. 6-7). If several points fall into a pixel, the nearest point must
-// determine its value.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the ray tables of spinning sensors with closed forms: directions, beam
-// origins, firing times, and offset beams that are shifted by full columns.
 #include <relidar/log/sensor.hpp>
 
 #include <gtest/gtest.h>

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks arrays of scans in memory and in a file. Data must be read back unchanged, freed
-// space must be reused, and errors must name a folder that is not writable. Each test
-// runs in a separate process, because the file exists as long as its process.
+// Each test runs in a process, because the file exists as long as its process.
 #include <relidar/log/sensor.hpp>
 
 #include <csignal>
@@ -22,8 +20,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Runs checks in a separate process, because the memory limit and the folder of the file
-/// are settings of the process.
 template <class Checks>
 void run_in_child_process(const Checks& checks) {
     EXPECT_EXIT(
@@ -34,7 +30,6 @@ void run_in_child_process(const Checks& checks) {
         testing::ExitedWithCode(0), "");
 }
 
-/// Returns the anonymous memory of the process in bytes.
 std::uint64_t measure_anonymous_bytes() {
     std::ifstream status("/proc/self/status");
     for (std::string line; std::getline(status, line);)
@@ -119,8 +114,6 @@ TEST(ScanMemory, ServesSeveralThreads) {
     });
 }
 
-/// A log larger than the memory limit must not increase the anonymous memory of the
-/// process, and its data must be read back unchanged.
 TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
 #ifdef __SANITIZE_ADDRESS__
     GTEST_SKIP() << "AddressSanitizer keeps freed memory, so the used memory is not comparable";

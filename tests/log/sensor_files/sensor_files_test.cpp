@@ -1,7 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors from files. Compares ray tables in three formats with their original
-// rays, and Ouster metadata with Ouster's equation for points. Also checks the error
-// messages for invalid files.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -108,9 +105,8 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
                    "both");
 }
 
-/// Computes a point with the equation of Ouster's manual, in the sensor's frame without
-/// its height.
-/// @param m column, of w columns; the range is measured from the axis
+/// Equation of Ouster's manual without the sensor's height. The range starts at the axis.
+/// @param m column, of w columns
 glm::dvec3 compute_ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg,
                                 int m, int w) {
     const double encoder = 2.0 * kPi * (1.0 - double(m) / w), azimuth = -azimuth_deg * kPi / 180.0,

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the azimuth of the sensor at each firing from a simulated scan with uneven
-// rotation, and applies the azimuths to nominal rays.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -28,9 +26,7 @@ SpinningSensor sensor() {
     return result;
 }
 
-/// Returns the azimuth error of a firing. It falls as a parabola from 3 mrad at the first
-/// firing to -5 mrad at the last firing. A second error repeats within each packet of
-/// seven firings.
+/// A parabola from 3 to -5 mrad, and an error that repeats in each packet of 7 firings.
 double compute_unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);
@@ -47,8 +43,7 @@ int get_firing(const SpinningSensor& sensor, std::size_t ray) {
     return (column + offset_columns(beam, kColumns) + kColumns) % kColumns;
 }
 
-/// Makes a sweep with uneven rotation. Each ray has an error of up to 0.02 mrad, and only
-/// a share of the rays has a return.
+/// Each ray has an error of up to 0.02 mrad. Only a share of the rays has a return.
 Scan make_uneven_scan(double share, unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
@@ -68,7 +63,6 @@ std::vector<float> shift_of(const Scan& scan) {
     return measure_shifts_rad(scan, sensor(), make_rays(sensor()));
 }
 
-/// Returns the largest angle between corresponding rays of two tables.
 double compute_worst_angle(const RayTable& first, const RayTable& second) {
     double worst = 0.0;
     for (std::size_t i = 0; i < first.size(); ++i)
@@ -98,8 +92,8 @@ TEST(AzimuthShift, TurnsOriginsAlong) {
     }
 }
 
-/// A pane of glass removes the returns of half of the beams in some columns. The azimuths
-/// that are estimated from the remaining beams must not reveal which rays were dropped.
+/// A pane of glass removes returns of half of the beams in some columns. The azimuths
+/// must not reveal which rays were dropped.
 TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
     Scan scan = make_uneven_scan(1.0, 5);
     const std::vector<float> before = shift_of(scan);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates beam responses and compares them with the exact responses of simulated
-// sensors.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -18,8 +16,7 @@ double compute_brightness(const glm::dvec3& point) {
     return (int(std::floor(point.x * 2.0)) + int(std::floor(point.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
 }
 
-/// Makes a log of a sensor with n beams 2 m above a plane. The sensor looks down while it
-/// drives forward, so that every beam measures the same tiles.
+/// The sensor looks down from 2 m and drives forward: every beam measures the same tiles.
 Log drive(const std::vector<Beam>& beams, double noise_size) {
     Log sequence;
     sequence.lidars[0].sensor.beams = beams;
@@ -102,8 +99,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
             EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
-/// Returns a street whose intensities are reflectance * (0.3 + 0.7 cos) * (1 - range /
-/// 160 m), with equal beams (src/read/datasets/street/synthetic.cpp).
+/// Intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m).
 Log street() {
     return make_street_log({.n_frames = 40});  // 32 m: near and far views of the same surfaces
 }

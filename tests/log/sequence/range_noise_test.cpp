@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the range noise of the synthetic street and compares it with the noise that
-// was added.
 #include <gtest/gtest.h>
 
 #include <relidar/read/dataset.hpp>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates range offsets of beams and compares them with the exact offsets of simulated
-// sensors.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -12,8 +10,7 @@ namespace {
 
 const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};  // the sum is 0
 
-/// Returns the range of a ray in a street with a ground plane, a wall on each side, and
-/// square posts. The posts provide surfaces across the street.
+/// A ground plane, a wall on each side, and square posts with surfaces across the street.
 double cast(const glm::dvec3& o, const glm::dvec3& direction) {
     double nearest = 1e9;
     const auto plane = [&](int axis, double at, auto&& on) {
@@ -28,8 +25,7 @@ double cast(const glm::dvec3& o, const glm::dvec3& direction) {
     return nearest;
 }
 
-/// Makes a drive along the street. The ranges of each beam have an offset and 5 mm of
-/// deterministic noise.
+/// The ranges have the offset of their beam and 5 mm of deterministic noise.
 Log drive(bool held_out_is_garbage = false) {
     Log sequence;
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks interpolated poses, rays in the world frame, moving boxes, and the split into
-// training and test frames against numbers computed by hand.
 #include <relidar/log/log_time.hpp>
 
 #include <cmath>
@@ -22,7 +20,6 @@ double yaw_of(const Pose& pose) {
     return std::atan2(x.y, x.x);
 }
 
-/// Returns a log of two frames with a sweep of 0.1 s.
 Log make_log_from(double first_s) {
     Log log;
     log.lidars[0].sensor.period_s = 0.1;
@@ -135,8 +132,7 @@ TEST(WorldRay, UsesThePoseAtTheRaysOwnTime) {
     EXPECT_NEAR(rolling.origin_m.z, 0.2, 1e-6);
 }
 
-/// Makes a car with `count` labels at intervals of step_s. The labels vary by 9 cm, as in
-/// KITTI.
+/// The labels vary by 9 cm, as in KITTI.
 BoxTrack driven(int count, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
     box.size_m = {4.4, 1.8, 1.6};
@@ -165,8 +161,7 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(hurried.is_moving()) << "for half a second";
 }
 
-/// The labels of a parked car jitter by up to 10 cm. As in nuScenes, they are set twice a
-/// second and interpolated to twenty sweeps a second. The car must not count as moving.
+/// As in nuScenes, labels are set twice a second and interpolated to 20 sweeps a second.
 TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
     std::mt19937 random(3);
     std::uniform_real_distribution<double> off(-0.1, 0.1);
@@ -208,8 +203,6 @@ TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     EXPECT_FALSE(is_in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
 }
 
-/// Makes rays of a uniformly rotating sensor. The rays start at an azimuth and a time and
-/// cover half a turn or more.
 RayTable make_turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int count) {
     RayTable rays;
     rays.rows = 1;
@@ -315,8 +308,7 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
     EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
 }
 
-/// Makes a log with the frames 100, 103, 106 ... of two LiDARs. The second LiDAR has no
-/// sweep 106.
+/// Makes the frames 100, 103, 106 ... of two LiDARs. The second has no sweep 106.
 Log make_sweeps_of_three() {
     Log sequence;
     for (int i = 0; i < 8; ++i) {

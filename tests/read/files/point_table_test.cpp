@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the point table: numbers keep the data type of the file, and each scan is read
-// only once.
 #include "read/files/point_table.hpp"
 
 #include <atomic>
@@ -77,7 +75,6 @@ TEST(PointTable, NamesOfAValueHaveAnOrder) {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinite = std::numeric_limits<float>::infinity();
 
-/// Returns a table with the fields x, y and z, and further fields with a value per point.
 PointTable to_point_table(const std::vector<glm::vec3>& points,
                           const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
     PointTable table(points.size());
@@ -90,8 +87,6 @@ PointTable to_point_table(const std::vector<glm::vec3>& points,
     return table;
 }
 
-/// Returns points in different directions and at different ranges, similar to the points
-/// of a LiDAR.
 std::vector<glm::vec3> make_measured_points(std::size_t count) {
     std::vector<glm::vec3> points;
     for (std::size_t i = 0; i < count; ++i) {
@@ -140,8 +135,8 @@ TEST(DroppedRays, HaveRangeZeroInARangeField) {
 TEST(DroppedRays, HaveAPositionThatIsRepeated) {
     std::vector<glm::vec3> points = make_measured_points(2000);
     EXPECT_EQ(interpret_fields({to_point_table(points, {})}).no_return, std::nullopt);
-    // Mounting position of a LiDAR. Rays without a return are stored as points at the
-    // sensor. The driver has transformed these points to the mounting position.
+    // Rays without a return are points at the sensor, transformed to its mounting
+    // position.
     const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
     for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
     PointFileUnits units;
@@ -209,8 +204,7 @@ TEST(PointMeaning, FindsTheScaleOfIntensities) {
     EXPECT_FALSE(scale({0.0, 12.0, 70000.0}).is_sure) << "more than 16 bits";
 }
 
-/// Scan source that counts how often each scan is read. The scans show a cylinder with 8
-/// beams x 90 columns.
+/// The scans show a cylinder with 8 beams x 90 columns.
 class CountedScans : public ScanProvider {
 public:
     explicit CountedScans(std::size_t count) : n_reads(count) {}

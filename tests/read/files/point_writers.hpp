@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes points in the file formats of other programs, byte by byte: PCD (text, packed,
-// compressed), PLY (text, packed), .bin, .npy, LAS.
 #pragma once
 
 #include <cstdint>

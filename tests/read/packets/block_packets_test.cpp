@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes real packets of Velodyne and Hesai sensors. Compares the points with the points
-// that TIER IV's driver nebula decodes from the same packets (nebula/*.txt). nebula
-// ignores the rotation of the head while the lasers of a block fire. The test therefore
-// compares with a head that does not turn, and checks the rotation with the manuals.
+// Compares points with the points that TIER IV's driver nebula decodes from the same real
+// packets (nebula/*.txt). nebula ignores the rotation of the head while the lasers of a
+// block fire. The rotation is compared with the manuals.
 #include <cmath>
 #include <fstream>
 
@@ -56,8 +55,6 @@ std::unique_ptr<packets::PacketDecoder> make_decoder(const std::string& packet, 
                : nullptr;
 }
 
-/// Decodes all returns of the packets as points, for a head that does not turn while the
-/// lasers fire.
 std::vector<glm::dvec3> decode_points(const packets::PacketDecoder& decoder,
                                       const std::vector<std::string>& all_packets) {
     const std::vector<Beam> beams = decoder.make_sensor(1800, kStill_hz).beams;
@@ -75,7 +72,6 @@ std::vector<glm::dvec3> decode_points(const packets::PacketDecoder& decoder,
     return points_m;
 }
 
-/// Expects that each point of nebula is equal to a decoded point.
 /// @param ahead_deg largest rotation that nebula adds to a point
 void expect_all(const std::vector<glm::dvec3>& theirs_m, const std::vector<glm::dvec3>& ours_m,
                 double ahead_deg = 0.0) {
@@ -225,8 +221,7 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     EXPECT_THROW(packets::find_angle_files({recording}), DataError);
 }
 
-/// Returns a packet of an OT128 with a return per laser, written byte by byte from the
-/// manual. The range value of a laser is its number, counted from 0.
+/// Written byte by byte from the manual. The range value of a laser is its index.
 std::string make_ot128_packet(int mode, int azimuth_state) {
     std::string bytes("\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12);
     for (int block = 0; block < 2; ++block) {
@@ -303,8 +298,8 @@ TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
     EXPECT_EQ(packet.echoes[2][1].range_m, 0.0f);
 }
 
-/// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth
-/// is 90 degrees in the first block and increases by 0.4 degrees per block.
+/// Written byte by byte from the manual. The first azimuth is 90 degrees, in steps of
+/// 0.4.
 std::string make_rs16_packet() {
     std::string bytes("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0", 8);
     bytes.resize(26);
@@ -345,8 +340,7 @@ TEST(BlockPackets, RsLidar16) {
     EXPECT_NEAR(packet.echoes[15][0].intensity, 0.2, 1e-6);
 }
 
-/// Returns consecutive packets of an RS-LiDAR-16.
-/// @param step_us  time from packet to packet
+/// @param step_us time from packet to packet
 std::vector<std::string> rs16_packets(int step_us) {
     std::vector<std::string> packets;
     for (int k = 0; k < 8; ++k) {

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads real scans of two Ouster sensors as plain folders. The points follow Ouster's
-// equation (beam angles, offset n of the beam origin), and the beams follow the
-// calibration of the sensor. Every return must be on the ray that measured it. Skipped if
-// RELIDAR_SHARED (default: ../shared next to the repository) does not contain the scans.
+// Real scans as plain folders, with points by Ouster's equation and beams of the
+// calibration. Skipped if RELIDAR_SHARED (../shared) does not contain the scans.
 #include <relidar/read/dataset.hpp>
 
 #include <fmt/format.h>
@@ -18,8 +16,7 @@ namespace {
 namespace fs = std::filesystem;
 using test::OusterImages;
 
-/// Writes points without rings and times, so that the reader must estimate both. Without
-/// `with_beams`, the reader must also estimate the beams.
+/// Points have neither rings nor times.
 fs::path write_folder(const OusterImages& scans, const std::string& name, bool with_beams) {
     const fs::path folder = fs::path(testing::TempDir()) / "relidar_ouster" / name;
     fs::remove_all(folder);
@@ -54,8 +51,7 @@ fs::path write_folder(const OusterImages& scans, const std::string& name, bool w
     return folder;
 }
 
-/// Number of returns that have the right beam, column and range, and number of all
-/// returns. Columns are counted from a first column.
+/// Returns with the right beam, column and range, if columns start at a given one.
 struct Found {
     std::size_t right = 0, all = 0;
 };

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes the packets of an Ouster sensor from range images, and a capture of the packets.
 // Follows the firmware user manual of the sensor ("Lidar Data", "Lidar Data Legacy").
 #pragma once
 
@@ -17,8 +16,7 @@ inline constexpr const char *kLegacy = "LEGACY", *kSingle = "RNG19_RFL8_SIG16_NI
                             *kDual = "RNG19_RFL8_SIG16_NIR16_DUAL", *kLowRate = "RNG15_RFL8_NIR8",
                             *kLowRateDual = "RNG15_RFL8_NIR8_DUAL", *kFusa = "FUSA_RNG15_RFL8_NIR8_DUAL";
 
-/// Range images that are staggered: a column contains the simultaneous measurements of
-/// all beams.
+/// A column contains the simultaneous measurements of all beams.
 struct OusterImages {
     std::string product = "OS-1-16", profile = kSingle;
     std::size_t frames = 0, rows = 0, columns = 0, per_packet = 16;
@@ -29,8 +27,7 @@ struct OusterImages {
     std::vector<std::uint64_t> time_ns;  ///< [frames, columns]
     /// [frames, columns] true for valid columns. If empty, all columns are valid.
     std::vector<bool> is_valid;
-    /// First and last column of the column window. If both are 0, the window contains all
-    /// columns.
+    /// Column window. If both are 0, the window contains all columns.
     std::size_t first = 0, last = 0;
 
     std::size_t at(std::size_t frame, std::size_t row, std::size_t column) const {
@@ -41,18 +38,15 @@ struct OusterImages {
     bool is_low_rate() const { return profile == kLowRate || profile == kLowRateDual || profile == kFusa; }
     /// Returns the range as packets store it. Low data rate profiles use steps of 8 mm.
     std::uint32_t round_mm(std::uint32_t mm) const { return is_low_rate() ? mm / 8 * 8 : mm; }
-    /// Computes a point in Ouster's LiDAR frame with Ouster's equation. Column m of W
-    /// columns has the encoder angle 2 pi (1 - m / W).
+    /// Ouster's equation. Column m of W columns has the encoder angle 2 pi (1 - m / W).
     glm::dvec3 compute_point(std::size_t row, std::size_t column, double mm) const;
 };
 
-/// Reads range images of a real sensor. Returns nothing if RELIDAR_SHARED (default:
-/// ../shared next to the repository) does not contain the file.
+/// Returns nothing if RELIDAR_SHARED (../shared) does not contain the file.
 std::optional<OusterImages> load_real_images(const std::string& name, const std::string& product,
                                              const std::string& profile);
 
-/// Adds second returns 1.5 m behind every fifth first return. Some of the second returns
-/// are brighter than the first return.
+/// Second returns are 1.5 m behind every fifth first return, and may be brighter.
 void add_second_returns(OusterImages& images);
 /// Makes range images of a few beams in a room. Some pixels have no return.
 OusterImages make_small_images(const std::string& profile);
@@ -65,7 +59,6 @@ struct OusterPacket {
 /// Returns the packets that contain a column of the azimuth window, in order.
 std::vector<OusterPacket> make_packets(const OusterImages& images);
 
-/// Returns the metadata as JSON.
 /// @param is_nested if true, the JSON is nested (newer tools), otherwise flat
 std::string make_metadata(const OusterImages& images, int port, bool is_nested = false);
 
@@ -75,12 +68,10 @@ struct Datagram {
     std::string bytes;
     int port = 7502;
 };
-/// Returns the datagrams with their time of arrival. A packet arrives 0.2 ms after its
-/// last column. Every third packet arrives up to 0.4 ms later.
+/// Packets arrive 0.2 ms after their last column, every third up to 0.4 ms later.
 /// @param ahead_ns clock of the recorder minus clock of the sensor
 std::vector<Datagram> receive(const std::vector<OusterPacket>& packets, int port = 7502,
                               std::int64_t ahead_ns = 1700000000000000000);
-/// Writes Ethernet frames with time stamps in nanoseconds.
 void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& datagrams);
 
 }  // namespace relidar::test

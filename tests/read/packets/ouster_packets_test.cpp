@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes packets of Ouster sensors. The test makes packets from real range images in
-// every supported profile. The packets must give the same scans as a plain folder of the
-// same images (skipped if RELIDAR_SHARED does not contain the images). Also checks the
-// errors for invalid captures and metadata.
+// Packets of real images in every profile must give the scans of a plain folder of the
+// same images (skipped if RELIDAR_SHARED does not contain them).
 #include <relidar/read/dataset.hpp>
 
 #include <cmath>
@@ -109,7 +107,6 @@ Log read_folder(const OusterImages& images, const RangeLimits& limits) {
     return load_sequence(folder.string(), options);
 }
 
-/// Writes a capture and its metadata to a new folder.
 fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams) {
     const fs::path folder = make_fresh_folder("capture");
     test::write_pcap(folder / "drive.pcap", datagrams);
@@ -120,7 +117,6 @@ fs::path write_capture(const OusterImages& images) {
     return write_capture(images, test::receive(test::make_packets(images)));
 }
 
-/// Log from load_sequence(), or its error message.
 struct Loaded {
     Log log;
     std::string error;
@@ -150,8 +146,7 @@ protected:
     }
 };
 
-/// Returns the column and the ring of a ray. The column is the encoder position when the
-/// ray was fired.
+/// The column is the encoder position when the ray was fired.
 std::pair<std::size_t, int> find_cell(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
     const std::size_t ring = scan.rays.channel[ray];
     const glm::vec3 d = scan.rays.direction[ray];
@@ -167,7 +162,6 @@ std::map<std::pair<std::size_t, int>, std::size_t> group_rays_by_cell(const Scan
     return cells;
 }
 
-/// Checks that two scans have the same rays: origin, direction, time and measurement.
 void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSensor& sensor) {
     ASSERT_EQ(actual.rays.rows, expected.rays.rows);
     ASSERT_EQ(actual.rays.columns, expected.rays.columns);
@@ -183,8 +177,7 @@ void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSe
                        actual.intensity[a] == expected.intensity[b] &&
                        std::abs(actual.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
                        glm::distance(actual.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
-        // A tolerance is needed, because the folder reader estimates the phase of the
-        // columns from the points.
+        // The folder reader estimates the phase of the columns from the points.
         is_same = is_same && glm::distance(actual.rays.direction[a], expected.rays.direction[b]) <
                                  (actual.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
         for (std::size_t k = 0; k < actual.second_returns.size(); ++k)
@@ -255,7 +248,6 @@ TEST_F(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
     EXPECT_EQ(most, 1.0f);
 }
 
-/// Rays and returns of a frame by column.
 struct Columns {
     std::vector<std::size_t> rays, returns;
 
@@ -423,13 +415,11 @@ TEST_F(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
         expect_same_log(*images, loaded.log);
         EXPECT_THAT(loaded.notes(), testing::Not(Names("expected")));
     }
-    // Both metadata files name the same port.
     write_bytes(folder / "rear.json", test::make_metadata(other, 7502));
     const Loaded ambiguous(folder / "drive.pcap");
     EXPECT_THAT(ambiguous.error, Names("3328 bytes on port 7502 ... metadata"));
     fs::remove(folder / "rear.json");
-    // Packets of the second sensor must not be decoded with the metadata of the first
-    // sensor.
+    // Packets must not be decoded with the metadata of another sensor.
     const Loaded half(folder / "drive.pcap");
     EXPECT_THAT(half.notes(), Names("3328 bytes on port 7504 ... metadata"));
     if (half.error.empty()) expect_same_log(one, half.log);

@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the packets that are written for scans. Compares the bytes with the manuals of
-// the manufacturers. Also reads the packets of all products again: every return must have
-// its range, time and reflectivity.
+// Compares bytes with the manuals, and reads the packets of all products again.
 #include <cmath>
 #include <cstring>
 
@@ -32,12 +30,10 @@ std::vector<double> find_laser_times_us(const std::string& product) {
     return packets::make_block_decoder(product.c_str(), {})->timing().offset_us;
 }
 
-/// Returns the range that ray `index` measures. The range is a multiple of 8 mm. Every
-/// fifth ray has no return.
+/// Returns a multiple of 8 mm. Every fifth ray has no return.
 float range_of(std::size_t index) { return index % 5 == 0 ? 0.0f : 0.008f * float(500 + index * 7 % 4000); }
 float to_intensity(std::size_t index) { return float(1 + index % 250) / 255.0f; }
 
-/// Returns a scan with ranges from range_of() and intensities from to_intensity().
 Scan make_known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
     Scan scan;
     scan.rays = make_rays(sensor);
@@ -118,7 +114,6 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     }
 }
 
-/// Positions of fields in a Hesai packet.
 struct HesaiFields {
     std::size_t n_bytes;
     std::string_view head;
@@ -133,7 +128,7 @@ constexpr HesaiFields kQt128{
 constexpr HesaiFields kOt128{
     861, {"\xEE\xFF\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12}, 817, 0x37, 818, 820, 826, 831};
 
-/// Checks the fields of packet `number`. Returns its time within the minute in seconds.
+/// Returns the time of packet `number` within the minute in seconds.
 double expect_fields(const std::string& bytes, const HesaiFields& fields, std::size_t number) {
     EXPECT_EQ(bytes.size(), fields.n_bytes);
     EXPECT_EQ(bytes.substr(0, 12), fields.head);
@@ -344,9 +339,8 @@ struct AlternatingProduct {
     double most_apart_deg;  ///< of these lasers, because their file has a single azimuth
 };
 
-/// The scan has a row for each laser. The log has a row for each laser and each firing
-/// sequence. Each ray of the log must be a ray of the scan. If the log is written again,
-/// the packets must be the same.
+/// The log has a row for each laser and firing sequence. Each of its rays must be a ray
+/// of the scan. If it is written again, the packets must be the same.
 void expect_rays_of_lasers(const AlternatingProduct& product) {
     SCOPED_TRACE(std::string(product.layout) + ", returns " + std::to_string(product.returns));
     const SpinningSensor sensor = make_sensor_named(product.sensor, product.columns);
@@ -430,8 +424,7 @@ TEST(Packets, OfOtherSensorsAreRefused) {
     EXPECT_THROW(encoder.add_scan(scan, 1.0), UsageError) << "no firing times";
 }
 
-/// If the time between frames is longer than a turn of the sensor, the packets must still
-/// have even intervals, and the azimuth must never decrease.
+/// The time between frames is longer than a turn.
 TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
     const SpinningSensor sensor = make_sensor_named("HDL-32E");
     PacketEncoder encoder(sensor, {.start_ns = kStart_ns});

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks logs with unreadable scans. Reading the log must fail, or, if the caller
-// requests it, omit the scan.
 #include <relidar/log/checks.hpp>
 
 #include <cstring>
@@ -27,7 +25,6 @@ DatasetOptions make_skipping_options(const std::string& part = {}) {
     return options;
 }
 
-/// Truncates a file to half its size.
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
 
 std::vector<int> numbers(const Log& sequence) {
@@ -37,10 +34,8 @@ std::vector<int> numbers(const Log& sequence) {
     return numbers;
 }
 
-/// Truncates a scan in the middle of the log. Reading must fail, or return the remaining
-/// scans with a note.
+/// Truncates a scan. Reading must fail, or return the remaining scans with a note.
 /// @param part part of a dataset with several parts
-/// @return log without the scan
 Log expect_left_out(const fs::path& log, const fs::path& scan, int number, const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
     DatasetOptions strict = make_skipping_options(part);
@@ -76,7 +71,6 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
     EXPECT_NO_THROW(check_sequence(left));
 }
 
-/// Reads a drive and returns the error message, or "" if reading succeeds.
 std::string get_complaint(const test::KittiDrive& drive) {
     try {
         load_sequence(drive.folder.string(), {});
@@ -98,8 +92,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     };
     put(original.substr(0, 16 * (n / 3)));
     expect_left(fmt::format("{} points", n / 3));
-    // Removes about eight of 64 rings. The number is not exact, because rings have
-    // different numbers of returns.
+    // About eight of 64 rings, which have different numbers of returns.
     put(original.substr(0, 16 * (n - n / 8)));
     expect_left("points ... ring");
     put(std::string(original.size(), '\0'));
@@ -109,8 +102,7 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     EXPECT_THAT(get_complaint(drive), Names("none of the 3 scans"));
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early = testing::Contains(Names("0000000001.bin ... ring ... azimuth"));
-    // The cut is in the last ring or in the ring before the last. In addition, every
-    // tenth point is missing.
+    // The cut is in one of the last two rings. Every tenth point is missing.
     for (const int remaining_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (remaining_deg == 120 ? 240 : 360 + 90) / 360.0);
         put(original.substr(0, 16 * (n - n_missing)));
@@ -122,8 +114,6 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Not(early));
 }
 
-/// Replaces all intensities of a drive.
-/// @param intensity new value instead of the original value 0.25
 void set_intensities(const test::KittiDrive& drive, float intensity) {
     for (int frame = 0; frame < 3; ++frame) {
         std::string bytes = test::read_text(drive.scan(frame));

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits sensors to points that were computed from the rays of a sensor. The fitted sensor
-// must equal the original sensor.
 #include <relidar/read/clouds.hpp>
 
 #include <gtest/gtest.h>
@@ -13,8 +11,7 @@ namespace {
 
 constexpr int kBeams = 32, kColumns = 900;
 
-/// Returns a sensor with beams 0.4 to 1.2 degrees apart, staggered by less than half a
-/// column.
+/// Beams are 0.4 to 1.2 degrees apart, staggered by less than half a column.
 SpinningSensor make_true_sensor(bool clockwise = true) {
     SpinningSensor s;
     double elevation_deg = 15.0;
@@ -30,8 +27,8 @@ SpinningSensor make_true_sensor(bool clockwise = true) {
     return s;
 }
 
-/// Returns points on four of five rays, at ranges of 3 to 70 m (3 to 8 m for beams that
-/// look down). Rings are counted from the lowest beam.
+/// Four of five rays have points at 3 to 70 m (3 to 8 m for beams that look down). Rings
+/// are counted from the lowest beam.
 LidarPoints make_points_on(const SpinningSensor& sensor, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(sensor);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests point times that counters and number types have damaged. The truth is a sweep of
-// 0.1 s whose times a driver would write in some type and unit.
+// The truth is a sweep of 0.1 s whose times a driver would write in some type and unit.
 #include "read/scans/point_times.hpp"
 
 #include <cmath>
@@ -42,7 +41,6 @@ read::PointCloudUnits estimate_units(const std::vector<read::PointTable>& clouds
     return read::estimate_cloud_units(clouds, stamps_s, 0.1);
 }
 
-/// Expects that the times of all clouds continue without a jump for 0.1 s.
 void expect_sweeps(const std::vector<read::PointTable>& clouds, double time_unit_s) {
     for (const read::PointTable& cloud : clouds) {
         const read::PointFieldView& times = *cloud.find_field(read::PointAttribute::time);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts points to scans. The test computes points from the rays of a sensor and
-// shuffles them. Each point must be assigned to its original ray.
 #include <relidar/read/clouds.hpp>
 
 #include <numeric>
@@ -26,8 +24,7 @@ SpinningSensor sensor() {
     return s;
 }
 
-/// Computes returns along the sensor's rays. Every fifth ray has no return, and some rays
-/// have a second return.
+/// Every fifth ray has no return, and some rays have a second return.
 struct Truth {
     Scan scan;
     LidarPoints points;  ///< shuffled
@@ -133,8 +130,7 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
 }
 
-/// In a sweep of more than a turn, two firings have azimuth 3. Both firings must keep
-/// their points and times.
+/// In a sweep of more than a turn, two firings have azimuth 3.
 TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the formats from the documentation of the datasets: Boreas' data reference,
-// MulRan's tables and mounting, and ONCE's description of its formats.
+// From the documentation of the datasets: Boreas' data reference, MulRan's tables and
+// mounting, and ONCE's description of its formats.
 #include "read/scans/stamped_folders.hpp"
 
 #include <fmt/format.h>
@@ -20,7 +20,6 @@ void append_floats(std::string& bytes, std::initializer_list<float> values) {
     for (const float v : values) bytes.append(reinterpret_cast<const char*>(&v), sizeof v);
 }
 
-/// Writes a 3x4 matrix, row by row.
 std::string format_matrix(const Pose& pose, const char* between) {
     const glm::dmat4 m = to_matrix(pose);
     std::string text;
@@ -35,9 +34,8 @@ glm::dvec3 angles_of(const glm::dquat& rotation) {
     return {std::atan2(m[1][2], m[2][2]), -std::asin(m[0][2]), std::atan2(m[0][1], m[0][0])};
 }
 
-/// Returns the angles of a rotation for a rotation order 0 to 3: R_x(-roll) R_y(-pitch)
-/// R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll)
-/// R_y(pitch) R_z(yaw).
+/// Orders 0 to 3: R_x(-roll) R_y(-pitch) R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll),
+/// R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch) R_z(yaw).
 glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
     const glm::dvec3 angles = angles_of(order == 0 || order == 3 ? glm::conjugate(rotation) : rotation);
     return order == 2 || order == 3 ? -angles : angles;

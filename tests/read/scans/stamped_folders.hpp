@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through a
-// yard with walls. Its LiDAR measures every point from the pose at the time of the point.
-// Axes, names, times and poses follow each dataset.
+// A vehicle drives a bend through the yard. Every point is measured from the pose at its
+// time. Axes, names, times and poses follow each dataset.
 #pragma once
 
 #include "support/logs.hpp"
@@ -25,8 +24,7 @@ struct StampedDrive {
     Pose vehicle_from_lidar;  ///< with the dataset's axes
     std::vector<Beam> beams;  ///< highest beam first
     int columns = 0, n_scans = 0;
-    /// Time between scans. A turn takes 0.1 s, and the time stamp is in the middle of the
-    /// turn.
+    /// A turn takes 0.1 s, and the time stamp is in its middle.
     double step_s = 0.1;
     double first_azimuth_rad = kPi;                  ///< in the LiDAR's frame
     std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
@@ -45,15 +43,14 @@ struct StampedFolder : LogFolder {
     using LogFolder::LogFolder;
 };
 
-/// Boreas sequence with 128 beams. The laser numbers are not sorted by elevation. The
-/// LiDAR is turned 42.6 degrees to the right, and its frame starts in that direction.
-/// Poses continue for 40 s after the scans, twice around the yard.
+/// 128 beams. Laser numbers are not sorted by elevation. The LiDAR is turned 42.6 degrees
+/// to the right. Poses continue for 40 s after the scans, twice around the yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;
 
-    /// @param angles rotation order. 0 is the order in the documentation of Boreas, and 1
-    /// is the common order. 2 and 3 are the orders 0 and 1 with roll and yaw exchanged.
+    /// @param angles rotation order: 0 as Boreas documents it, 1 the common order, 2 and
+    /// 3 the same with roll and yaw exchanged
     explicit BoreasFolder(const std::string& name, int angles = 0, int columns = 360);
     static std::int64_t stamp(int scan) { return kFirst_us + scan * 100000; }
     std::filesystem::path scan(int number) const {
@@ -64,14 +61,12 @@ struct BoreasFolder : StampedFolder {
     static int find_laser(std::size_t beam) { return int(beam * 37 + 11) % 128; }
 };
 
-/// MulRan sequence with 64 x 1024 points per scan, starting backward. The poses of the
-/// track do not enclose the first scan.
+/// 64 x 1024 points, starting backward. The poses do not enclose the first scan.
 struct MulranFolder : StampedFolder {
     static constexpr std::int64_t kFirst_ns = 1561000444390857630;
     static constexpr int kScans = 4;
 
-    /// @param by_column if true, the points in files are ordered by column, otherwise by
-    /// ring
+    /// @param by_column true if points in files are ordered by column, otherwise by ring
     explicit MulranFolder(const std::string& name, bool by_column = true);
     static std::int64_t stamp(int scan) { return kFirst_ns + scan * std::int64_t(100000000); }
     std::filesystem::path scan(int number) const {
@@ -94,7 +89,6 @@ struct OnceFolder : StampedFolder {
     std::filesystem::path json() const { return folder / (folder.filename().string() + ".json"); }
 };
 
-/// Returns the distance of a point to the nearest surface of the yard.
 double measure_distance_to_yard_m(const glm::dvec3& point_m);
 
 }  // namespace relidar::test

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks a log of two LiDARs: the world positions of their returns, the frames that are
-// held out together, and the estimated beams.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -34,8 +32,7 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
     }
 }
 
-/// Returns the mean difference between the road heights of both LiDARs, over the cells of
-/// half a metre in which both have returns.
+/// Compares the road heights in cells of half a metre in which both have returns.
 double measure_height_difference_m(const Log& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
     for (const Frame& frame : street.frames)

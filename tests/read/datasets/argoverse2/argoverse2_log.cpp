@@ -27,14 +27,12 @@ constexpr int kPair[32] = {12, 1, 8,  3,  14, 5, 10, 7,  6,  2, 9,  11, 4, 0, 13
 constexpr glm::dvec3 kCity_m(5223.8, 2385.4, 69.1);
 constexpr std::int64_t kCycle_ns = 55296, kPair_ns = 2304;
 
-/// Points of a sweep in file order.
 struct SweepColumns {
     std::vector<float> x, y, z;
     std::vector<std::uint8_t> intensity, laser;
     std::vector<std::int32_t> offset_ns;
 };
 
-/// Fires the rays of a LiDAR in a sweep and appends the points that the dataset stores.
 /// @param lidar 0 is the upper LiDAR, 1 is the lower LiDAR
 std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
                                 double sweep_s, SweepColumns& points) {

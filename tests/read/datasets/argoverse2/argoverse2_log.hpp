@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small Argoverse 2 log: two virtual VLP-32C on a vehicle that drives and turns
-// between four walls. As in the dataset, the points are motion-compensated to the time of
-// each sweep.
+// Two virtual VLP-32C on a vehicle that turns between four walls. As in the dataset,
+// points are motion-compensated to the time of each sweep.
 #pragma once
 
 #include "base/codecs/feather_writer.hpp"
@@ -9,12 +8,10 @@
 
 namespace relidar::test {
 
-/// Appends the quaternion and translation columns of poses to the given columns.
 std::vector<FeatherColumn> set_poses(std::vector<FeatherColumn> columns, const std::vector<Pose>& poses);
 
 struct Argoverse2Options {
-    /// If true, coordinates have half precision as in the dataset. If false, they have
-    /// single precision, for comparison with the exact rays.
+    /// Half precision as in the dataset, otherwise single precision.
     bool half_precision = false;
     bool lower_half_up = false;  ///< lasers 32..63 belong to the upper LiDAR
     int sweeps = 3;
@@ -38,17 +35,14 @@ struct Argoverse2Log : LogFolder {
     std::array<Pose, 2> vehicle_from_lidar;                       ///< up, down
     std::vector<std::array<std::vector<Argoverse2Ray>, 2>> rays;  ///< [sweep][up, down] all fired rays
 
-    /// Writes a log to a new temporary folder.
     explicit Argoverse2Log(const std::string& name, const Argoverse2Options& options = {});
 
     static std::int64_t sweep_ns(int sweep) { return kFirstSweep_ns + sweep * 100'252'000; }
     std::filesystem::path sweep(int number) const;
     std::filesystem::path file(const std::string& relative) const { return folder / relative; }
-    /// Returns the pose of the vehicle in the city frame.
     /// @param time_s relative to the first sweep
     static Pose compute_vehicle_pose(double time_s);
-    /// Returns the pose of the only labelled box. Its centre moves along the vehicle's x
-    /// axis of time 0.
+    /// Its centre moves along the vehicle's x axis of time 0.
     static Pose compute_box_pose(double time_s);
 };
 

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes two consecutive sweeps of a published Argoverse 2 log as a log and reads it. The
-// sweeps are in ../shared/data/argoverse2; the test is skipped if RELIDAR_SHARED does not
-// contain them or if Python has no numpy. The sweeps have no calibration, so the pose of
-// each LiDAR was fitted to them with five numbers. The elevations of 64 lasers still show
-// errors of half precision, order and compensation.
+// Reads two sweeps of a published log, if RELIDAR_SHARED (../shared) contains
+// data/argoverse2 and Python has numpy. They have no calibration, so the pose of each
+// LiDAR was fitted with five numbers. The elevations of 64 lasers still show errors of
+// half precision, order and compensation.
 #include <relidar/log/sensor_files.hpp>
 
 #include <cstdlib>
@@ -49,7 +48,6 @@ std::vector<std::string> texts_of(const NamedArray& array) {
     return texts;
 }
 
-/// A published sweep.
 struct RealSweep {
     std::vector<float> xyz;
     std::vector<std::uint8_t> intensity, laser;
@@ -167,8 +165,7 @@ protected:
                          << " or python3 with numpy is not there";
     }
 
-    /// Returns a stored point in the LiDAR's frame at the time when the point was
-    /// measured. Assumes that the vehicle moves uniformly between sweeps.
+    /// Assumes that the vehicle moves uniformly between sweeps.
     static glm::dvec3 measured(std::size_t s, std::size_t index, int lidar) {
         const double at = double(kTimes_ns[s] + real_[s].offset_ns[index] - kTimes_ns[0]) /
                           double(kTimes_ns[1] - kTimes_ns[0]);
@@ -265,9 +262,8 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
     EXPECT_LE(n_empty_boxes, 1u) << "a bollard 30 m away has none as published";
 }
 
-/// Projects each published point and selects the beam that is nearest in elevation. Among
-/// the rays of this beam that were fired within a millisecond of the point, selects the
-/// ray that is nearest in azimuth. The point must be in the cell of this ray.
+/// Selects the beam that is nearest in elevation, and of its rays within a millisecond of
+/// the point the ray that is nearest in azimuth. Its cell must contain the point.
 TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
     for (std::size_t s = 0; s < 2; ++s) {
         std::size_t in_another_cell = 0;

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a simulated Argoverse 2 log and compares it with the exact rays. Also reads logs
-// with damage in each file.
 #include <relidar/read/dataset.hpp>
 
 #include "read/datasets/argoverse2/argoverse2_log.hpp"
@@ -16,8 +14,7 @@ using test::Argoverse2Ray;
 
 const DatasetOptions kFar{.max_range_m = 200.0};
 
-/// Looks up the exact ray by beam and time. The beam is identified by its elevation, the
-/// firing by a time within half the interval between two pairs.
+/// The elevation identifies the beam, a time within half a pair interval the firing.
 class TrueRays {
 public:
     TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
@@ -91,8 +88,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     }
 }
 
-/// The sensors face forward at a different time than the time of the sweep. Moving
-/// objects must still be placed at the times of their rays.
+/// The sensors do not face forward at the time of the sweep. Moving objects must still be
+/// placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
     const Log sequence = log.load(kFar);
@@ -132,8 +129,7 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
                           Argoverse2Log::compute_box_pose(box.world_from_box.time_s[i]));
 }
 
-/// Half precision rounds a coordinate by up to 2^-11 of its value. Points must not move
-/// farther than this rounding.
+/// Half precision rounds a coordinate by up to 2^-11 of its value.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
     const Log sequence = log.load(kFar);
@@ -194,7 +190,6 @@ TEST(Argoverse2, FrameRangePosesAndNoLabels) {
     EXPECT_THROW(log.load({.frames = {3, -1}}), UsageError);
 }
 
-/// Returns the file of a sweep with a single point.
 std::string make_point_bytes(float x, std::uint8_t laser, std::int32_t offset_ns) {
     return test::make_feather_bytes({test::make_numbers("x", std::vector{x}),
                                      test::make_numbers("y", std::vector{1.0f}),

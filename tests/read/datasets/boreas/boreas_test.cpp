@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a simulated Boreas sequence and compares it with the exact rays. Also checks the
-// errors for invalid files.
 #include <relidar/read/dataset.hpp>
 
 #include "read/datasets/kitti/kitti_drive.hpp"
@@ -13,8 +11,6 @@ namespace fs = std::filesystem;
 using test::BoreasFolder;
 using test::StampedRay;
 
-/// Checks that every return is at the point where its ray hit the yard, and that no
-/// return is lost.
 void expect_boreas_truth(const BoreasFolder& data, const Log& sequence) {
     const PoseTrack track = sequence.lidar_track(0);
     for (const Frame& frame : sequence.frames) {

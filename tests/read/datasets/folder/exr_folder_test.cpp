@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads EXR range images as scans of a plain folder: a simulated street, images written
-// by OpenEXR, and damaged images.
 #include <relidar/read/dataset.hpp>
 
 #include <cstring>
@@ -22,7 +20,6 @@ namespace fs = std::filesystem;
 
 using Channels = std::map<std::string, std::vector<float>>;
 
-/// Makes a folder for one frame without its image. The test adds the image.
 fs::path write_one_frame(const std::string& name, const std::string& head = test::make_head()) {
     const fs::path folder = test::make_fresh_folder_path("exr_" + name);
     fs::create_directories(folder / "scans");
@@ -31,7 +28,6 @@ fs::path write_one_frame(const std::string& name, const std::string& head = test
     return folder;
 }
 
-/// Returns the image channels of a scan, with the same names as in a rendering.
 Channels list_channels(const Scan& scan) {
     Channels channels{{"range", to_vector(scan.range_m)},
                       {"intensity", to_vector(scan.intensity)},
@@ -45,7 +41,6 @@ Channels list_channels(const Scan& scan) {
     return channels;
 }
 
-/// A street with second returns, saved as a plain folder. EXR images replace the scans.
 /// @param keep channels that are written
 struct StreetOfImages {
     Log truth = make_street_log({.n_frames = 3, .rows = 32, .columns = 500});
@@ -72,8 +67,6 @@ struct StreetOfImages {
     }
 };
 
-/// Compares every ray with the simulated street: its return (within 1 mm in the sensor's
-/// world), its beam, column and time.
 void expect_same_scans(const Log& sequence, const Log& truth, double ray_tolerance) {
     ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
@@ -140,8 +133,7 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
         << "a file of the user's is not read because an image says so";
 }
 
-/// Images with features that other programs use must be readable: half precision or
-/// integers, a different compression, and a window that does not start at 0.
+/// Half precision or integers, other compressions, a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
     const fs::path folder = write_one_frame(
@@ -182,8 +174,6 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
     }
 }
 
-/// Fixture that damages the image of a folder with a single frame and checks the error
-/// message.
 class ExrDamage : public testing::Test {
 protected:
     const fs::path folder = write_one_frame("damage");
@@ -220,8 +210,7 @@ protected:
         EXPECT_EQ(complaint(), "nothing");
         return test::read_text(file);
     }
-    /// Returns the file after changing a number in an attribute. The attribute is found
-    /// by name and type.
+    /// The attribute is found by name and type.
     /// @param offset offset in the value; -4 changes the size of the attribute
     std::string patch_bytes(const std::string& bytes, const std::string& name, const std::string& type,
                             int offset, std::int32_t value) const {

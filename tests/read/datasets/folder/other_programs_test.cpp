@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads point files and poses in the conventions of other programs: text files, numpy
-// arrays with named fields, pose files with different orders, and points without rings.
 #include <random>
 
 #include <relidar/base/arrays.hpp>
@@ -104,7 +102,6 @@ TEST(OtherPrograms, NamesTheToolForOtherFormats) {
     EXPECT_THAT(complaint(folder), test::Names("LASF"));
 }
 
-/// Returns the member "lidars" for a LiDAR that is turned about z.
 std::string make_mounting(const Pose& turned) {
     return fmt::format(R"(, "lidars": [{{"vehicle_from_sensor": {{"translation": [0, 0, 0],
                               "quaternion": [{}, 0, 0, {}]}}}}])",
@@ -267,8 +264,7 @@ TEST(OtherPrograms, PcdPaddingOfCountZero) {
     }
 }
 
-/// Every point is a return of a ray with two returns. Every seventh ray has a weaker
-/// return at half the range, the other rays repeat their only return.
+/// Every seventh ray has a weaker return at half the range, others repeat their return.
 test::FilePoints make_second_returns(test::FilePoints points) {
     for (std::size_t i = 0; i < points.size(); i += 7) {
         points[i].point_m *= 0.5f;

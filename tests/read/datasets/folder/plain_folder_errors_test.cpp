@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a plain folder causes an error. The message must be a
-// single line and name the file and the field.
 #include <relidar/read/dataset.hpp>
 
 #include <fmt/format.h>
@@ -14,8 +12,7 @@ namespace {
 namespace fs = std::filesystem;
 using test::replace_first;
 
-/// Folder with two scans of a cylinder (16 beams x 90 columns) as PCD, which the tests
-/// damage.
+/// Two scans of a cylinder (16 beams x 90 columns) as PCD, which the tests damage.
 class FolderDamage : public testing::Test {
 protected:
     void SetUp() override {
@@ -38,8 +35,8 @@ protected:
         test::write_text(folder / name, text);
     }
 
-    /// Replaces or removes a file of a plain folder, loads the folder, and returns the
-    /// error message.
+    /// Returns the error of loading the folder while a file has another text or is
+    /// missing.
     std::string complaint(const std::string& name, const std::string& text,
                           const DatasetOptions& options = {}) const {
         const std::string good = fs::exists(folder / name) ? test::read_text(folder / name) : "";
@@ -60,11 +57,9 @@ protected:
         return load_sequence("folder:" + folder.string(), options);
     }
     std::string load_notes() const { return test::join_lines(load().notes); }
-    /// Returns sequence.json with additional members.
     std::string with(const std::string& members) const {
         return head.substr(0, head.size() - 1) + ", " + members + "}";
     }
-    /// Returns sequence.json with a LiDAR that has these members.
     std::string with_lidar(const std::string& members) const {
         return with("\"lidars\": [{" + members + "}]");
     }
@@ -205,8 +200,7 @@ TEST_F(FolderDamage, OfPointFiles) {
     expect("scans/a.npz", "x", "a.npz");
 }
 
-/// Point clouds written by relidar state whether their points are deskewed. The reader
-/// must check this statement.
+/// Clouds of relidar state whether their points are deskewed.
 TEST_F(FolderDamage, OfDeskewedPoints) {
     for (const char* frame :
          {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {

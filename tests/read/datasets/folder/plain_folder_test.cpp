@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads simulated plain folders and compares them with the original data. save_folder()
-// writes the folders, or the test writes point formats of other programs.
 #include <relidar/read/dataset.hpp>
 
 #include <cstdlib>
@@ -23,7 +21,6 @@ using test::kStamped;
 using test::make_fresh_folder_path;
 using test::PointLog;
 
-/// Makes a street with two LiDARs, second returns, moving cars and a world offset.
 Log make_rich_street() {
     Log street = test::make_two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     test::add_second_returns(street, 7, 2.5f, 77.0f);
@@ -109,7 +106,6 @@ void expect_same_scans(const Log& sequence, const Log& truth) {
     }
 }
 
-/// Saves a log to a new folder.
 fs::path save(const std::string& name, const Log& log) {
     const fs::path folder = make_fresh_folder_path(name);
     save_folder(log, folder);
@@ -205,7 +201,6 @@ TEST(SaveFolder, ReadsARangeOfItsFrames) {
         EXPECT_TRUE(sequence.world_from_vehicle.contains_time(box.world_from_box.time_s.front())) << box.id;
 }
 
-/// Returns the names in a folder, including hidden files.
 std::vector<std::string> list_names_in(const fs::path& folder) {
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder)) names.push_back(entry.path().filename());

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a log of point files in a format that the test chooses. Compares the log that is
-// read with the street from which the points were made.
 #pragma once
 
 #include <fmt/format.h>
@@ -22,7 +20,6 @@ inline std::string make_head(const std::string& members = "", double rate_hz = 1
     return fmt::format(R"({{"format": "relidar log", "version": 1, "rate_hz": {}{}}})", rate_hz, members);
 }
 
-/// Returns the member "beams" of a sensor.
 inline std::string make_beams(const SpinningSensor& sensor, double factor = 1.0) {
     std::string beams;
     for (const Beam& beam : sensor.beams)
@@ -52,8 +49,7 @@ inline void add_second_returns(Log& log, std::size_t step, float farther_m, floa
     }
 }
 
-/// Log of point files with the returns of a street. Points are in the order of the rays
-/// of the street.
+/// The points are in the order of the rays of the street.
 struct PointLog {
     Log street = make_street_log(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
@@ -79,7 +75,6 @@ struct PointLog {
         write_text(folder / "sequence.json", make_head(members, rate_hz));
     }
     Log load(const DatasetOptions& options = {}) const { return load_sequence(folder.string(), options); }
-    /// Writes the points of a frame after a change of each point.
     void change_points(std::size_t frame, const std::function<void(FilePoint&)>& change) const {
         FilePoints changed = points(street.frames[frame]);
         for (FilePoint& point : changed) change(point);
@@ -102,7 +97,7 @@ struct Difference {
     std::size_t rings = 0, drops = 0;
 };
 
-/// Compares two logs ray by ray. The image must have the rows and columns of the street.
+/// The image must have the rows and columns of the street.
 inline Difference measure_difference(const Log& sequence, const Log& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small KITTI-360 folder. Computes every matrix with 4x4 products, independently
-// of the library.
+// Matrices are 4x4 products, independently of the library.
 #include "read/datasets/kitti/kitti_360_folder.hpp"
 
 #include <fmt/format.h>
@@ -10,14 +9,12 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-/// Makes a matrix from the columns of a rotation and from a translation.
 glm::dmat4 make_frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z,
                              const glm::dvec3& translation) {
     return {glm::dvec4(x, 0), glm::dvec4(y, 0), glm::dvec4(z, 0), glm::dvec4(translation, 1)};
 }
 
-/// Returns the pose of camera 0 in the frame of the IMU. The camera looks along x of the
-/// IMU, and y of the camera points down like z of the IMU, with a small tilt.
+/// The camera looks along x of the IMU, and its y is z of the IMU, with a small tilt.
 glm::dmat4 get_imu_from_cam0() {
     return glm::rotate(make_frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03,
                        glm::dvec3(1, 0, 0));
@@ -28,7 +25,6 @@ glm::dmat4 get_velo_from_cam0() {
                        {0, 1, 0});
 }
 
-/// Returns the numbers of the upper three matrix rows as text, row by row.
 std::string numbers(const glm::dmat4& matrix) {
     std::string text;
     for (int r = 0; r < 3; ++r)
@@ -36,7 +32,7 @@ std::string numbers(const glm::dmat4& matrix) {
     return text;
 }
 
-/// Writes a matrix in the XML format of OpenCV's FileStorage.
+/// Writes the XML format of OpenCV's FileStorage.
 std::string make_matrix_xml(const std::string& name, int rows, int cols, const std::vector<double>& values) {
     std::string data;
     for (std::size_t i = 0; i < values.size(); ++i)
@@ -122,8 +118,8 @@ Kitti360Folder::Kitti360Folder(const std::string& name, int first)
         cameras += fmt::format("image_{:02d}: {}\n", camera, numbers(get_imu_from_cam0()));
     write_text(calibration("calib_cam_to_pose.txt"), cameras);
     write_text(calibration("calib_cam_to_velo.txt"), numbers(get_velo_from_cam0()) + "\n");
-    // Writes the labelled objects: a car that drives ahead (mirrored in its second
-    // label), a parked car, a wall, and a person without a position.
+    // A car that drives ahead (mirrored in its second label), a parked car, a wall, and a
+    // person without a position.
     std::string objects;
     for (int i = 0; i < kFrames; ++i) {
         const glm::dvec3 size = i == 1 ? glm::dvec3(6, -3, 2) : glm::dvec3(6, 3, 2);

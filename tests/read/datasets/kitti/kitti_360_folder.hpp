@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small KITTI-360 folder: sweeps of the virtual HDL-64E as frames 2350 to 2352
-// of drive 0000. From frame 2351 on, this drive belongs to part kd1 of the paper. The car
-// drives a smooth curve in closed form, so that the exact pose of the LiDAR can be
-// computed at any time.
+// Frames 2350 to 2352 of drive 0000, of which part kd1 of the paper starts at 2351. The
+// car drives a curve in closed form, so that the exact pose is known at any time.
 #pragma once
 
 #include "read/datasets/kitti/kitti_drive.hpp"
@@ -29,25 +27,19 @@ struct Kitti360Folder : LogFolder {
     }
     std::filesystem::path calibration(const std::string& file) const { return folder / "calibration" / file; }
 
-    /// Returns the exact pose in the dataset's world.
-    /// @param frame frame number. A fractional number is a time between two sweeps.
+    /// @param frame a fractional number is a time between two sweeps
     static glm::dmat4 compute_world_from_imu(double frame);
     static glm::dmat4 compute_world_from_velo(double frame);
 
-    /// Writes poses.txt with the given frames.
     void write_poses(const std::vector<int>& frames) const;
 };
 
-/// Returns the matrix of a labelled box. As in KITTI-360, it contains the rotation and
-/// the size.
+/// As in KITTI-360, the matrix contains the rotation and the size.
 glm::dmat4 make_box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
 
-/// Returns an XML child of opencv_storage with the fields of an object, its transform,
-/// and the unit cube to which the transform applies.
+/// The transform applies to the unit cube.
 std::string make_object_xml(int number, const std::string& fields, const glm::dmat4& transform);
-/// Returns the fields of an object in train_full, for drives other than 0004.
-/// @param timestamp frame of the label. -1 means that the object does not move from
-/// start_frame to end_frame.
+/// @param timestamp frame of the label; -1 if the object does not move until end_frame
 std::string make_object_fields(const std::string& label, int semantic, int instance, int timestamp,
                                int start_frame, int end_frame);
 std::string make_boxes_xml(const std::string& objects);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a small KITTI-360 folder and compares it with the closed-form path and the boxes
-// from which it was written.
 #include <relidar/read/dataset.hpp>
 
 #include <cstdlib>
@@ -163,9 +161,8 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_TRUE(kitti.load(options).boxes.empty());
 }
 
-// Objects without numbers, as in drive 0004, must be identified by their labels. Drive
-// 0004 has objects only in the folder train_full. All other drives may have only the
-// folder train, as here.
+// Objects of drive 0004 have no numbers. It has objects only in train_full, other drives
+// may have only the folder train, as here.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
     const glm::dmat4 world_from_object =

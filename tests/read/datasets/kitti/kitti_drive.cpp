@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a virtual KITTI drive. The firings of a sweep are at the encoder ticks floor(n *
-// 4000 / 701 + wobble). Each firing has 64 beams.
+// Firings of a sweep are at the encoder ticks floor(n * 4000 / 701 + wobble).
 #include "read/datasets/kitti/kitti_drive.hpp"
 
 #include <fstream>
@@ -86,7 +85,6 @@ const Sweep& make_sweep_of(Heads heads, int frame) {
     return at->second;
 }
 
-/// Returns times around midnight with 0.1 s per sweep.
 std::string timestamp(double second) {
     return second < 60.0 ? fmt::format("2011-12-31 23:59:{:012.9f}\n", second)
                          : fmt::format("2012-01-01 00:00:{:012.9f}\n", second - 60.0);

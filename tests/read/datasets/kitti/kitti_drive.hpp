@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small KITTI raw drive. A virtual HDL-64E (two optical centres, azimuth and
-// left offsets, encoder ticks of 0.09 degrees) scans a space with wavy walls. As in
-// KITTI, coordinates are rounded to millimetres and stored ring by ring.
+// A virtual HDL-64E (two optical centres, azimuth and left offsets, encoder ticks of 0.09
+// degrees) scans wavy walls. As in KITTI, coordinates are rounded to millimetres and
+// stored by ring.
 #pragma once
 
 #include "support/logs.hpp"
 
 namespace relidar::test {
 
-/// Encoder positions of the firings: at ticks, at even steps, or at random positions near
-/// even steps.
+/// Encoder positions of the firings: at ticks, at even steps, or at random near them.
 enum class Heads { ticks, even, jittered };
 
 struct KittiDrive : LogFolder {
@@ -19,7 +18,6 @@ struct KittiDrive : LogFolder {
     std::vector<glm::dvec3> dropped;  ///< exact direction of each ray without a return in frame 0
     std::size_t n_points = 0;         ///< in frame 0
 
-    /// Writes a drive of three frames to a new temporary folder.
     explicit KittiDrive(const std::string& name, Heads heads = Heads::ticks);
 
     std::filesystem::path file(const std::string& relative) const { return folder / relative; }

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every defect of a KITTI drive causes an error. The message must be a single
-// line with the path, the value in the file, and the expected value.
 #include <relidar/read/dataset.hpp>
 
 #include <cstring>
@@ -109,7 +107,6 @@ TEST(KittiErrors, ScanErrorCollector) {
     drive.expect_error("velodyne_points/data:  ... rings ... 64");
 }
 
-/// Returns 64 rings of points at even azimuths, stored ring by ring as in KITTI.
 std::string make_even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
     for (int ring = 0; ring < 64; ++ring)

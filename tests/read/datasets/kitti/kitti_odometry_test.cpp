@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a KITTI odometry sequence that the test writes from scans of the virtual HDL-64E.
-// Compares times, poses and directions with their exact values.
 #include <relidar/read/dataset.hpp>
 
 #include <cstring>
@@ -14,8 +12,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Odometry sequence with three frames, 1.5 m apart along the camera's z. The camera
-/// looks along the LiDAR's x. The camera is 0.3 m ahead of the LiDAR and 0.1 m below it.
+/// Three frames, 1.5 m apart along the camera's z, which is the LiDAR's x. The camera is
+/// 0.3 m ahead of the LiDAR and 0.1 m below it.
 struct Odometry : test::LogFolder {
     test::KittiDrive drive;
 
@@ -70,8 +68,7 @@ TEST(KittiOdometry, TakesPosesOfTheLidar) {
               glm::dvec3(0, 0, 0));
 }
 
-/// Labels of the points in a scan file, as SemanticKITTI stores them. Consecutive points
-/// have different classes, and instances in the upper 16 bits.
+/// Consecutive points have different classes, and instances in the upper 16 bits.
 std::vector<std::uint32_t> make_labels(std::size_t n_points) {
     constexpr std::uint32_t kLabels[] = {0, 10, 40, 48, 50, 51, 70, 71, 72, 80, 81, 99, 252, 254, 259};
     std::vector<std::uint32_t> labels;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a virtual KITTI raw drive and compares it with its exact content. Also reads the
-// real drive 2011_09_26_drive_0005_sync if RELIDAR_KITTI_DRIVE names its folder.
+// Also reads drive 2011_09_26_drive_0005_sync if RELIDAR_KITTI_DRIVE names its folder.
 #include <relidar/read/dataset.hpp>
 
 #include <cstdlib>
@@ -162,7 +161,6 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     EXPECT_EQ(drive.load({.frames = {2, -1}, .poses_file = poses}).frames.size(), 1u);
 }
 
-/// Empties the given lines of a file.
 void erase_lines(const fs::path& path, const std::vector<std::size_t>& numbers) {
     const std::string original = test::read_text(path);
     std::string text, line;
@@ -172,8 +170,8 @@ void erase_lines(const fs::path& path, const std::vector<std::size_t>& numbers) 
     test::write_text(path, text);
 }
 
-// A drive without some of its scans must be readable. As in drive 0009, the lines of
-// these scans in the three timestamp files are empty, but their OXTS files exist.
+// As in drive 0009, scans are missing and their lines in the timestamp files are empty,
+// but their OXTS files exist.
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     fs::remove(drive.scan(1));
@@ -308,7 +306,6 @@ TEST_F(KittiRawReal, Drive) {
     }
 }
 
-/// Returns the points of a scan file up to a range, in the stored single precision.
 std::vector<glm::vec3> read_file_points(const fs::path& file, float max_range_m,
                                         std::vector<float>& intensity) {
     std::vector<glm::vec4> records(fs::file_size(file) / sizeof(glm::vec4));
@@ -323,7 +320,6 @@ std::vector<glm::vec3> read_file_points(const fs::path& file, float max_range_m,
     return points;
 }
 
-/// Counts the points that have no point of `others` within 1 mm.
 std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm::vec3> others) {
     constexpr float kSame_m = 1e-3f;
     std::ranges::sort(others, {}, &glm::vec3::x);
@@ -356,9 +352,8 @@ TEST_F(KittiRawReal, ScansKeepTheirPointsOnTheNativeGrid) {
     EXPECT_GT(lost_grid, lost_native);
 }
 
-/// Tests a property of real scans that the setting render.follow_sweeps needs. If the
-/// nominal rays of each firing are rotated together, they must equal the rays of the
-/// scan, including dropped rays.
+/// The setting render.follow_sweeps needs this property: if the nominal rays of each
+/// firing are rotated together, they equal the rays of the scan, including dropped rays.
 TEST_F(KittiRawReal, ScansHaveOneAzimuthAFiring) {
     const Log log = load_sequence(folder, {.frames = {40, 44}});
     for (const Frame& frame : log.frames) {

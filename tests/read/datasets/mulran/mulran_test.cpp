@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads simulated MulRan sequences with both orders of points and compares them with the
-// exact rays. Also checks the errors for invalid files.
 #include <relidar/read/dataset.hpp>
 
 #include <fmt/format.h>
@@ -15,8 +13,6 @@ namespace fs = std::filesystem;
 using test::MulranFolder;
 using test::StampedRay;
 
-/// Checks that every return is at the point where its ray hit the yard, and that no
-/// return is lost.
 void expect_mulran_truth(const MulranFolder& data, const Log& sequence) {
     const PoseTrack track = sequence.lidar_track(0);
     for (const Frame& frame : sequence.frames) {

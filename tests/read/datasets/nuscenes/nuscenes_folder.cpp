@@ -28,8 +28,7 @@ std::string sample_of(const char* token, const char* scene, int sweep) {
                        time_us(sweep));
 }
 
-/// Computes the rays of the turn that ends at the time of a sweep. Returns the bytes of
-/// the sweep's file.
+/// Computes the rays of the turn that ends at the time of a sweep.
 std::string make_turn(int sweep, int columns, std::vector<NuscenesRay>& rays) {
     std::string bytes;
     const double end_s = sweep * NuscenesFolder::kSweep_s;

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a simulated nuScenes folder and compares it with the exact rays. Also reads
-// folders with damage in each file.
 #include <relidar/read/dataset.hpp>
 
 #include <cstring>
@@ -24,10 +22,9 @@ Log load(const NuscenesFolder& data, DatasetOptions options = {}) {
     return data.load(options);
 }
 
-/// Returns the interpolation error of the LiDAR's position. The position is interpolated
-/// along chords, at 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after
-/// the start of a chord, the distance to the arc is r angle^2 |s (s - 1)| / 2. The first
-/// turn, s = -1 to 0, extrapolates the next chord backwards.
+/// The position is interpolated along chords, at 0.944 m from the axle with 0.0175 rad
+/// per sweep. At s sweeps after the start of a chord, the arc is r angle^2 |s (s - 1)| /
+/// 2 away. The first turn, s = -1 to 0, extrapolates the next chord backwards.
 double measure_distance_to_arc_m(int frame, double fraction) {
     const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? fraction - 1.0 : fraction;
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
@@ -71,7 +68,6 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     }
 }
 
-/// Writes the tables of nuScenes-lidarseg, and labels of both keyframes of scene-0103.
 /// The point with index i has the category i % 3.
 void write_categories(const NuscenesFolder& data) {
     test::write_text(data.table("category"),

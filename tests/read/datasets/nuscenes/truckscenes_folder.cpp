@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the schema of the development kit and its point clouds. A cloud is PCD with
-// x, y, z, intensity and a time stamp of each point in microseconds. Points are in the
-// LiDAR's frame and not motion-compensated. The vehicle has a pose every 10 ms, and files
-// refer to the nearest pose.
+// A cloud is PCD with a time stamp of each point in microseconds, not motion-compensated.
+// The vehicle has a pose every 10 ms, and files refer to the nearest pose.
 #include "read/datasets/nuscenes/truckscenes_folder.hpp"
 
 #include <fmt/format.h>

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small TruckScenes folder: a truck in a yard with walls. Its two LiDARs differ
-// in beams, pose rates and time stamps.
+// A truck in the yard. Its two LiDARs differ in beams, pose rates and time stamps.
 #pragma once
 
 #include "support/logs.hpp"
@@ -31,15 +30,13 @@ struct TruckScenesFolder : LogFolder {
 
     std::vector<Lidar> lidars;  ///< LIDAR_LEFT, LIDAR_TOP_FRONT
 
-    /// Writes a new temporary folder.
     explicit TruckScenesFolder(const std::string& name);
 
     std::filesystem::path table(const std::string& name) const {
         return folder / "v1.2-trainval" / (name + ".json");
     }
     std::filesystem::path sweep(const std::string& channel, int number) const;
-    /// Returns the pose of the vehicle in the world frame. Times are relative to the
-    /// first sweep of LIDAR_LEFT.
+    /// Times are relative to the first sweep of LIDAR_LEFT.
     static Pose compute_vehicle_pose(double time_s);
     static Pose box_at(double time_s);
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads TruckScenes and Lyft Level 5. Both store nuScenes tables with several LiDARs.
-// Their points are not motion-compensated and have no ring numbers.
+// TruckScenes and Lyft have nuScenes tables with several LiDARs, without ring numbers.
 #include <relidar/read/dataset.hpp>
 
 #include <fmt/format.h>
@@ -21,8 +20,6 @@ Log load(const TruckScenesFolder& data, DatasetOptions options = {}) {
     return data.load(options);
 }
 
-/// Checks that every return of a frame belongs to the ray that was fired at the time of
-/// the return, and that no return is lost.
 void expect_truth(const Log& actual, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
     const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
     const PoseTrack track = actual.lidar_track(frame.lidar);
@@ -143,9 +140,8 @@ std::string replace_all(std::string text, const std::string& from, const std::st
     return text;
 }
 
-/// Converts the folder to a Lyft folder as distributed on Kaggle. Tables are in
-/// train_data. The files `lidar/NAME.bin` in train_lidar have 5 columns, of which the
-/// last two are constant. The LiDAR is LIDAR_TOP, and time stamps have a fraction.
+/// As distributed on Kaggle: tables in train_data, `lidar/NAME.bin` in train_lidar with 5
+/// columns, of which the last two are constant, and time stamps with a fraction.
 /// @return ranges of the points by file
 std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& data) {
     std::map<std::string, std::vector<float>> ranges;

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads simulated ONCE sequences with quaternions in both orders and compares them with
-// the exact rays. Also checks the errors for invalid files.
 #include <relidar/read/dataset.hpp>
 
 #include <cstring>
@@ -14,8 +12,6 @@ namespace {
 namespace fs = std::filesystem;
 using test::OnceFolder;
 
-/// Checks that every return is on a surface of the yard, that its ray starts at the
-/// LiDAR, and that no return is lost.
 void expect_once_truth(const OnceFolder& data, const Log& sequence) {
     const PoseTrack track = sequence.lidar_track(0);
     const Pose yard_from_once{data.drive.compute_lidar_pose_at(0.0)};

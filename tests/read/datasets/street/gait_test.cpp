@@ -1,8 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the walking people of the synthetic street, whose legs and arms swing. Compares
-// hits on limbs with a search in small steps along rays. Steps must depend on the walked
-// distance.
-
 #include <gtest/gtest.h>
 
 #include "base/random.hpp"
@@ -18,7 +14,6 @@ double compute_distance_to_segment(const glm::dvec3& point, const glm::dvec3& fi
     return glm::distance(point, first + along * (second - first));
 }
 
-/// Compares ray hits on a limb with a search in small steps along rays from all sides.
 /// The limb hangs from its joint and swings forward by the angle swing sin(stride).
 TEST(Gait, LimbsAreMetWhereTheySwing) {
     const street::SwingingLimb limb{{0.1, 0.3, 0.2}, 0.7, 0.08, 0.5, 0.4, 0.5};
@@ -62,8 +57,7 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     EXPECT_GT(hits, 1500);
 }
 
-/// Two people walk on the same path, one of them at half the speed. At the same position,
-/// both must have the same steps and the same shape.
+/// One of two people on the same path has half the speed, but must have the same steps.
 TEST(Gait, GoesByDistance) {
     const StreetOptions options{.n_frames = 9, .people = true, .gait = true};
     const Log street = make_street_log(options);

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the synthetic street: ray casts against closed forms, determinism, moving cars
-// inside their boxes, and the settings file with its error messages.
 #include <relidar/read/dataset.hpp>
 
 #include "../../../support/rig_street.hpp"
@@ -39,7 +37,6 @@ TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     EXPECT_EQ(cast_street_rays(options, make_one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
-/// Returns the cars of the street before any edits.
 std::vector<SyntheticCar> make_street_cars(const StreetOptions& options) {
     std::vector<SyntheticCar> cars;
     for (const BoxTrack& box : make_street_log(options).boxes) cars.push_back({cars.size(), box});
@@ -195,7 +192,6 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
     fs::remove_all(folder);
 }
 
-/// Returns the options of a street that a rig of several LiDARs records.
 StreetOptions make_rig_street() {
     StreetOptions options{.n_frames = 4, .range_noise_m = 0.0};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
@@ -407,8 +403,6 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THROW(make_street_log(options), UsageError);
 }
 
-/// The boxes of people must contain their returns, and the number of returns must
-/// decrease with the range.
 class SyntheticPeople : public testing::TestWithParam<bool> {};
 INSTANTIATE_TEST_SUITE_P(GaitPhaseWindow, SyntheticPeople, testing::Bool());
 

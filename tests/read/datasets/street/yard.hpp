@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines a yard of four walls without a roof, in which tests record logs. The hit of a
-// ray has a closed form.
+// A yard of four walls without a roof. The hit of a ray has a closed form.
 #pragma once
 
 #include <algorithm>
@@ -10,8 +9,7 @@
 
 namespace relidar::test {
 
-/// Returns the first point where a ray hits the ground (z = -0.35) or a wall, in metres.
-/// The ray must start in the yard.
+/// The ground is at z = -0.35. The ray must start in the yard.
 inline glm::dvec3 intersect_yard(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double t = std::numeric_limits<double>::infinity();
     const auto plane = [&](double from, double along, double at) {

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the Waymo segment with protozero and zlib. Computes its geometry with 4x4
-// products, independently of the library.
+// Computes the geometry with 4x4 products, independently of the library.
 #include "read/datasets/waymo/waymo_segment.hpp"
 
 #include <cstring>
@@ -35,9 +34,8 @@ constexpr glm::dvec3 kRoomMiddle{1203, -3399, 22}, kRoomHalf{40, 25, 4};
 constexpr glm::dvec3 kParkedSize{4.6, 2.0, 1.6};
 constexpr double kFarthest_m = 35.0;
 
-/// Returns the range at which a ray crosses a box around the origin. If the ray starts
-/// inside, the range is where it leaves the box, otherwise where it enters the box.
-/// Returns 0 if the ray misses the box.
+/// Returns where a ray leaves a box around the origin if it starts inside, otherwise
+/// where it enters the box, or 0 if it misses the box.
 double compute_box_range(const glm::dvec3& origin, const glm::dvec3& direction, const glm::dvec3& half,
                          bool inside) {
     double enters = -1e9, leaves = 1e9;
@@ -50,8 +48,7 @@ double compute_box_range(const glm::dvec3& origin, const glm::dvec3& direction, 
     return inside ? leaves : std::max(enters, 0.0);
 }
 
-/// Returns the range of the first surface along a ray in the world frame. Returns 0 if
-/// the surface is too far away.
+/// Returns 0 if the first surface is too far away.
 double cast(const glm::dvec3& origin, const glm::dvec3& direction) {
     double range = compute_box_range(origin - kRoomMiddle, direction, kRoomHalf, true);
     const glm::dmat4 to_parked = glm::inverse(WaymoSegment::get_world_from_parked());
@@ -87,8 +84,7 @@ Rig make_side_rig() {
     return {3, WaymoSegment::kSideRows, WaymoSegment::kSideColumns, make_side_extrinsic(), rows};
 }
 
-/// Returns the direction of a pixel in the LiDAR's frame, computed in the same way as the
-/// dataset's tool.
+/// Same as in the dataset's tool.
 glm::dvec3 compute_pixel_direction(const Rig& rig, int row, int column) {
     const double yaw = std::atan2(rig.extrinsic[0][1], rig.extrinsic[0][0]);
     const double azimuth = kPi * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,

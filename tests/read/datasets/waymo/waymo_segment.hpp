@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a small segment of Waymo Open, message by message: TOP with 16 x 400 pixels and
-// SIDE_LEFT with 12 x 60. The rays are cast into a box-shaped space with a parked
-// vehicle. The recording vehicle accelerates and turns. Every pixel of TOP has a separate
-// firing time and therefore a separate pose.
+// TOP with 16 x 400 pixels and SIDE_LEFT with 12 x 60, in a box with a parked vehicle.
+// The recording vehicle accelerates and turns, and every pixel of TOP has a firing time.
 #pragma once
 
 #include "support/logs.hpp"
@@ -27,9 +25,7 @@ std::string make_waymo_context(const std::vector<std::string>& calibrations);
 std::string make_waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string make_waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string deflate_bytes(const std::string& bytes);
-/// @param second second returns. Empty if the laser has no second returns.
-/// @param poses poses of the pixels. Empty if the laser has no pixel poses.
-/// @param labels labels of the pixels. Empty if the laser has no labels of points.
+/// Second returns, poses and labels of pixels may be empty.
 std::string make_waymo_laser(int laser, const std::string& first, const std::string& second,
                              const std::string& poses, const std::string& labels = "");
 /// Encodes a MatrixInt32 as a zlib stream.
@@ -60,7 +56,6 @@ struct WaymoSegment : LogFolder {
     std::vector<WaymoFrame> frames;
     std::vector<std::vector<WaymoPixel>> top, side;  ///< [frames][pixels]
 
-    /// Writes folder/segment-1083056_0001_with_camera_labels.tfrecord.
     explicit WaymoSegment(const std::string& name);
 
     void write() const;  ///< writes the current frames
@@ -68,8 +63,7 @@ struct WaymoSegment : LogFolder {
     static glm::dmat4 get_top_extrinsic();
     static std::vector<double> list_top_inclinations();  ///< ascending
     static glm::dmat4 world_from_vehicle(double time_us);
-    /// Returns the time of the vehicle pose in the message `Frame`. It is not exactly the
-    /// middle of the sweep.
+    /// The time is not exactly the middle of the sweep.
     static double label_time_us(int frame);
     static glm::dmat4 get_world_from_parked();  ///< the vehicle "parked", 4.6 x 2 x 1.6 m
 };

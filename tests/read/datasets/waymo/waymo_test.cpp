@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a small segment of Waymo Open and compares the points with the surfaces that the
-// rays were cast into.
 #include <relidar/read/dataset.hpp>
 
 #include <cstdlib>
@@ -46,7 +44,6 @@ TEST(Waymo, MissingPartsAreErrorsOfUsage) {
     EXPECT_THROW(segment.load({.sequence = "ws1"}), UsageError) << "another segment";
 }
 
-/// Compares every pixel of a frame with its exact content.
 void expect_pixels(const Log& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());
     std::size_t n = 0;
@@ -273,8 +270,7 @@ TEST(Waymo, DamagedFramesAreRefused) {
     });
 }
 
-/// Returns a TOP laser whose pixels all have a range of 5 m, with labels of `n_labels`
-/// pixels. Pixel i has the instance i and one of four classes.
+/// All ranges are 5 m. Pixel i has the instance i and one of four classes.
 std::string make_labelled_top(int n_labels, const std::vector<int>& dims) {
     constexpr int kTypes[] = {0, 1, 18, 22};  // undefined, car, road, sidewalk
     std::vector<int> labels;
