@@ -90,15 +90,10 @@ TEST_F(GpuMemory, EmptyBlocksAreGivenBack) {
 
 TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
     const auto& [limit, name] = device().impl().largest_buffer;
-    for (const std::uint64_t n_bytes : {limit + 1, std::uint64_t(1) << 46}) {
-        try {
-            const Buffer buffer(device(), n_bytes, "a test of the impossible");
-            FAIL() << "expected DeviceError";
-        } catch (const DeviceError& error) {
-            EXPECT_THAT(error.what(),
-                        test::Names("a test of the impossible ... (" + std::string(name) + ")"));
-        }
-    }
+    const std::string parts = "a test of the impossible ... (" + std::string(name) + ")";
+    for (const std::uint64_t n_bytes : {limit + 1, std::uint64_t(1) << 46})
+        EXPECT_THAT([&] { Buffer(device(), n_bytes, "a test of the impossible"); },
+                    testing::ThrowsMessage<DeviceError>(test::Names(parts)));
 }
 
 PFN_vkGetPhysicalDeviceMemoryProperties2 real_memory_properties = nullptr;
@@ -118,17 +113,11 @@ VKAPI_ATTR void VKAPI_CALL small_budget(VkPhysicalDevice physical,
 TEST_F(GpuMemory, ArrayThatExceedsTheBudgetIsRefused) {
     if (device().allocated_bytes() > (8 << 20)) GTEST_SKIP() << "another test uses much memory";
     real_memory_properties = std::exchange(vkGetPhysicalDeviceMemoryProperties2, small_budget);
-    std::string text;
-    try {
-        const Buffer buffer(device(), 61 << 20, "a large test array");
-    } catch (const OutOfDeviceMemory& error) {
-        text = error.what();
-        EXPECT_EQ(error.code(), ExitCode::device);
-    }
+    const std::string parts = "61.0 MiB ... a large test array ... 60.0 MiB ... budget";
+    EXPECT_THAT([&] { Buffer(device(), 61 << 20, "a large test array"); },
+                testing::ThrowsMessage<OutOfDeviceMemory>(test::Names(parts)));
     EXPECT_NO_THROW(Buffer(device(), 40 << 20, "a smaller test array"));
     vkGetPhysicalDeviceMemoryProperties2 = real_memory_properties;
-    EXPECT_THAT(text, test::Names("61.0 MiB ... a large test array"));
-    EXPECT_THAT(text, test::Names("60.0 MiB ... budget"));
 }
 
 /// All bytes must be usable, also at the borders of the allocations.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares prefix sums and the stable sort with the standard library, near the limits of
-// tiles and levels. No value may be written beyond the arrays.
+// Compares prefix sums (scan_sums, scan_write) and the stable sort (radix_count,
+// radix_scan, radix_scatter) with the standard library. No value may be written beyond
+// the arrays.
 #include <numeric>
 #include <random>
 

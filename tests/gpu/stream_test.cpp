@@ -402,16 +402,11 @@ VKAPI_ATTR VkResult VKAPI_CALL allocate_nothing(VkDevice, const VkMemoryAllocate
 /// 100 MiB exceed the shared blocks, so the driver must allocate new memory.
 TEST_F(StreamTest, FailedAllocationNamesNeedAndBudget) {
     const auto allocate = std::exchange(vkAllocateMemory, allocate_nothing);
-    std::string message;
-    try {
-        const Buffer buffer(device(), 100 << 20, "arrays of a test");
-    } catch (const DeviceError& error) {
-        message = error.what();
-    }
+    EXPECT_THAT([&] { Buffer(device(), 100 << 20, "arrays of a test"); },
+                testing::ThrowsMessage<DeviceError>(testing::AllOf(
+                    test::Names("100.0 MiB ... arrays of a test ... VK_ERROR_OUT_OF_DEVICE_MEMORY"),
+                    testing::ContainsRegex("[0-9.]+ MiB, .*[0-9.]+ MiB .* [1-9][0-9.]+ MiB"))));
     vkAllocateMemory = allocate;
-    EXPECT_THAT(message, testing::AllOf(
-                             test::Names("100.0 MiB ... arrays of a test ... VK_ERROR_OUT_OF_DEVICE_MEMORY"),
-                             testing::ContainsRegex("[0-9.]+ MiB, .*[0-9.]+ MiB .* [1-9][0-9.]+ MiB")));
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Tests gpu/check_atomics and gpu/check_subgroups with forced faults.
 #include <fstream>
 
 #include <relidar/base/error.hpp>

@@ -183,12 +183,8 @@ TEST(RegisterScans, SaysWhatIsMissing) {
     EXPECT_TRUE(stopped.stopped);
     EXPECT_EQ(stopped.world_from_vehicle.pose[2].translation, street.world_from_vehicle.pose[2].translation);
     for (Frame& frame : street.frames) std::fill(frame.scan.range_m.begin(), frame.scan.range_m.end(), 0.0f);
-    try {
-        register_scans(street, split_frames(street, 0), {});
-        FAIL() << "expected DataError";
-    } catch (const DataError& error) {
-        EXPECT_THAT(error.what(), test::Names("4 training scans ... surface"));
-    }
+    EXPECT_THAT([&] { register_scans(street, split_frames(street, 0), {}); },
+                testing::ThrowsMessage<DataError>(test::Names("4 training scans ... surface")));
 }
 
 }  // namespace

@@ -317,28 +317,23 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
 }
 
 TEST(Rigs, WrongRigsAreNamed) {
-    const auto complaint = [](const std::string& text) -> std::string {
-        try {
-            read_sensor_rig(write("bad_rig.json", R"({"sensors": [)" + text));
-        } catch (const Error& error) {
-            return error.what();
-        }
-        return "";
+    const auto expect_error = [](const std::string& text, const std::string& parts) {
+        const std::string file = write("bad_rig.json", R"({"sensors": [)" + text);
+        EXPECT_THAT([&] { read_sensor_rig(file); }, testing::ThrowsMessage<Error>(Names(parts)));
     };
-    EXPECT_THAT(complaint("]}"), Names("\"sensors\" ... 1 to 64"));
-    EXPECT_THAT(complaint(R"({"sensor": "VLP-16"}]})"), Names("sensor 0 ... name ... text"));
-    EXPECT_THAT(complaint(R"({"name": "../x", "sensor": "VLP-16"}]})"), Names("name: found \"../x\""));
-    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})"),
-                Names("sensor 1: name: \"a\" ... twice"));
-    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})"),
-                Names("sensor 0 ... translation_m ... 1000"));
-    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})"),
-                Names("sensor 0 ... 'translation' ... 'translation_m'"));
-    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})"),
-                Names("'yaw_pitch_roll_deg' ... sensors"));
-    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP"}]})"), Names("VLP-16"));
-    EXPECT_THAT(complaint(R"({"name": "a", "sensor": "VLP-16", "returns": 3}]})"),
-                Names("sensor 0 ... returns ... 1 or 2"));
+    expect_error("]}", "\"sensors\" ... 1 to 64");
+    expect_error(R"({"sensor": "VLP-16"}]})", "sensor 0 ... name ... text");
+    expect_error(R"({"name": "../x", "sensor": "VLP-16"}]})", "name: found \"../x\"");
+    expect_error(R"({"name": "a", "sensor": "VLP-16"}, {"name": "a", "sensor": "VLP-16"}]})",
+                 "sensor 1: name: \"a\" ... twice");
+    expect_error(R"({"name": "a", "sensor": "VLP-16", "translation_m": [1, 2]}]})",
+                 "sensor 0 ... translation_m ... 1000");
+    expect_error(R"({"name": "a", "sensor": "VLP-16", "translation": [1, 2, 0]}]})",
+                 "sensor 0 ... 'translation' ... 'translation_m'");
+    expect_error(R"({"name": "a", "sensor": "VLP-16"}], "yaw_pitch_roll_deg": [0, 0, 0]})",
+                 "'yaw_pitch_roll_deg' ... sensors");
+    expect_error(R"({"name": "a", "sensor": "VLP"}]})", "VLP-16");
+    expect_error(R"({"name": "a", "sensor": "VLP-16", "returns": 3}]})", "sensor 0 ... returns ... 1 or 2");
 }
 
 }  // namespace

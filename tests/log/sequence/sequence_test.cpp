@@ -348,12 +348,9 @@ TEST(Split, NamedSweepsAreHeldOutWithAllTheirLidars) {
 TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
     const Log sequence = make_sweeps_of_three();
     const auto refused = [&](const std::string& list, const std::string& why) {
-        try {
-            split_frames(sequence, 10, list);
-            ADD_FAILURE() << list << ": accepted";
-        } catch (const UsageError& error) {
-            EXPECT_THAT(error.what(), test::Names("dataset.test_frames ... " + why)) << list;
-        }
+        EXPECT_THAT([&] { split_frames(sequence, 10, list); },
+                    testing::ThrowsMessage<UsageError>(test::Names("dataset.test_frames ... " + why)))
+            << list;
     };
     refused("104", "frame 104 ... 100, 103, 106, 109, 112, ... 121 (8");
     refused("100:104", "frame 101");

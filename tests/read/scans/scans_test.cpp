@@ -172,29 +172,27 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);
 }
 
-std::string error_of(const LidarPoints& points) {
-    try {
-        spinning_scan(points, sensor(), {{360, 0.0}, {0}});
-    } catch (const UsageError& error) {
-        return error.what();
-    }
-    return "none";
-}
-
 TEST(SpinningScan, SaysWhichArrayIsWrong) {
     LidarPoints points;
+    const auto expect_error = [&](const std::string& parts) {
+        EXPECT_THAT(
+            [&] {
+                spinning_scan(points, sensor(), {{360, 0.0}, {0}});
+            },
+            testing::ThrowsMessage<UsageError>(test::Names(parts)));
+    };
     points.position_m = {{3, 4, 0}, {6, 8, 0}};
     points.intensity = {0.1f, 0.2f};
-    EXPECT_THAT(error_of(points), test::Names("scan: found 0 values ... points ... 2"));
+    expect_error("scan: found 0 values ... points ... 2");
     points.ring = {0, 12};
-    EXPECT_THAT(error_of(points), test::Names("scan: point 1 has ring 12 ... 12 beams"));
+    expect_error("scan: point 1 has ring 12 ... 12 beams");
     points.ring = {0, 11};
     points.return_number = {1, 200};
-    EXPECT_THAT(error_of(points), test::Names("scan: point 1 has return number 200, expected 1 to 8"));
+    expect_error("scan: point 1 has return number 200, expected 1 to 8");
     points.return_number = {0, 1};
-    EXPECT_THAT(error_of(points), test::Names("scan: point 0 has return number 0, expected 1 to 8"));
+    expect_error("scan: point 0 has return number 0, expected 1 to 8");
     points.return_number = {1};
-    EXPECT_THAT(error_of(points), test::Names("scan: found 1 values of return_number ... points ... 2"));
+    expect_error("scan: found 1 values of return_number ... points ... 2");
 }
 
 TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
