@@ -12,15 +12,12 @@ TEST(DidYouMean, NamesWhatIsSpelledAlmostAlike) {
     EXPECT_THAT(did_you_mean("quik", kPresets), test::Names("quick"));
     EXPECT_THAT(did_you_mean("PAPR", kPresets, "'"), test::Names("'paper'"));
     EXPECT_THAT(did_you_mean("trian", {"render", "train"}), test::Names("train"));
-    EXPECT_THAT(did_you_mean("maen", {"sh", "mean"}), test::Names("mean"))
-        << "letters that have changed places are one error";
+    EXPECT_THAT(did_you_mean("maen", {"sh", "mean"}), test::Names("mean"));
     EXPECT_THAT(did_you_mean("defualt", kPresets, "\""), test::Names("\"default\""));
     EXPECT_THAT(did_you_mean("iterations", {"train.iterations", "train.interval"}),
-                test::Names("train.iterations"))
-        << "a part is missing";
+                test::Names("train.iterations"));
     EXPECT_THAT(did_you_mean("azimuth_ofset_deg", {"azimuth", "azimuth_offset_deg"}),
-                test::Names("azimuth_offset_deg"))
-        << "the nearest";
+                test::Names("azimuth_offset_deg"));
 }
 
 TEST(DidYouMean, SaysNothingWhereNothingResembles) {

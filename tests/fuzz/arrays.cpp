@@ -24,18 +24,6 @@ std::vector<NamedArray> make_example_arrays() {
 
 Scene make_small_scene() { return wrap_background(make_example_surfels(3)); }
 
-template <auto Write>
-std::vector<std::string> written(const fs::path& folder) {
-    Write(folder / "seed");
-    return {read_contents(folder / "seed")};
-}
-
-template <auto Read>
-void read_as_file(std::string_view input, const fs::path& folder) {
-    put(folder / "input", input);
-    Read(folder / "input");
-}
-
 std::vector<std::byte> bytes_of(std::string_view input) {
     std::vector<std::byte> bytes(input.size());
     if (!input.empty()) std::memcpy(bytes.data(), input.data(), input.size());

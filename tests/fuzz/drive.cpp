@@ -96,26 +96,28 @@ void read_texts(const Drive& drive, unsigned options) {
                  [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 
-void read_all_frames(const Drive& drive, unsigned options) {
+DatasetOptions to_dataset(unsigned options) {
     DatasetOptions dataset;
-    if (options & kPosesFile) dataset.poses_file = drive.poses();
     if (options & kNone) dataset.poses_file = kNoPoses;
-    dataset.allow_missing_scans = !(options & kAllScans);
     if (!(options & kAllFrames)) dataset.frames = {0, 1};
+    return dataset;
+}
+
+void read_all_frames(const Drive& drive, unsigned options) {
+    DatasetOptions dataset = to_dataset(options);
+    if ((options & kPosesFile) && !(options & kNone)) dataset.poses_file = drive.poses();
+    dataset.allow_missing_scans = !(options & kAllScans);
     load_sequence("kitti_raw:" + drive.folder().string(), dataset);
 }
 
 void read_odometry(const Drive& drive, unsigned options) {
-    DatasetOptions dataset;
-    if (options & kNone) dataset.poses_file = kNoPoses;
-    if (!(options & kAllFrames)) dataset.frames = {0, 1};
-    load_sequence("kitti_odometry:" + drive.odometry().string(), dataset);
+    load_sequence("kitti_odometry:" + drive.odometry().string(), to_dataset(options));
 }
 
-void read_changed(std::string_view input, const fs::path& folder,
-                  void (*read)(const Drive& drive, unsigned options)) {
+template <auto Read>
+void read_changed(std::string_view input, const fs::path& folder) {
     const Drive& drive = make_drive_in(folder);
-    drive.files().read(input, [&](unsigned options) { read(drive, options); });
+    drive.files().read(input, [&](unsigned options) { Read(drive, options); });
 }
 
 std::vector<std::string> make_drive_seeds(const fs::path& folder) {
@@ -148,10 +150,7 @@ const Kitti360& make_kitti_360_in(const fs::path& folder) {
 void read_kitti_360(std::string_view input, const fs::path& folder) {
     const Kitti360& kitti = make_kitti_360_in(folder);
     kitti.files.read(input, [&](unsigned options) {
-        DatasetOptions dataset;
-        if (options & kNone) dataset.poses_file = kNoPoses;
-        if (!(options & kAllFrames)) dataset.frames = {0, 1};
-        load_sequence("kitti360:" + kitti.folder.folder.string(), dataset);
+        load_sequence("kitti360:" + kitti.folder.folder.string(), to_dataset(options));
     });
 }
 
@@ -176,15 +175,9 @@ std::vector<Harness> list_drive_harnesses() {
     return {
         // The seeds are not valid logs, because a part of a scan cannot be read as a
         // scan.
-        {"drive_texts", make_drive_seeds,
-         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
-         false},
-        {"drive", make_drive_seeds,
-         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_all_frames); },
-         false},
-        {"odometry", make_drive_seeds,
-         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },
-         false},
+        {"drive_texts", make_drive_seeds, read_changed<read_texts>, false},
+        {"drive", make_drive_seeds, read_changed<read_all_frames>, false},
+        {"odometry", make_drive_seeds, read_changed<read_odometry>, false},
         {"kitti360_texts", make_kitti_360_seeds, read_kitti_360_texts, false},
         {"kitti360", make_kitti_360_seeds, read_kitti_360, false},
     };

@@ -38,4 +38,17 @@ inline std::vector<Harness> list_bag_harnesses() { return {}; }
 void put(const std::filesystem::path& file, std::string_view bytes);
 std::string read_contents(const std::filesystem::path& file);
 
+/// Returns a single seed, which `Write` writes to a file.
+template <auto Write>
+std::vector<std::string> written(const std::filesystem::path& folder) {
+    Write(folder / "seed");
+    return {read_contents(folder / "seed")};
+}
+
+template <auto Read>
+void read_as_file(std::string_view input, const std::filesystem::path& folder) {
+    put(folder / "input", input);
+    Read(folder / "input");
+}
+
 }  // namespace relidar::fuzz

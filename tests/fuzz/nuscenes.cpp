@@ -41,11 +41,8 @@ std::vector<std::string> make_seeds(const fs::path& scratch) {
 
 void read(std::string_view input, const fs::path& scratch) {
     const Folder& folder = make_folder_in(scratch);
-    folder.files.read_one(input, [&] {
-        DatasetOptions options;
-        options.sequence = "scene-0103";
-        load_sequence("nuscenes:" + folder.data.folder.string(), options);
-    });
+    folder.files.read_one(
+        input, [&] { load_sequence("nuscenes:" + folder.data.folder.string(), {.sequence = "scene-0103"}); });
 }
 
 }  // namespace

@@ -13,17 +13,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> make_coverage_seeds(const fs::path& folder) {
+void write_coverage(const fs::path& file) {
     ObservedVoxelSet coverage;
     coverage.add_segment(glm::dvec3(-9.5, 0.25, 1.5), glm::dvec3(20.0, -3.0, 2.0));
-    files::save_coverage(folder / "seed", coverage);
-    return {read_contents(folder / "seed")};
+    files::save_coverage(file, coverage);
 }
 
 /// The observed share of a line must be between 0 and 1 for any content.
-void read_coverage(std::string_view input, const fs::path& folder) {
-    put(folder / "input", input);
-    ObservedVoxelSet coverage = files::load_coverage(folder / "input");
+void read_coverage(const fs::path& file) {
+    ObservedVoxelSet coverage = files::load_coverage(file);
     coverage.merge(ObservedVoxelSet(coverage));
     for (const ObservedVoxelSet::VoxelBlock& block : coverage.list_blocks()) {
         const glm::dvec3 corner =
@@ -33,56 +31,45 @@ void read_coverage(std::string_view input, const fs::path& folder) {
     }
 }
 
-std::vector<std::string> make_classes_seeds(const fs::path& folder) {
-    files::save_class_map(folder / "seed",
-                          {{{-3, 4, 5}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::pole}});
-    return {read_contents(folder / "seed")};
+void write_classes(const fs::path& file) {
+    files::save_class_map(file, {{{-3, 4, 5}, SurfaceClass::road}, {{1, 2, 3}, SurfaceClass::pole}});
 }
 
-void read_classes(std::string_view input, const fs::path& folder) {
-    put(folder / "input", input);
-    const SurfaceClassMap map = files::load_class_map(folder / "input");
+void read_classes(const fs::path& file) {
+    const SurfaceClassMap map = files::load_class_map(file);
     if (!map.empty()) (void)SurfaceClassLookup(map).find_class(glm::dvec3(0.1, 0.2, 0.3));
 }
 
-std::vector<std::string> make_sweeps_seeds(const fs::path& folder) {
-    files::save_azimuths(folder / "seed", make_example_run(folder).sequence);
-    return {read_contents(folder / "seed")};
+void write_sweeps(const fs::path& file) {
+    files::save_azimuths(file, make_example_run(file.parent_path()).sequence);
 }
 
-void read_sweeps(std::string_view input, const fs::path& folder) {
-    put(folder / "input", input);
-    Log sequence = make_example_run(folder).sequence;
-    files::load_azimuths(folder / "input", sequence);
+void read_sweeps(const fs::path& file) {
+    Log sequence = make_example_run(file.parent_path()).sequence;
+    files::load_azimuths(file, sequence);
 }
 
-std::vector<std::string> make_network_seeds(const fs::path& folder) {
+void write_network(const fs::path& file) {
     RayDropNetwork network;
     network.inputs = {"range", "drop"};
     network.widths = {4, 8};
     network.normalisation = {1.0f, 0.0f, 0.5f, -0.25f};
     network.parameters.assign(40, 0.125f);
     network.running = {0.0f, 1.0f};
-    save_drop_network(folder / "seed", network);
-    return {read_contents(folder / "seed")};
+    save_drop_network(file, network);
 }
 
-void read_network(std::string_view input, const fs::path& folder) {
-    put(folder / "input", input);
-    load_drop_network(folder / "input");
-}
+void read_network(const fs::path& file) { load_drop_network(file); }
 
-std::vector<std::string> make_scatter_seeds(const fs::path& folder) {
+void write_scatter(const fs::path& file) {
     IntensityScatterModel scatter;
     scatter.nodes = {{3, 0.5f, 1, 0, 4}, {-1, 0.0f, 0, 0, 2}, {-1, 0.0f, 0, 2, 2}};
     scatter.values = {0.0f, 0.1f, 0.2f, 0.4f};
-    files::save_scatter(folder / "seed", {scatter});
-    return {read_contents(folder / "seed")};
+    files::save_scatter(file, {scatter});
 }
 
-void read_scatter(std::string_view input, const fs::path& folder) {
-    put(folder / "input", input);
-    const std::vector<IntensityScatterModel> scatter = files::load_scatter(folder / "input", 1);
+void read_scatter(const fs::path& file) {
+    const std::vector<IntensityScatterModel> scatter = files::load_scatter(file, 1);
     const RenderedIntensityImage image{
         2, 2, {0.1f, 0.2f, 0.3f, 0.4f}, {5.0f, 6.0f, 7.0f, 8.0f}, {0, 0, 0, 0}, {1, 1, 1, 1}, {0, 0, 0, 0}};
     if (!scatter[0].empty()) draw_intensities(scatter[0], image, std::vector<std::uint8_t>(4, 1), 1);
@@ -91,11 +78,11 @@ void read_scatter(std::string_view input, const fs::path& folder) {
 }  // namespace
 
 std::vector<Harness> run_harnesses() {
-    return {{"coverage", make_coverage_seeds, read_coverage},
-            {"classes", make_classes_seeds, read_classes},
-            {"sweeps", make_sweeps_seeds, read_sweeps},
-            {"network", make_network_seeds, read_network},
-            {"scatter", make_scatter_seeds, read_scatter}};
+    return {{"coverage", written<write_coverage>, read_as_file<read_coverage>},
+            {"classes", written<write_classes>, read_as_file<read_classes>},
+            {"sweeps", written<write_sweeps>, read_as_file<read_sweeps>},
+            {"network", written<write_network>, read_as_file<read_network>},
+            {"scatter", written<write_scatter>, read_as_file<read_scatter>}};
 }
 
 }  // namespace relidar::fuzz

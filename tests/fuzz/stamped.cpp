@@ -50,9 +50,8 @@ void read_boreas(std::string_view input, const fs::path& scratch) {
 void read_mulran(std::string_view input, const fs::path& scratch) {
     const Sequences& in = make_sequences_in(scratch);
     in.of_mulran.read_one(input, [&] {
-        DatasetOptions options;
-        options.frames = {1, 2};  // only two frames, because a scan has 65536 points
-        load_sequence("mulran:" + in.mulran.folder.string(), options);
+        // only two frames, because a scan has 65536 points
+        load_sequence("mulran:" + in.mulran.folder.string(), {.frames = {1, 2}});
     });
 }
 

@@ -25,10 +25,8 @@ void read_config(std::string_view input, const fs::path& folder) {
 void read_street(std::string_view input, const fs::path& folder) {
     put(folder / "street.toml", input);
     const StreetOptions street = load_street(folder);
-    DatasetOptions one;
-    one.frames = {0, 1};
     if (double(street.rows) * street.columns > 2000.0 && street.rows <= 256 && street.columns <= 8192) return;
-    load_sequence("synthetic:" + folder.string(), one);
+    load_sequence("synthetic:" + folder.string(), {.frames = {0, 1}});
 }
 
 /// The harness "sweeps" reads the azimuths, which depend on the sensor of an input.

@@ -8,10 +8,7 @@ namespace {
 
 std::vector<int> test_frames(std::span<const BenchmarkSequence> parts, const char* name,
                              FrameRange frames = {}) {
-    DatasetOptions options;
-    options.sequence = name;
-    options.frames = frames;
-    return find_drive(options, parts).test_frames;
+    return find_drive({.sequence = name, .frames = frames}, parts).test_frames;
 }
 
 using Frames = std::vector<int>;
@@ -23,8 +20,7 @@ TEST(LidarRtBenchmark, HoldOutWhatIsPublished) {
     EXPECT_EQ(test_frames(kKitti360Benchmark, "kd6"), (Frames{11410, 11420, 11430, 11440}));
     EXPECT_EQ(test_frames(kWaymoBenchmark, "ws1"), (Frames{10, 20, 30, 40}));
     EXPECT_EQ(test_frames(kWaymoBenchmark, "wd1"), (Frames{157, 167, 177, 187}));
-    EXPECT_EQ(test_frames(kKitti360Benchmark, "kd1", {2365, 2385}), (Frames{2370, 2380}))
-        << "of what is read";
+    EXPECT_EQ(test_frames(kKitti360Benchmark, "kd1", {2365, 2385}), (Frames{2370, 2380}));
     EXPECT_TRUE(test_frames(kKitti360Benchmark, "0003").empty());
 }
 

@@ -139,8 +139,7 @@ TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
         EXPECT_EQ(track.pose[std::size_t(k)].rotation, again.pose[std::size_t(k)].rotation);
     }
     for (const int k : split.test)
-        EXPECT_NE(track.pose[std::size_t(k)].translation, again.pose[std::size_t(k)].translation)
-            << "its own pose follows its scan";
+        EXPECT_NE(track.pose[std::size_t(k)].translation, again.pose[std::size_t(k)].translation);
 }
 
 TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
@@ -155,8 +154,7 @@ TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
     const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2, 3, 4, 6, 7, 8, 9, 10});
     EXPECT_LT(error.median_m, 0.01);
     EXPECT_LT(error.median_deg, 0.03);
-    EXPECT_LT(error_of(registration.world_from_vehicle, exact, {4, 5, 6}).median_m, 0.05)
-        << "drift is smooth";
+    EXPECT_LT(error_of(registration.world_from_vehicle, exact, {4, 5, 6}).median_m, 0.05);
 }
 
 TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {

@@ -47,8 +47,7 @@ TEST_F(WholeDrive, FindsPosesBackFromDriftAndJumps) {
     const int last = kSweeps - 1;
     EXPECT_GT(
         test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
-        1.0)
-        << "the start is far off";
+        1.0);
     expect_registered(register_street(initial_poses, true), "drift and jumps");
 }
 
@@ -63,8 +62,7 @@ TEST_F(WholeDrive, NeedsNoPoses) {
     expect_registered(registration, "no poses");
     const std::vector<int> train = split_frames(drive(), 10).train;
     EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(train[train.size() / 2])].translation,
-              glm::dvec3(0.0))
-        << "the middle pose stays";
+              glm::dvec3(0.0));
 }
 
 }  // namespace

@@ -312,8 +312,7 @@ TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {
         EXPECT_TRUE(!spinning || spinning->max_range_m == 250.0) << file;
     }
     expect_message("beyond.csv", "elevation_deg,min_range_m\n5,90\n", "expected min_range_m < max_range_m");
-    EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m)
-        << "a data sheet gives a limit";
+    EXPECT_EQ(find_sensor("VLP-16", {}, 250.0).limits.max_m, find_sensor("VLP-16").limits.max_m);
 }
 
 TEST(Rigs, WrongRigsAreNamed) {

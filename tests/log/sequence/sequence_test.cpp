@@ -264,8 +264,7 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
         .name = "r", .deflection_rad = 0.1, .first_hz = 30.0, .second_hz = -20.0, .n_rays = 50};
     sequence.lidars[0].pattern = rosette;
     EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, {}}), 7.0);
-    EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05)
-        << "half of 0.1 s after its beginning";
+    EXPECT_EQ(facing_time_s(sequence, {3, 1, 0}, {7.0, 0, SweepStart{0.0, 0.0}}), 7.05);
     EXPECT_EQ(make_lidar_rays(sequence.lidars[0], 3.3).direction, make_rays(rosette, 3.3).direction);
 }
 
@@ -302,8 +301,7 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
         return all;
     };
     EXPECT_EQ(indices(split_frames(sequence, 10)), sequence.test_frames);
-    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400}))
-        << "named ones go first";
+    EXPECT_EQ(indices(split_frames(sequence, 10, "2353,2400")), (std::vector<int>{2353, 2400}));
     EXPECT_TRUE(split_frames(sequence, 0).test.empty());
     EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
 }

@@ -173,8 +173,7 @@ TEST(PointTable, FindsFieldsByTheirMeaning) {
         EXPECT_EQ(find_attribute(name), std::nullopt) << name;
     const std::vector<glm::vec3> points = make_measured_points(3);
     const PointTable table = to_point_table(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
-    EXPECT_EQ((*table.find_field(PointAttribute::x))[1], double(points[1].x))
-        << "the exact name is used first";
+    EXPECT_EQ((*table.find_field(PointAttribute::x))[1], double(points[1].x));
 }
 
 TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {

@@ -222,8 +222,7 @@ TEST(Packets, OfAnOt128HaveTheModeOfTheirColumns) {
         for (std::size_t p = 1; p < std::size_t(columns / 2); ++p) {
             const std::string& bytes = packets[p].bytes;
             expect_fields(bytes, kOt128, p);
-            EXPECT_EQ(number_at<std::uint16_t>(bytes, 814), columns == 3600 ? 1 << 12 : 0)
-                << "firing sequences";
+            EXPECT_EQ(number_at<std::uint16_t>(bytes, 814), columns == 3600 ? 1 << 12 : 0);
             EXPECT_EQ(number_at<std::uint8_t>(bytes, 816), columns == 3600 ? 0 : 1) << "operation mode";
             const double turned_deg =
                 0.01 * (number_at<std::uint16_t>(bytes, 12 + 386) - number_at<std::uint16_t>(bytes, 12));
@@ -259,10 +258,7 @@ Log write_and_load_log(const SpinningSensor& sensor, const PacketOptions& option
     const PacketCalibrationFile calibration = encoder.calibration_file();
     if (!calibration.ending.empty())
         std::ofstream(std::filesystem::path(file).replace_extension(calibration.ending)) << calibration.text;
-    DatasetOptions reading;
-    reading.poses_file = kNoPoses;
-    reading.max_range_m = sensor.max_range_m;
-    return load_sequence(file.string(), reading);
+    return load_sequence(file.string(), {.poses_file = kNoPoses, .max_range_m = sensor.max_range_m});
 }
 
 void expect_same_returns(const WrittenProduct& product) {

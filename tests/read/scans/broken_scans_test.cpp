@@ -19,10 +19,7 @@ namespace fs = std::filesystem;
 using test::Names;
 
 DatasetOptions make_skipping_options(const std::string& part = {}) {
-    DatasetOptions options;
-    options.sequence = part;
-    options.skip_broken = true;
-    return options;
+    return {.sequence = part, .skip_broken = true};
 }
 
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
@@ -167,13 +164,11 @@ TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
     const std::size_t begin = said.find('{'), end = said.rfind('}');
     ASSERT_NE(end, std::string::npos) << said;
     test::write_text(folder / "sequence.json", said.substr(begin, end - begin + 1));
-    DatasetOptions options;
-    options.poses_file = kNoPoses;
     // The intensities of the scans are 51 of 255.
     const std::string head = test::read_text(folder / "sequence.json");
     test::write_text(folder / "sequence.json", head.substr(0, head.size() - 1) +
                                                    R"(, "intensity_max": 255, "point_times": "absolute"})");
-    EXPECT_EQ(load_sequence(folder.string(), options).frames.size(), 5u);
+    EXPECT_EQ(load_sequence(folder.string(), {.poses_file = kNoPoses}).frames.size(), 5u);
 }
 
 TEST_F(BareFolder, LeavesBrokenScansOut) {

@@ -147,9 +147,7 @@ protected:
         real_ = read_real(folder_);
         if (real_.empty()) return;
         write_log(folder_, real_);
-        DatasetOptions options;
-        options.max_range_m = 300.0;
-        log_ = load_sequence(folder_.string(), options);
+        log_ = load_sequence(folder_.string(), {.max_range_m = 300.0});
         beams_ =
             std::get<SpinningSensor>(
                 find_sensor((get_shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv").string()).pattern)

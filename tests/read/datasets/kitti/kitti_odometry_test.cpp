@@ -41,8 +41,7 @@ TEST(KittiOdometry, IsRecognisedAndRead) {
     EXPECT_FALSE(log.rolling_shutter);
     EXPECT_EQ(log.frames[1].time_s, 0.1037);
     const std::vector<Pose>& poses = log.world_from_vehicle.pose;
-    EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(1.5, 0.0, 0.0)), 1e-9)
-        << "forward is the LiDAR's x";
+    EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(1.5, 0.0, 0.0)), 1e-9);
     EXPECT_LT(glm::distance(poses[0].translation, glm::dvec3(-1.5, 0.0, 0.0)), 1e-9);
     // The camera has turned by 0.1 rad about its y axis. This axis points down, so the
     // camera has turned to the right. The camera is 3 m ahead of its start, and the LiDAR

@@ -171,8 +171,7 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     EXPECT_EQ(unposed.world_from_vehicle.pose[4].translation, glm::dvec3(0.0));
     const glm::dvec3 box_in_vehicle_m =
         inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
-    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, box_in_vehicle_m), 1e-8)
-        << "as the vehicle saw it";
+    EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, box_in_vehicle_m), 1e-8);
     test::write_text(data.table("sample_annotation"), "[]");
     EXPECT_THAT(load(data).notes, testing::Contains(test::Names("annotations ... labels")));
 }

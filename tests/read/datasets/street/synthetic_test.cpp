@@ -171,8 +171,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     expect_moved(exact.world_from_vehicle, moved.world_from_vehicle);
     for (std::size_t b = 0; b < exact.boxes.size(); ++b)
         expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
-    EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m)
-        << "scans are what the sensor saw from the exact poses";
+    EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m);
     fs::remove_all(folder);
 }
 
@@ -220,8 +219,7 @@ TEST(SyntheticRig, EachLidarSeesTheStreetFromWhereItIsMounted) {
         EXPECT_GT(n, truth.range_m.size() / 2) << lidar.name;
     }
     EXPECT_NE(log.frames[test::kRosette].scan.rays.direction,
-              log.frames[4 + test::kRosette].scan.rays.direction)
-        << "other petals";
+              log.frames[4 + test::kRosette].scan.rays.direction);
     EXPECT_TRUE(log.frames[0].scan.second_returns.empty());
 }
 
