@@ -22,16 +22,7 @@ namespace fs = std::filesystem;
 constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy", "csv", "las"};
 constexpr std::string_view kParting = "\n=====\n";
 
-test::FilePoints make_cylinder() {
-    test::FilePoints points;
-    for (int b = 0; b < 16; ++b)
-        for (int c = 0; c < 40; ++c) {
-            const double a = kPi - (c + 0.5) * 2.0 * kPi / 40, e = 0.1 - 0.02 * b;
-            const glm::vec3 p(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e));
-            points.push_back({p, 0.2f, std::uint16_t(b), 0.001 * c});
-        }
-    return points;
-}
+test::FilePoints make_cylinder() { return test::make_cylinder(40, 0.001); }
 
 std::vector<std::string> make_point_seeds(const fs::path&) {
     test::FilePoints some = make_cylinder();

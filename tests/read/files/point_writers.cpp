@@ -7,12 +7,14 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/math.hpp>
+
 namespace relidar::test {
 namespace {
 
-template <class T>
-void append(std::string& bytes, T value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+template <class... T>
+void append(std::string& bytes, T... values) {
+    (bytes.append(reinterpret_cast<const char*>(&values), sizeof values), ...);
 }
 
 std::uint8_t unpack_byte(float intensity) { return std::uint8_t(std::lround(intensity * 255.0f)); }
@@ -37,11 +39,9 @@ std::string write_pcd_text(const FilePoints& points, std::size_t n_padding) {
 std::string write_pcd_binary(const FilePoints& points, std::size_t n_padding) {
     std::string bytes = make_pcd_header(points.size(), "binary", n_padding);
     for (const FilePoint& p : points) {
-        for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
+        append(bytes, p.point_m);
         bytes += std::string(n_padding, '_');
-        append(bytes, unpack_byte(p.intensity));
-        append(bytes, p.ring);
-        append(bytes, p.time_s);
+        append(bytes, unpack_byte(p.intensity), p.ring, p.time_s);
     }
     return bytes;
 }
@@ -56,8 +56,7 @@ std::string write_pcd_compressed(const FilePoints& points, std::size_t n_padding
     for (const FilePoint& p : points) append(fields, p.time_s);
     const std::string packed = compress_lzf(fields);
     std::string bytes = make_pcd_header(points.size(), "binary_compressed", n_padding);
-    append(bytes, std::uint32_t(packed.size()));
-    append(bytes, std::uint32_t(fields.size()));
+    append(bytes, std::uint32_t(packed.size()), std::uint32_t(fields.size()));
     return bytes + packed;
 }
 
@@ -91,23 +90,14 @@ std::string make_ply_text(const FilePoints& points) {
 
 std::string make_ply_binary(const FilePoints& points) {
     std::string bytes = make_ply_header(points.size(), "binary_little_endian");
-    for (const FilePoint& p : points) {
-        for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
-        append(bytes, p.intensity);
-        append(bytes, p.ring);
-        append(bytes, p.time_s);
-        append(bytes, std::uint8_t(255));
-    }
+    for (const FilePoint& p : points)
+        append(bytes, glm::dvec3(p.point_m), p.intensity, p.ring, p.time_s, std::uint8_t(255));
     return bytes;
 }
 
 std::string bin(const FilePoints& points) {
     std::string bytes;
-    for (const FilePoint& p : points) {
-        for (int axis = 0; axis < 3; ++axis) append(bytes, p.point_m[axis]);
-        append(bytes, p.intensity);
-        append(bytes, float(p.ring));
-    }
+    for (const FilePoint& p : points) append(bytes, p.point_m, p.intensity, float(p.ring));
     return bytes;
 }
 
@@ -118,13 +108,20 @@ std::string npy(const FilePoints& points) {
     std::string bytes = "\x93NUMPY";
     bytes += {'\x01', '\x00', char(118), '\x00'};
     bytes += header + "\n";
-    for (const FilePoint& p : points) {
-        for (int axis = 0; axis < 3; ++axis) append(bytes, double(p.point_m[axis]));
-        append(bytes, double(p.intensity));
-        append(bytes, double(p.ring));
-        append(bytes, p.time_s);
-    }
+    for (const FilePoint& p : points)
+        append(bytes, glm::dvec3(p.point_m), double(p.intensity), double(p.ring), p.time_s);
     return bytes;
+}
+
+FilePoints make_cylinder(int n_columns, double column_s) {
+    FilePoints points;
+    for (int b = 0; b < 16; ++b)
+        for (int c = 0; c < n_columns; ++c) {
+            const double a = kPi - (c + 0.5) * 2.0 * kPi / n_columns, e = 0.1 - 0.02 * b;
+            const glm::vec3 p(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e));
+            points.push_back({p, 0.2f, std::uint16_t(b), column_s * c});
+        }
+    return points;
 }
 
 std::string compress_lzf(const std::string& bytes) {
@@ -169,25 +166,16 @@ std::string las(const FilePoints& points, double x_offset_m, int format) {
     bytes.resize(24);
     bytes += "\x01\x02";
     bytes.resize(94);
-    append(bytes, std::uint16_t(kHeader));
-    append(bytes, std::uint32_t(kHeader));
-    append(bytes, std::uint32_t(0));
-    append(bytes, std::uint8_t(format));
-    append(bytes, std::uint16_t(kRecord));
-    append(bytes, std::uint32_t(points.size()));
+    append(bytes, std::uint16_t(kHeader), std::uint32_t(kHeader), std::uint32_t(0), std::uint8_t(format),
+           std::uint16_t(kRecord), std::uint32_t(points.size()));
     bytes.resize(131);
-    for (int axis = 0; axis < 3; ++axis) append(bytes, 1e-5);
-    append(bytes, x_offset_m);
-    append(bytes, 0.0);
-    append(bytes, 0.0);
+    append(bytes, 1e-5, 1e-5, 1e-5, x_offset_m, 0.0, 0.0);
     bytes.resize(kHeader);
     for (const FilePoint& p : points) {
         const glm::dvec3 stored_m = glm::dvec3(p.point_m) - glm::dvec3(x_offset_m, 0.0, 0.0);
         for (int axis = 0; axis < 3; ++axis) append(bytes, std::int32_t(std::lround(1e5 * stored_m[axis])));
-        append(bytes, std::uint16_t(unpack_byte(p.intensity)));
-        append(bytes, std::uint32_t(9));  // return 1 of 1; class, angle and user data are 0
-        append(bytes, std::uint16_t(0));
-        append(bytes, p.time_s);
+        // return 1 of 1; class, angle and user data are 0
+        append(bytes, std::uint16_t(unpack_byte(p.intensity)), std::uint32_t(9), std::uint16_t(0), p.time_s);
     }
     return bytes;
 }

@@ -17,6 +17,9 @@ struct FilePoint {
 };
 using FilePoints = std::vector<FilePoint>;
 
+/// Returns a cylinder with a radius of 20 m, beam by beam, with 16 beams.
+FilePoints make_cylinder(int n_columns, double column_s = 0.0);
+
 /// Returns a PCD file. Fields: x y z float32, intensity uint8 (0 to 255), ring uint16,
 /// timestamp float64, and a padding field "_" of 3 bytes.
 std::string make_pcd_text(const FilePoints& points);

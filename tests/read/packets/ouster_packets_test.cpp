@@ -13,7 +13,7 @@
 
 #include "base/bytes.hpp"
 #include "read/packets/ouster_packets.hpp"
-#include "support/names.hpp"
+#include "support/logs.hpp"
 
 namespace relidar {
 namespace {
@@ -31,10 +31,6 @@ fs::path make_fresh_folder(const std::string& name) {
     fs::remove_all(folder);
     fs::create_directories(folder);
     return folder;
-}
-
-void write_bytes(const fs::path& file, const std::string& bytes) {
-    std::ofstream(file, std::ios::binary) << bytes;
 }
 
 /// Returns the columns x y z intensity ring time return for each return, as float64.
@@ -73,6 +69,14 @@ std::string make_points(const OusterImages& images, std::size_t frame) {
     return bytes;
 }
 
+Log load(const fs::path& file, DatasetOptions options = {}) {
+    options.max_range_m = 400.0;
+    return load_sequence(file.string(), options);
+}
+std::string load_error(const fs::path& file) {
+    return test::find_load_error(file.string(), {.max_range_m = 400.0});
+}
+
 Log read_folder(const OusterImages& images, const RangeLimits& limits) {
     const fs::path folder = make_fresh_folder("folder");
     std::string beams, frames, poses;
@@ -89,58 +93,37 @@ Log read_folder(const OusterImages& images, const RangeLimits& limits) {
     for (std::size_t f = 0; f < images.frames; ++f) {
         const double time_s = 1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] -
                                             images.time_ns[images.columns / 2]);
-        write_bytes(folder / fmt::format("scans/{}.npy", f), make_points(images, f));
+        test::write_text(folder / fmt::format("scans/{}.npy", f), make_points(images, f));
         frames += fmt::format(R"({}{{"number": {}, "time_s": {:.9f}, "scan": "scans/{}.npy"}})",
                               f ? ", " : "", f, time_s, f);
         poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
     }
-    write_bytes(folder / "poses.txt", poses);
-    write_bytes(
+    test::write_text(folder / "poses.txt", poses);
+    test::write_text(
         folder / "sequence.json",
         fmt::format(
             R"({{"format": "relidar log", "version": 1, "frames": [{}], "intensity_max": 255, "columns": )"
             R"(["x", "y", "z", "intensity", "ring", "time", "return"], "lidars": [{{"ring_0": "highest", "sensor": )"
             R"({{"columns": {}, "min_range_m": {}, "max_range_m": {}, "beams": [{}]}}}}]}})",
             frames, images.columns, limits.min_m, limits.max_m, beams));
-    DatasetOptions options;
-    options.max_range_m = 400.0;
-    return load_sequence(folder.string(), options);
+    return load(folder);
 }
 
 fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams) {
     const fs::path folder = make_fresh_folder("capture");
     test::write_pcap(folder / "drive.pcap", datagrams);
-    write_bytes(folder / "drive.json", test::make_metadata(images, 7502));
+    test::write_text(folder / "drive.json", test::make_metadata(images, 7502));
     return folder / "drive.pcap";
 }
 fs::path write_capture(const OusterImages& images) {
     return write_capture(images, test::receive(test::make_packets(images)));
 }
 
-struct Loaded {
-    Log log;
-    std::string error;
-
-    explicit Loaded(const fs::path& file, DatasetOptions options = {}) {
-        options.max_range_m = 400.0;
-        try {
-            log = load_sequence(file.string(), options);
-        } catch (const Error& failed) {
-            error = failed.what();
-        }
-    }
-    std::string notes() const {
-        std::string all;
-        for (const std::string& note : log.notes) all += note + "\n";
-        return all;
-    }
-};
-
 /// Skipped if relidar was built without the reader of captures.
 class OusterPackets : public testing::Test {
 protected:
     void SetUp() override {
-        const std::string error = Loaded(make_fresh_folder("none") / "none.pcap").error;
+        const std::string error = load_error(make_fresh_folder("none") / "none.pcap");
         if (error.find("RELIDAR_PCAP") != error.npos || error.find("RELIDAR_BAGS") != error.npos)
             GTEST_SKIP() << error;
     }
@@ -210,41 +193,39 @@ TEST_F(OusterPackets, RealScansAreThoseOfTheFolder) {
         for (const char* profile : kProfileNames) {
             const std::optional<OusterImages> images = test::load_real_images(name, product, profile);
             if (!images) GTEST_SKIP() << name << " is not there; RELIDAR_SHARED names another folder";
-            const Loaded loaded(write_capture(*images));
-            ASSERT_EQ(loaded.error, "");
-            EXPECT_THAT(loaded.notes(), Names(fmt::format("{} packets ... 128-beam Ouster, {}, profile {}",
-                                                          64 * images->frames, product, profile)));
-            expect_same_log(*images, loaded.log);
+            const Log loaded = load(write_capture(*images));
+            EXPECT_THAT(test::join_lines(loaded.notes),
+                        Names(fmt::format("{} packets ... 128-beam Ouster, {}, profile {}",
+                                          64 * images->frames, product, profile)));
+            expect_same_log(*images, loaded);
         }
 }
 
 TEST_F(OusterPackets, SmallScansAreThoseOfTheFolder) {
     for (const char* profile : kProfileNames) {
         const OusterImages images = test::make_small_images(profile);
-        const Loaded loaded(write_capture(images));
-        ASSERT_EQ(loaded.error, "");
-        EXPECT_EQ(loaded.log.frames[0].scan.second_returns.size(), images.is_dual() ? 1u : 0u);
-        expect_same_log(images, loaded.log);
+        const Log loaded = load(write_capture(images));
+        EXPECT_EQ(loaded.frames[0].scan.second_returns.size(), images.is_dual() ? 1u : 0u);
+        expect_same_log(images, loaded);
     }
 }
 
 TEST_F(OusterPackets, NestedMetadataSaysTheSame) {
     const OusterImages images = test::make_small_images(test::kSingle);
     const fs::path capture = write_capture(images);
-    write_bytes(fs::path(capture).replace_extension(".json"), test::make_metadata(images, 7502, true));
-    const Loaded loaded(capture);
-    ASSERT_EQ(loaded.error, "");
-    expect_same_log(images, loaded.log);
+    test::write_text(fs::path(capture).replace_extension(".json"), test::make_metadata(images, 7502, true));
+    const Log loaded = load(capture);
+    expect_same_log(images, loaded);
 }
 
 TEST_F(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
     OusterImages images = test::make_small_images(test::kLegacy);
     for (std::uint32_t& bright : images.reflectivity) bright *= 8;  // up to 2040
-    const Loaded loaded(write_capture(images));
-    ASSERT_EQ(loaded.error, "");
-    EXPECT_THAT(loaded.notes(), AllOf(Names("reflectivities ... 2040"), Names("99.5th percentile")));
+    const Log loaded = load(write_capture(images));
+    EXPECT_THAT(test::join_lines(loaded.notes),
+                AllOf(Names("reflectivities ... 2040"), Names("99.5th percentile")));
     float most = 0.0f;
-    for (const float intensity : loaded.log.frames[0].scan.intensity) most = std::max(most, intensity);
+    for (const float intensity : loaded.frames[0].scan.intensity) most = std::max(most, intensity);
     EXPECT_EQ(most, 1.0f);
 }
 
@@ -267,13 +248,13 @@ TEST_F(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
         OusterImages images = test::make_small_images(profile);
         images.is_valid.assign(images.frames * images.columns, true);
         for (const std::size_t column : {0, 20, 21, 127}) images.is_valid[images.columns + column] = false;
-        const Loaded loaded(write_capture(images));
-        ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-        const Columns columns(loaded.log, 1), complete(loaded.log, 2);
+        const Log loaded = load(write_capture(images));
+        ASSERT_EQ(loaded.frames.size(), 4u);
+        const Columns columns(loaded, 1), complete(loaded, 2);
         for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
         EXPECT_EQ(columns.rays[19], 3u * images.rows);  // also has the rays of missing columns
         EXPECT_EQ(std::ranges::count(complete.rays, images.rows), std::ptrdiff_t(images.columns));
-        EXPECT_THAT(loaded.notes(), testing::Not(Names("missing")));
+        EXPECT_THAT(test::join_lines(loaded.notes), testing::Not(Names("missing")));
     }
 }
 
@@ -281,9 +262,9 @@ TEST_F(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
     OusterImages images = test::make_small_images(test::kSingle);
     for (std::size_t k = 0; k < images.frames * images.columns; ++k)
         images.is_valid.push_back(k % 128 < 40 || k % 128 >= 70);
-    const Loaded loaded(write_capture(images));
-    ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-    const Columns columns(loaded.log, 1);
+    const Log loaded = load(write_capture(images));
+    ASSERT_EQ(loaded.frames.size(), 4u);
+    const Columns columns(loaded, 1);
     for (std::size_t column = 0; column < images.columns; ++column) {
         EXPECT_EQ(columns.rays[column], images.rows) << column;
         EXPECT_EQ(columns.returns[column] > 0, images.is_valid[column]) << column;
@@ -292,9 +273,8 @@ TEST_F(OusterPackets, ASectorThatWasNotMeasuredHasNoReturn) {
 
 TEST_F(OusterPackets, TheOnlyMetadataMayNameAnotherPort) {
     const OusterImages images = test::make_small_images(test::kLegacy);
-    const Loaded loaded(write_capture(images, test::receive(test::make_packets(images), 7512)));
-    ASSERT_EQ(loaded.error, "");
-    expect_same_log(images, loaded.log);
+    const Log loaded = load(write_capture(images, test::receive(test::make_packets(images), 7512)));
+    expect_same_log(images, loaded);
 }
 
 TEST_F(OusterPackets, RepeatedAndLatePacketsAreSorted) {
@@ -302,9 +282,10 @@ TEST_F(OusterPackets, RepeatedAndLatePacketsAreSorted) {
     auto datagrams = test::receive(test::make_packets(images));
     std::swap(datagrams[12].bytes, datagrams[13].bytes);
     datagrams.insert(datagrams.begin() + 20, datagrams[17]);
-    const Loaded loaded(write_capture(images, datagrams));
-    expect_same_log(images, loaded.log);
-    EXPECT_THAT(loaded.notes(), AllOf(Names("1 packets ... twice"), Names("1 packets ... order")));
+    const Log loaded = load(write_capture(images, datagrams));
+    expect_same_log(images, loaded);
+    EXPECT_THAT(test::join_lines(loaded.notes),
+                AllOf(Names("1 packets ... twice"), Names("1 packets ... order")));
 }
 
 TEST_F(OusterPackets, RaysOfMissingPacketsAreUnknown) {
@@ -312,10 +293,10 @@ TEST_F(OusterPackets, RaysOfMissingPacketsAreUnknown) {
     auto datagrams = test::receive(test::make_packets(images));
     datagrams[10].bytes.resize(500);          // columns 32 to 47 of frame 1
     datagrams.erase(datagrams.begin() + 15);  // columns 112 to 127, the end of the turn
-    const Loaded loaded(write_capture(images, datagrams));
-    ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-    EXPECT_THAT(loaded.notes(), Names("2 packets ... missing ... rays"));
-    const Columns columns(loaded.log, 1);
+    const Log loaded = load(write_capture(images, datagrams));
+    ASSERT_EQ(loaded.frames.size(), 4u);
+    EXPECT_THAT(test::join_lines(loaded.notes), Names("2 packets ... missing ... rays"));
+    const Columns columns(loaded, 1);
     for (std::size_t column = 0; column < images.columns; ++column) {
         const bool is_missing = column / 16 == 2 || column / 16 == 7;
         EXPECT_EQ(columns.rays[column], is_missing ? 0u : images.rows) << column;
@@ -327,10 +308,10 @@ TEST_F(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
     const OusterImages images = test::make_small_images(test::kDual);
     auto datagrams = test::receive(test::make_packets(images));
     datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // packets of frame 1
-    const Loaded loaded(write_capture(images, datagrams));
-    ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
-    EXPECT_NEAR(loaded.log.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
-    EXPECT_THAT(loaded.notes(), Names("1 revolutions ... third ... missing"));
+    const Log loaded = load(write_capture(images, datagrams));
+    ASSERT_EQ(loaded.frames.size(), 3u);
+    EXPECT_NEAR(loaded.frames[1].time_s, 2 * 128 * 781250e-9, 1e-6);
+    EXPECT_THAT(test::join_lines(loaded.notes), Names("1 revolutions ... third ... missing"));
 }
 
 TEST_F(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
@@ -340,29 +321,29 @@ TEST_F(OusterPackets, AWindowOfColumnsIsTheWholeTurn) {
         OusterImages images = test::make_small_images(test::kLowRate);
         images.first = std::size_t(first);
         images.last = std::size_t(last);
-        const Loaded loaded(write_capture(images));
-        ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-        EXPECT_THAT(loaded.notes(), testing::Not(Names("missing")));
+        const Log loaded = load(write_capture(images));
+        ASSERT_EQ(loaded.frames.size(), 4u);
+        EXPECT_THAT(test::join_lines(loaded.notes), testing::Not(Names("missing")));
         for (std::size_t f = 0; f < 4; ++f) {
-            EXPECT_EQ(loaded.log.frames[f].scan.rays.columns, last - first + 1);
-            const Columns columns(loaded.log, f);
+            EXPECT_EQ(loaded.frames[f].scan.rays.columns, last - first + 1);
+            const Columns columns(loaded, f);
             for (std::size_t column = 0; column < images.columns; ++column)
                 EXPECT_EQ(columns.rays[column], images.is_in_window(column) ? images.rows : 0u) << column;
-            EXPECT_NEAR(loaded.log.frames[f].time_s, double(f) * 128 * 781250e-9, 1e-5);
+            EXPECT_NEAR(loaded.frames[f].time_s, double(f) * 128 * 781250e-9, 1e-5);
         }
     }
 }
 
 TEST_F(OusterPackets, AClockSinceBootAndOneOfPtpAreTheSame) {
     OusterImages images = test::make_small_images(test::kSingle);
-    const Loaded boot(write_capture(images));
+    const Log boot = load(write_capture(images));
     for (std::uint64_t& ns : images.time_ns) ns += 1700000000000000000;
-    const Loaded ptp(write_capture(images, test::receive(test::make_packets(images), 7502, 0)));
-    ASSERT_EQ(ptp.log.frames.size(), 4u) << ptp.error;
+    const Log ptp = load(write_capture(images, test::receive(test::make_packets(images), 7502, 0)));
+    ASSERT_EQ(ptp.frames.size(), 4u);
     for (std::size_t f = 0; f < 4; ++f) {
-        EXPECT_EQ(boot.log.frames[f].time_s, ptp.log.frames[f].time_s);
-        EXPECT_EQ(boot.log.frames[f].scan.rays.time_offset_s, ptp.log.frames[f].scan.rays.time_offset_s);
-        EXPECT_EQ(boot.log.frames[f].scan.range_m, ptp.log.frames[f].scan.range_m);
+        EXPECT_EQ(boot.frames[f].time_s, ptp.frames[f].time_s);
+        EXPECT_EQ(boot.frames[f].scan.rays.time_offset_s, ptp.frames[f].scan.rays.time_offset_s);
+        EXPECT_EQ(boot.frames[f].scan.range_m, ptp.frames[f].scan.range_m);
     }
 }
 
@@ -376,16 +357,14 @@ TEST_F(OusterPackets, PosesMayHaveTheClockOfTheSensor) {
     std::string poses;
     for (int k = -20; k < 30; ++k)
         poses += fmt::format("{:.2f} {:.2f} 0 0 1 0 0 0\n", 1700000037 + 0.05 * k, 0.5 * k);
-    DatasetOptions options;
-    options.poses_file = capture.parent_path() / "poses.txt";
-    write_bytes(options.poses_file, poses);
-    const Loaded loaded(capture, options);
-    ASSERT_EQ(loaded.error, "");
-    EXPECT_THAT(loaded.notes(), Names("37.000 s behind the sensor"));
+    const fs::path poses_file = capture.parent_path() / "poses.txt";
+    test::write_text(poses_file, poses);
+    const Log loaded = load(capture, {.poses_file = poses_file});
+    EXPECT_THAT(test::join_lines(loaded.notes), Names("37.000 s behind the sensor"));
     for (std::size_t f = 0; f < images.frames; ++f) {
         const double measured_s =
             1e-9 * double(images.time_ns[f * images.columns + images.columns / 2] - 1700000037 * kSecond_ns);
-        EXPECT_NEAR(loaded.log.world_from_vehicle.pose[f].translation.x + loaded.log.world_offset_m.x,
+        EXPECT_NEAR(loaded.world_from_vehicle.pose[f].translation.x + loaded.world_offset_m.x,
                     10.0 * measured_s, 0.02);  // the packets arrive 0.2 ms to 1 ms late
     }
 }
@@ -404,41 +383,33 @@ TEST_F(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
     std::ranges::stable_sort(datagrams, {}, &test::Datagram::stamp_ns);
     const fs::path folder = make_fresh_folder("two");
     test::write_pcap(folder / "drive.pcap", datagrams);
-    write_bytes(folder / "front.json", test::make_metadata(one, 7502));
-    write_bytes(folder / "rear.json", test::make_metadata(other, 7504));
-    write_bytes(folder / "notes.json", R"({"weather": "fair"})");
+    test::write_text(folder / "front.json", test::make_metadata(one, 7502));
+    test::write_text(folder / "rear.json", test::make_metadata(other, 7504));
+    test::write_text(folder / "notes.json", R"({"weather": "fair"})");
     for (const auto& [port, images] : {std::pair(7502, &one), std::pair(7504, &std::as_const(other))}) {
-        DatasetOptions options;
-        options.lidars = {fmt::format("192.168.1.201:{}", port)};
-        const Loaded loaded(folder / "drive.pcap", options);
-        ASSERT_EQ(loaded.error, "");
-        expect_same_log(*images, loaded.log);
-        EXPECT_THAT(loaded.notes(), testing::Not(Names("expected")));
+        const Log loaded = load(folder / "drive.pcap", {.lidars = {fmt::format("192.168.1.201:{}", port)}});
+        expect_same_log(*images, loaded);
+        EXPECT_THAT(test::join_lines(loaded.notes), testing::Not(Names("expected")));
     }
-    write_bytes(folder / "rear.json", test::make_metadata(other, 7502));
-    const Loaded ambiguous(folder / "drive.pcap");
-    EXPECT_THAT(ambiguous.error, Names("3328 bytes on port 7502 ... metadata"));
+    test::write_text(folder / "rear.json", test::make_metadata(other, 7502));
+    EXPECT_THAT(load_error(folder / "drive.pcap"), Names("3328 bytes on port 7502 ... metadata"));
     fs::remove(folder / "rear.json");
     // Packets must not be decoded with the metadata of another sensor.
-    const Loaded half(folder / "drive.pcap");
-    EXPECT_THAT(half.notes(), Names("3328 bytes on port 7504 ... metadata"));
-    if (half.error.empty()) expect_same_log(one, half.log);
-    EXPECT_EQ(half.error, "");
+    const Log half = load(folder / "drive.pcap");
+    EXPECT_THAT(test::join_lines(half.notes), Names("3328 bytes on port 7504 ... metadata"));
+    expect_same_log(one, half);
 }
 
 TEST_F(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     const OusterImages images = test::make_small_images(test::kSingle);
     const auto error_with = [&](const std::string& metadata) {
         const fs::path capture = write_capture(images);
-        write_bytes(fs::path(capture).replace_extension(".json"), metadata);
-        std::string error = Loaded(capture).error;
-        EXPECT_EQ(error.find('\n'), std::string::npos);
-        return error;
+        test::write_text(fs::path(capture).replace_extension(".json"), metadata);
+        return load_error(capture);
     };
     const fs::path bare = write_capture(images);
     fs::remove(fs::path(bare).replace_extension(".json"));
-    const Loaded alone(bare);
-    EXPECT_THAT(alone.error, Names("3328 bytes on port 7502 ... Ouster ... metadata ... drive.json"));
+    EXPECT_THAT(load_error(bare), Names("3328 bytes on port 7502 ... Ouster ... metadata ... drive.json"));
     const std::string metadata = test::make_metadata(images, 7502);
     EXPECT_THAT(error_with(metadata.substr(0, metadata.size() / 2)), Names("drive.json ... truncated"));
     const std::array<const char*, 3> cases[] = {
@@ -459,12 +430,12 @@ TEST_F(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     }
     auto datagrams = test::receive(test::make_packets(images));
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
-    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("type 2, expected 1 ... LiDAR"));
+    EXPECT_THAT(load_error(write_capture(images, datagrams)), Names("type 2, expected 1 ... LiDAR"));
     for (test::Datagram& datagram : datagrams) {
         datagram.bytes[0] = 1;
         datagram.bytes[32 + 9] = 4;  // column 1024 and above
     }
-    EXPECT_THAT(Loaded(write_capture(images, datagrams)).error, Names("128 ... lidar_mode"));
+    EXPECT_THAT(load_error(write_capture(images, datagrams)), Names("128 ... lidar_mode"));
 }
 
 }  // namespace

@@ -145,14 +145,8 @@ protected:
     void SetUp() override {
         folder = fs::path(testing::TempDir()) / "relidar_bare_folder";
         fs::remove_all(folder);
-        test::FilePoints points;
-        for (int b = 0; b < 16; ++b)
-            for (int c = 0; c < 90; ++c) {
-                const double e = 0.1 - 0.02 * b, a = kPi - (c + 0.5) * 2.0 * kPi / 90;
-                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f,
-                                  std::uint16_t(b), 0.0});
-            }
-        for (int i = 0; i < 5; ++i) test::write_text(folder / scan(i), test::make_pcd_binary(points));
+        const std::string cylinder = test::make_pcd_binary(test::make_cylinder(90));
+        for (int i = 0; i < 5; ++i) test::write_text(folder / scan(i), cylinder);
     }
     static std::string scan(int index) { return std::to_string(index) + ".pcd"; }
     fs::path folder;

@@ -78,6 +78,32 @@ std::size_t StampedDrive::count_returns(int scan) const {
     return std::size_t(std::ranges::count_if(rays[std::size_t(scan)], &StampedRay::returned));
 }
 
+void expect_truth(const StampedDrive& drive, const Log& log, const StampedTolerance& tolerance) {
+    const PoseTrack track = log.lidar_track(0);
+    for (const Frame& frame : log.frames) {
+        EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
+        EXPECT_EQ(frame.scan.count_returns(), drive.count_returns(frame.index));
+        const std::vector<StampedRay>& truth = drive.rays[std::size_t(frame.index)];
+        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
+            if (frame.scan.range_m[i] == 0.0f) continue;
+            const double offset_s = double(frame.scan.rays.time_offset_s[i]);
+            const auto column = std::size_t(std::lround((offset_s / 0.1 + 0.5) * drive.columns));
+            const StampedRay& ray = truth.at(column * drive.beams.size() + frame.scan.rays.channel[i]);
+            ASSERT_TRUE(ray.returned) << frame.index << " " << i;
+            const auto [origin_m, point_m] = place_return(log, track, frame, i);
+            ASSERT_LT(glm::distance(origin_m, ray.origin_m), tolerance.origin_m);
+            ASSERT_LT(glm::distance(point_m, ray.point_m), tolerance.point_m);
+            ASSERT_FLOAT_EQ(frame.scan.intensity[i], tolerance.intensity);
+        }
+    }
+}
+
+void expect_elevations(const StampedDrive& drive, const SpinningSensor& sensor) {
+    ASSERT_EQ(sensor.beams.size(), drive.beams.size());
+    for (std::size_t b = 0; b < sensor.beams.size(); ++b)
+        EXPECT_NEAR(sensor.beams[b].elevation_rad, drive.beams[b].elevation_rad, 1e-5);
+}
+
 BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
     : StampedFolder("relidar_boreas/boreas-" + name) {
     drive.pitch_rad = 0.02;

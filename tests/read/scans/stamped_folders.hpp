@@ -43,6 +43,16 @@ struct StampedFolder : LogFolder {
     using LogFolder::LogFolder;
 };
 
+/// Largest errors of returns, and their intensity.
+struct StampedTolerance {
+    double origin_m, point_m;
+    float intensity;
+};
+/// Checks that every return is at the point where its ray hit the yard, and that no
+/// return is lost. Scans are 0.1 s apart.
+void expect_truth(const StampedDrive& drive, const Log& log, const StampedTolerance& tolerance);
+void expect_elevations(const StampedDrive& drive, const SpinningSensor& sensor);
+
 /// 128 beams. Laser numbers are not sorted by elevation. The LiDAR is turned 42.6 degrees
 /// to the right. Poses continue for 40 s after the scans, twice around the yard.
 struct BoreasFolder : StampedFolder {

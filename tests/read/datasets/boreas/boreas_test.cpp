@@ -9,29 +9,10 @@ namespace {
 
 namespace fs = std::filesystem;
 using test::BoreasFolder;
-using test::StampedRay;
 
-void expect_boreas_truth(const BoreasFolder& data, const Log& sequence) {
-    const PoseTrack track = sequence.lidar_track(0);
-    for (const Frame& frame : sequence.frames) {
-        EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
-        EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
-        const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
-        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            if (frame.scan.range_m[i] == 0.0f) continue;
-            const double offset_s = double(frame.scan.rays.time_offset_s[i]);
-            const auto column = std::size_t(std::lround((offset_s / 0.1 + 0.5) * data.drive.columns));
-            const StampedRay& ray = truth.at(column * data.drive.beams.size() + frame.scan.rays.channel[i]);
-            ASSERT_TRUE(ray.returned) << frame.index << " " << i;
-            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
-            // Poses are interpolated linearly between scans. At 8 m/s and 0.3 rad/s the
-            // error is 9 mm at half a scan before the first pose.
-            ASSERT_LT(glm::distance(origin_m, ray.origin_m), 0.01);
-            ASSERT_LT(glm::distance(point_m, ray.point_m), 0.011);
-            ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
-        }
-    }
-}
+// Poses are interpolated linearly between scans. At 8 m/s and 0.3 rad/s the error is 9 mm
+// at half a scan before the first pose.
+constexpr test::StampedTolerance kBoreasTolerance{0.01, 0.011, 0.2f};
 
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
@@ -47,10 +28,8 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(sensor.clockwise);
-    ASSERT_EQ(sensor.beams.size(), 128u);
-    for (std::size_t b = 0; b < 128; ++b)
-        EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
-    expect_boreas_truth(data, sequence);
+    test::expect_elevations(data.drive, sensor);
+    test::expect_truth(data.drive, sequence, kBoreasTolerance);
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {  // x points forward
         const glm::dvec3 ahead = sequence.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
         const glm::dvec3 truth =
@@ -69,7 +48,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
             const Log sequence = data.load();
             EXPECT_THAT(sequence.notes,
                         testing::Contains(test::Names(std::string("angles ... poses ... ") + names[angles])));
-            expect_boreas_truth(data, sequence);
+            test::expect_truth(data.drive, sequence, kBoreasTolerance);
         }
     }
 }
@@ -78,7 +57,7 @@ TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
     const BoreasFolder data("uncalibrated");
     fs::remove(data.calibration());
     const Log sequence = data.load();
-    expect_boreas_truth(data, sequence);
+    test::expect_truth(data.drive, sequence, kBoreasTolerance);
     const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), data.drive.heading_rad, 0.01);
 }

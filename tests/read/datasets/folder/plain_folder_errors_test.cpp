@@ -18,12 +18,6 @@ protected:
     void SetUp() override {
         folder = fs::path(testing::TempDir()) / "relidar_folder_damage";
         fs::remove_all(folder);
-        for (int b = 0; b < 16; ++b)
-            for (int c = 0; c < 90; ++c) {
-                const double e = 0.1 - 0.02 * b, a = kPi - (c + 0.5) * 2.0 * kPi / 90;
-                points.push_back({glm::vec3(20.0 * std::cos(a), 20.0 * std::sin(a), 20.0 * std::tan(e)), 0.2f,
-                                  std::uint16_t(b), 0.0});
-            }
         put("scans/a.pcd", test::make_pcd_binary(points));
         put("scans/b.pcd", test::make_pcd_compressed(points));
         put("sequence.json", head);
@@ -68,7 +62,7 @@ protected:
     const std::string head =
         R"({"format": "relidar log", "version": 1, "rate_hz": 10, "intensity_max": 255, "point_times": "absolute"})";
     fs::path folder;
-    test::FilePoints points;
+    test::FilePoints points = test::make_cylinder(90);
 };
 
 TEST_F(FolderDamage, IsNoneToBeginWith) {

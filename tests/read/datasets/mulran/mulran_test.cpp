@@ -11,29 +11,10 @@ namespace {
 
 namespace fs = std::filesystem;
 using test::MulranFolder;
-using test::StampedRay;
 
-void expect_mulran_truth(const MulranFolder& data, const Log& sequence) {
-    const PoseTrack track = sequence.lidar_track(0);
-    for (const Frame& frame : sequence.frames) {
-        EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
-        EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
-        const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
-        for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
-            if (frame.scan.range_m[i] == 0.0f) continue;
-            const auto column =
-                std::size_t(std::lround((double(frame.scan.rays.time_offset_s[i]) / 0.1 + 0.5) * 1024.0));
-            const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
-            ASSERT_TRUE(ray.returned) << frame.index << " " << i;
-            const auto [origin_m, point_m] = test::place_return(sequence, track, frame, i);
-            // Tolerance: poses are interpolated linearly over 10 ms, and corrections of
-            // rays have single precision.
-            ASSERT_LT(glm::distance(origin_m, ray.origin_m), 0.002);
-            ASSERT_LT(glm::distance(point_m, ray.point_m), 0.003);
-            ASSERT_FLOAT_EQ(frame.scan.intensity[i], 200.0f / 255.0f);
-        }
-    }
-}
+// Poses are interpolated linearly over 10 ms, and corrections of rays have single
+// precision.
+constexpr test::StampedTolerance kMulranTolerance{0.002, 0.003, 200.0f / 255.0f};
 
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
@@ -49,13 +30,11 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const Lidar& lidar = sequence.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
-    ASSERT_EQ(lidar.sensor.beams.size(), 64u);
-    for (std::size_t b = 0; b < 64; ++b)
-        EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
+    test::expect_elevations(data.drive, lidar.sensor);
     const glm::dvec3 ahead = lidar.vehicle_from_sensor.rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x) * 180.0 / kPi, -0.3346, 1e-4) << "looks forward";
     EXPECT_LT(glm::distance(lidar.vehicle_from_sensor.translation, glm::dvec3(1.7042, -0.021, 1.8047)), 1e-9);
-    expect_mulran_truth(data, sequence);
+    test::expect_truth(data.drive, sequence, kMulranTolerance);
 }
 
 TEST(Mulran, PointsRingByRingInTheOtherFolder) {
@@ -64,7 +43,7 @@ TEST(Mulran, PointsRingByRingInTheOtherFolder) {
     fs::rename(data.folder / "Ouster", data.folder / "sensor_data/Ouster");
     const Log sequence = data.load();
     ASSERT_EQ(sequence.frames.size(), 3u);
-    expect_mulran_truth(data, sequence);
+    test::expect_truth(data.drive, sequence, kMulranTolerance);
 }
 
 TEST(Mulran, FramesAndOtherPoses) {

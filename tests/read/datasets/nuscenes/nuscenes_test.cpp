@@ -30,6 +30,12 @@ double measure_distance_to_arc_m(int frame, double fraction) {
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
 }
 
+/// Index of the ray in the file of its sweep. `turned` is the fraction of the turn.
+std::size_t find_ray(const NuscenesFolder& data, const Scan& scan, std::size_t i, double& turned) {
+    turned = 1.0 + double(scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
+    return std::size_t(std::lround(turned * data.columns)) * 32 + 31u - scan.rays.channel[i];
+}
+
 TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     const NuscenesFolder data("rays");
     EXPECT_EQ(detect_kind(data.folder), "nuscenes");
@@ -48,10 +54,9 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
         EXPECT_EQ(frame.scan.count_returns(), n_returns);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-            const double turned = 1.0 + double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
-            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
-                              ring = 31u - frame.scan.rays.channel[i];
-            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            double turned;
+            const NuscenesRay& ray =
+                data.rays[std::size_t(frame.index)][find_ray(data, frame.scan, i, turned)];
             const bool returned = frame.scan.range_m[i] > 0.0f;
             ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
             ASSERT_EQ(returned, ray.returned) << i;
@@ -94,9 +99,8 @@ TEST(Nuscenes, ReadsTheClassesOfLidarseg) {
         const Scan& scan = frame.scan;
         ASSERT_EQ(scan.classes.size(), frame.index % 10 == 0 ? scan.range_m.size() : 0u);
         for (std::size_t i = 0; i < scan.classes.size(); ++i) {
-            const double turned = 1.0 + double(scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s;
-            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
-                              point = column * 32 + 31u - scan.rays.channel[i];
+            double turned;
+            const std::size_t point = find_ray(data, scan, i, turned);
             SurfaceClass expected = SurfaceClass::vehicle;
             if (scan.range_m[i] == 0.0f || point % 3 == 0) expected = SurfaceClass::unknown;
             else if (point % 3 == 1) expected = SurfaceClass::other_actor;
@@ -192,10 +196,9 @@ TEST(Nuscenes, KeyframesAlone) {
     for (const Frame& frame : actual.frames)
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
-            const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
-            const std::size_t column = std::size_t(std::lround(turned * data.columns)),
-                              ring = 31u - frame.scan.rays.channel[i];
-            const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
+            double turned;
+            const NuscenesRay& ray =
+                data.rays[std::size_t(frame.index)][find_ray(data, frame.scan, i, turned)];
             const auto [origin_m, point_m] = test::place_return(actual, track, frame, i);
             // The chord between poses is half a second long, and the LiDAR turns about
             // the axle.
