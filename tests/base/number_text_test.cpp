@@ -12,7 +12,7 @@
 #define TOML_EXCEPTIONS 1
 #include <toml++/toml.h>
 
-#include "../support/comma_locale.hpp"
+#include "support/comma_locale.hpp"
 
 namespace relidar {
 namespace {

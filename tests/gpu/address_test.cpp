@@ -2,7 +2,6 @@
 // The compiler must reject arrays of the wrong type and parameters of the wrong kernel.
 #include <concepts>
 
-#include "../support/device.hpp"
 #include "diff/shared/accel.h"
 #include "diff/shared/backward.h"
 #include "diff/shared/bvh_build.h"
@@ -12,6 +11,7 @@
 #include "diff/shared/refine.h"
 #include "gpu/kernel.hpp"
 #include "gpu/shared/gpu.h"
+#include "support/device.hpp"
 #include "train/shared/train.h"
 
 namespace relidar {

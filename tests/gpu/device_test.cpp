@@ -2,8 +2,8 @@
 #include <numeric>
 
 #include "../base/codecs/temporary_folder.hpp"
-#include "../support/device.hpp"
 #include "gpu/context.hpp"
+#include "support/device.hpp"
 #include "support/names.hpp"
 
 namespace relidar {

@@ -3,9 +3,9 @@
 
 #include <relidar/gpu/out_of_memory.hpp>
 
-#include "../support/device.hpp"
 #include "gpu/buffer.hpp"
 #include "gpu/memory.hpp"
+#include "support/device.hpp"
 #include "support/names.hpp"
 
 namespace relidar {

@@ -5,10 +5,10 @@
 #include <numeric>
 #include <random>
 
-#include "../support/device.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/stream.hpp"
+#include "support/device.hpp"
 
 namespace relidar {
 namespace {

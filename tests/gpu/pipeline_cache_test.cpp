@@ -7,21 +7,17 @@
 
 #include <stdlib.h>
 
-#include "../support/device.hpp"
+#include "../base/codecs/temporary_folder.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
 #include "scene/shared/scene.h"
+#include "support/device.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::string read_contents(const fs::path& path) {
-    std::ifstream file(path, std::ios::binary);
-    return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-}
 
 /// Recomputes the hash (FNV-1a), which follows the magic number and the size.
 std::string update_hash(std::string bytes) {
@@ -32,26 +28,22 @@ std::string update_hash(std::string bytes) {
     return bytes;
 }
 
-void put(const fs::path& path, const std::string& bytes) { std::ofstream(path, std::ios::binary) << bytes; }
-
 class PipelinesOfADevice : public test::DeviceTest {};
 
 class PipelineCacheFile : public test::DeviceTest {
 protected:
-    fs::path folder;
+    const ScratchFolder scratch;
+    const fs::path folder = scratch.path;
 
     void SetUp() override {
         DeviceTest::SetUp();
-        std::string pattern = (fs::temp_directory_path() / "relidar-cache-XXXXXX").string();
-        ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-        folder = pattern;
+        ASSERT_FALSE(folder.empty());
         for (const char* name : kVariables) before_.emplace_back(name, ::getenv(name) ? ::getenv(name) : "");
         ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "made" / "for it").c_str(), 1);
     }
     void TearDown() override {
         for (const auto& [name, value] : before_)
             value.empty() ? ::unsetenv(name) : ::setenv(name, value.c_str(), 1);
-        fs::remove_all(folder);
         DeviceTest::TearDown();
     }
 

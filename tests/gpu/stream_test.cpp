@@ -5,12 +5,12 @@
 #include <stdlib.h>
 
 #include <relidar/base/error.hpp>
-#include "../support/device.hpp"
-#include "../support/work_in_flight.hpp"
 #include "gpu/copy_rate.hpp"
 #include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
+#include "support/device.hpp"
 #include "support/names.hpp"
+#include "support/work_in_flight.hpp"
 
 namespace relidar {
 namespace {

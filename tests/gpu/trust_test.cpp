@@ -4,10 +4,10 @@
 
 #include <relidar/base/error.hpp>
 
-#include "../support/device.hpp"
 #include "gpu/check_device.hpp"
 #include "gpu/kernel.hpp"
 #include "gpu/trust.hpp"
+#include "support/device.hpp"
 #include "support/names.hpp"
 
 namespace relidar {

@@ -7,7 +7,7 @@
 #include <relidar/read/dataset.hpp>
 
 #include "registration/loops.hpp"
-#include "town.hpp"
+#include "street_poses.hpp"
 
 namespace relidar {
 namespace {

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sweeps at the same time form a single scan of the vehicle. A LiDAR that sweeps at other
 // times uses the interpolated poses.
+#include <numeric>
+
 #include <gtest/gtest.h>
 
 #include <relidar/log/checks.hpp>
 #include <relidar/read/clouds.hpp>
 #include <relidar/registration/registration.hpp>
 
-#include "../support/two_lidars.hpp"
 #include "street_poses.hpp"
+#include "support/two_lidars.hpp"
 
 namespace relidar {
 namespace {
@@ -34,10 +36,12 @@ Log make_staggered_street(double off_s) {
     return street;
 }
 
-std::vector<int> all_poses(const Log& street) {
-    std::vector<int> all;
-    for (int k = 0; k < int(street.world_from_vehicle.pose.size()); ++k) all.push_back(k);
-    return all;
+/// Returns the error over all poses, if all scans were registered.
+test::PoseError error_of(const RegistrationResult& result, const Log& street) {
+    EXPECT_TRUE(result.done && result.lost.empty());
+    std::vector<int> all(street.world_from_vehicle.pose.size());
+    std::iota(all.begin(), all.end(), 0);
+    return test::error_of(result.world_from_vehicle, street.world_from_vehicle, all);
 }
 
 TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
@@ -46,11 +50,8 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
     const Split split = split_frames(street, 5);
     for (const PoseTrack& wrong : {test::perturb_track(exact, 0.05, 0.3 * test::kDegree, 1),
                                    test::add_drift(exact, 0.2, 0.3 * test::kDegree)}) {
-        const RegistrationResult registration = register_scans(test::set_poses(street, wrong), split, {});
-        ASSERT_TRUE(registration.done);
-        EXPECT_TRUE(registration.lost.empty());
         const test::PoseError error =
-            test::error_of(registration.world_from_vehicle, exact, all_poses(street));
+            error_of(register_scans(test::set_poses(street, wrong), split, {}), street);
         EXPECT_LT(error.median_m, 0.005);
         EXPECT_LT(error.worst_m, 0.02);
         EXPECT_LT(error.median_deg, 0.02);
@@ -59,15 +60,13 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
 
 TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     Log street = test::make_two_lidar_street(make_two_lidar_options());
-    const PoseTrack exact = street.world_from_vehicle;
     Scan& missed = street.frames[8].scan;
     std::fill(missed.range_m.begin(), missed.range_m.end(), 0.0f);
-    PoseTrack wrong = exact;
+    PoseTrack wrong = street.world_from_vehicle;
     wrong.pose[4].translation += glm::dvec3(0.2, -0.3, 0.1);
-    const RegistrationResult registration =
+    const RegistrationResult result =
         register_scans(test::set_poses(street, wrong), split_frames(street, 0), {});
-    EXPECT_TRUE(registration.lost.empty());
-    EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
+    EXPECT_LT(error_of(result, street).worst_m, 0.02);
 }
 
 /// The times of the rays of the second LiDAR lie between poses of both LiDARs.
@@ -82,12 +81,8 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
             wrong.pose[k] =
                 drift.pose_at(wrong.time_s[k]) * (inverse(sweeps.pose_at(wrong.time_s[k])) * wrong.pose[k]);
-        const RegistrationResult registration =
-            register_scans(test::set_poses(street, wrong), split_frames(street, 5), {});
-        ASSERT_TRUE(registration.done);
-        EXPECT_TRUE(registration.lost.empty());
         const test::PoseError error =
-            test::error_of(registration.world_from_vehicle, exact, all_poses(street));
+            error_of(register_scans(test::set_poses(street, wrong), split_frames(street, 5), {}), street);
         EXPECT_LT(error.median_m, 0.01) << off_s;
         EXPECT_LT(error.worst_m, 0.03) << off_s;
     }
@@ -99,11 +94,8 @@ TEST(SeveralLidars, AreFollowedWithoutPoses) {
     for (Pose& pose : none.pose) pose = {};
     RegistrationOptions blind;
     blind.use_pose_motion = false;
-    const RegistrationResult registration =
-        register_scans(test::set_poses(street, none), split_frames(street, 5), blind);
-    ASSERT_TRUE(registration.done);
     const test::PoseError error =
-        test::error_of(registration.world_from_vehicle, street.world_from_vehicle, all_poses(street));
+        error_of(register_scans(test::set_poses(street, none), split_frames(street, 5), blind), street);
     EXPECT_LT(error.median_m, 0.01);
     EXPECT_LT(error.worst_m, 0.03);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "town.hpp"
+#include "street_poses.hpp"
 
 #include "base/parallel.hpp"
 #include "base/random.hpp"

@@ -12,7 +12,7 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
-#include "../../support/file_size_limit.hpp"
+#include "support/file_size_limit.hpp"
 #include "temporary_folder.hpp"
 
 namespace relidar {

@@ -29,7 +29,7 @@ struct Recorded {
 Recorded read_recorded(const std::string& name) {
     Recorded recorded;
     for (const std::string& line : split_lines(read_text_file(
-             std::string(RELIDAR_SOURCE_DIR) + "/tests/log/readers/bag/packets/nebula/" + name + ".txt"))) {
+             std::string(RELIDAR_SOURCE_DIR) + "/tests/read/packets/nebula/" + name + ".txt"))) {
         std::istringstream words(line);
         std::string kind, hex;
         glm::dvec3 point_m;

@@ -8,9 +8,9 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
-#include "../../../support/rig_street.hpp"
-#include "../../../support/two_lidars.hpp"
 #include "read/datasets/folder/point_log.hpp"
+#include "support/rig_street.hpp"
+#include "support/two_lidars.hpp"
 
 namespace relidar {
 namespace {

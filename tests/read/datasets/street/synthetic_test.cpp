@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/read/dataset.hpp>
 
-#include "../../../support/rig_street.hpp"
 #include "support/logs.hpp"
+#include "support/rig_street.hpp"
 
 namespace relidar {
 namespace {
