@@ -10,7 +10,6 @@
 #include <iterator>
 
 #include <sanitizer/allocator_interface.h>
-#include <unistd.h>
 
 #include <relidar/base/error.hpp>
 

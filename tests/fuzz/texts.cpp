@@ -2,8 +2,6 @@
 // Text files. The harness "toml" builds its text from tokens, so that most are valid.
 #include "harness.hpp"
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/read/dataset.hpp>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A file of another driver, or a damaged one, is ignored without an error.
 #include <cstring>
-#include <fstream>
 #include <iterator>
 #include <thread>
 

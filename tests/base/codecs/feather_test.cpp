@@ -18,6 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 using test::FeatherCodec;
 using test::FeatherColumn;
+using test::make_feather_bytes;
 
 struct Table {
     std::vector<std::int64_t> wide{
@@ -48,8 +49,7 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
     const Table truth;
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         for (const std::size_t rows_a_batch : {0, 3}) {
-            const Feather table("table.feather",
-                                test::make_feather_bytes(truth.columns(), codec, rows_a_batch));
+            const Feather table("table.feather", make_feather_bytes(truth.columns(), codec, rows_a_batch));
             ASSERT_EQ(table.row_count(), 7u);
             EXPECT_EQ(table.read_integers("wide"), truth.wide);
             EXPECT_EQ(table.read_numbers("narrow"), as_double(truth.narrow));
@@ -72,9 +72,8 @@ TEST(Feather, CompressibleColumnsAreBounded) {
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
     const std::vector<FeatherColumn> both{test::make_numbers("zeros", zeros),
                                           test::make_numbers("noise", noise)};
-    EXPECT_EQ(Feather("both", test::make_feather_bytes(both, FeatherCodec::zstd)).read_numbers("zeros"),
-              zeros);
-    const auto nothing_else = test::make_feather_bytes(
+    EXPECT_EQ(Feather("both", make_feather_bytes(both, FeatherCodec::zstd)).read_numbers("zeros"), zeros);
+    const auto nothing_else = make_feather_bytes(
         {test::make_numbers("zeros", std::vector<double>(200000, 0.0))}, FeatherCodec::zstd);
     EXPECT_THROW(Feather("zeros", nothing_else), DataError);
 }
@@ -91,7 +90,7 @@ TEST(Feather, SaysWhatIsWrong) {
         }
     };
     const auto only_open = [](const Feather&) {};
-    const std::string good = test::make_feather_bytes(Table().columns());
+    const std::string good = make_feather_bytes(Table().columns());
     expect("", "0 bytes ... begin ... ARROW1", only_open);
     expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes ... begin ... ARROW1", only_open);
     expect(good.substr(0, good.size() - 1), "end ... ARROW1", only_open);
@@ -104,20 +103,20 @@ TEST(Feather, SaysWhatIsWrong) {
     expect(good, "column 'f64': found numbers", [](const Feather& t) { t.read_texts("f64"); });
     expect(good, "column 'f64' ... integers", [](const Feather& t) { t.read_integers("f64"); });
     const std::string nan =
-        test::make_feather_bytes({test::make_numbers("x", std::vector<double>{1.0, std::nan("")})});
+        make_feather_bytes({test::make_numbers("x", std::vector<double>{1.0, std::nan("")})});
     expect(nan, "column 'x': row 1 is nan ... finite", [](const Feather& t) { t.read_numbers("x"); });
     const std::string large =
-        test::make_feather_bytes({test::make_numbers("x", std::vector<std::uint64_t>{1, 1ull << 63})});
+        make_feather_bytes({test::make_numbers("x", std::vector<std::uint64_t>{1, 1ull << 63})});
     expect(large, "column 'x' ... 9223372036854775808", [](const Feather& t) { t.read_integers("x"); });
 }
 
 TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         const std::string good =
-            test::make_feather_bytes({test::make_numbers("x", std::vector<std::int64_t>(40, 7)),
-                                      test::make_texts("t", std::vector<std::string>(40, "car"), true),
-                                      test::make_texts("u", std::vector<std::string>(40, "bus"))},
-                                     codec);
+            make_feather_bytes({test::make_numbers("x", std::vector<std::int64_t>(40, 7)),
+                                test::make_texts("t", std::vector<std::string>(40, "car"), true),
+                                test::make_texts("u", std::vector<std::string>(40, "bus"))},
+                               codec);
         std::size_t refused = 0;
         for (std::size_t i = 0; i < good.size(); ++i) {
             std::string bad = good;

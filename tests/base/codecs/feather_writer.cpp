@@ -2,7 +2,6 @@
 #include "base/codecs/feather_writer.hpp"
 
 #include <algorithm>
-#include <cstring>
 
 #include <flatbuffers/flatbuffers.h>
 #include <gtest/gtest.h>

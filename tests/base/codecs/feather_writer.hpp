@@ -2,7 +2,6 @@
 // Writes Feather V2 files with the metadata from the flatbuffers builder.
 #pragma once
 
-#include <cstdint>
 #include <string>
 #include <vector>
 

@@ -4,8 +4,6 @@
 
 #include <cmath>
 
-#include <fmt/format.h>
-
 #include <relidar/base/arrays.hpp>
 
 #include "support/sensor_texts.hpp"

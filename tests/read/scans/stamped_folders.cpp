@@ -10,7 +10,6 @@
 #include "read/datasets/street/yard.hpp"
 
 namespace relidar::test {
-namespace fs = std::filesystem;
 namespace {
 
 constexpr double kRevolution_s = 0.1;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/read/dataset.hpp>
 
-#include <cstdlib>
 #include <regex>
 
 #include <fmt/ranges.h>

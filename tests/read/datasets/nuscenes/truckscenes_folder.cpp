@@ -4,7 +4,6 @@
 #include "read/datasets/nuscenes/truckscenes_folder.hpp"
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include "base/random.hpp"
 #include "read/datasets/nuscenes/nuscenes_folder.hpp"

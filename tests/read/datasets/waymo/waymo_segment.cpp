@@ -4,7 +4,6 @@
 
 #include <cstring>
 
-#include <fmt/format.h>
 #include <zlib.h>
 #include <glm/gtc/matrix_transform.hpp>
 #include <protozero/pbf_writer.hpp>
@@ -13,7 +12,6 @@
 #include "read/datasets/kitti/kitti_drive.hpp"
 
 namespace relidar::test {
-namespace fs = std::filesystem;
 namespace {
 
 /// Returns Rz Ry Rx with a translation.
