@@ -46,8 +46,8 @@ TEST_F(AtomicFile, KeepsOldFileWhereTheWriterThrows) {
             throw std::runtime_error("line one\nline two");
         });
     });
-    EXPECT_NE(message.find("a.txt"), std::string::npos) << message;
-    EXPECT_NE(message.find("line one line two"), std::string::npos) << message;
+    EXPECT_THAT(message,
+                testing::AllOf(testing::HasSubstr("a.txt"), testing::HasSubstr("line one line two")));
     EXPECT_EQ(read_contents(folder / "a.txt"), "old");
     EXPECT_EQ(files(), std::vector<std::string>{"a.txt"});
 }
@@ -69,8 +69,8 @@ TEST_F(AtomicFile, RefusesAWriterThatWritesNothing) {
 TEST_F(AtomicFile, NamesAMissingFolder) {
     const std::string message =
         get_data_error_message([&] { write_text_file(folder / "none" / "a.txt", "x"); });
-    EXPECT_NE(message.find("none'"), std::string::npos) << message;
-    EXPECT_NE(message.find("No such file or directory"), std::string::npos) << message;
+    EXPECT_THAT(message,
+                testing::AllOf(testing::HasSubstr("none'"), testing::HasSubstr("No such file or directory")));
     EXPECT_FALSE(fs::exists(folder / "none"));
 }
 
@@ -216,8 +216,8 @@ TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
         SCOPED_TRACE(i);
         const test::FileSizeLimit limit(4096);
         const std::string message = get_data_error_message([&] { writers[i](folder / "full.bin"); });
-        EXPECT_NE(message.find("File too large"), std::string::npos) << message;
-        EXPECT_NE(message.find("full.bin"), std::string::npos) << message;
+        EXPECT_THAT(message,
+                    testing::AllOf(testing::HasSubstr("File too large"), testing::HasSubstr("full.bin")));
         EXPECT_TRUE(files().empty());
     }
 }

@@ -40,14 +40,12 @@ TEST(ChannelList, NumbersAndRowsAgree) {
     std::string bytes;
     append_values(bytes, channels, 1);
     ASSERT_EQ(bytes.size(), 20u);
-    float z, share;
-    std::int32_t label;
-    std::memcpy(&z, &bytes[8], 4);
-    std::memcpy(&label, &bytes[12], 4);
-    std::memcpy(&share, &bytes[16], 4);
-    EXPECT_EQ(z, 6.0f);
-    EXPECT_EQ(label, -8);
-    EXPECT_EQ(share, 0.25f);
+    const struct {
+        float way[3];
+        std::int32_t label;
+        float share;
+    } row{{4.0f, 5.0f, 6.0f}, -8, 0.25f};
+    EXPECT_EQ(std::memcmp(bytes.data(), &row, sizeof row), 0);
 }
 
 TEST(ChannelList, WhatACallerAddsIsChecked) {

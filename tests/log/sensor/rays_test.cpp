@@ -102,15 +102,12 @@ TEST(Rays, OffsetBeamsAreMovedByWholeColumns) {
 }
 
 TEST(Rays, ImpossibleSensorsAreRefused) {
-    SpinningSensor sensor = make_two_beams();
-    sensor.beams.clear();
-    EXPECT_THROW(make_rays(sensor), UsageError);
-    sensor = make_two_beams();
-    sensor.columns = 0;
-    EXPECT_THROW(make_rays(sensor), UsageError);
-    sensor = make_two_beams();
-    sensor.beams[1].origin_up_m = std::numeric_limits<double>::quiet_NaN();
-    EXPECT_THROW(make_rays(sensor), UsageError);
+    SpinningSensor no_beams = make_two_beams(), no_columns = no_beams, no_number = no_beams;
+    no_beams.beams.clear();
+    no_columns.columns = 0;
+    no_number.beams[1].origin_up_m = std::numeric_limits<double>::quiet_NaN();
+    for (const SpinningSensor& sensor : {no_beams, no_columns, no_number})
+        EXPECT_THROW(make_rays(sensor), UsageError);
 }
 
 }  // namespace

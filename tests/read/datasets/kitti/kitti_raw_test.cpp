@@ -68,10 +68,10 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
 
 TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
     const KittiDrive even("even", test::Heads::even), jittered("jittered", test::Heads::jittered);
-    Log log = load_sequence(even.folder.string(), {});
+    Log log = even.load();
     EXPECT_EQ(log.lidars[0].sensor.columns, KittiDrive::kFirings);
     EXPECT_EQ(log.frames[0].scan.count_returns(), even.n_points);
-    log = load_sequence(jittered.folder.string(), {});
+    log = jittered.load();
     EXPECT_NEAR(log.lidars[0].sensor.columns, KittiDrive::kFirings, 15);
     EXPECT_GT(double(log.frames[0].scan.count_returns()), 0.99 * double(jittered.n_points));
 }
@@ -104,13 +104,11 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_THAT(log.conventions, testing::HasSubstr("no time zone"));
     const PoseTrack& track = log.world_from_vehicle;
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
-    EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, kStep_m, 1e-6);
-    EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
+    EXPECT_LT(glm::distance(track.pose[2].translation, track.pose[1].translation + glm::dvec3(kStep_m, 0, 0)),
+              1e-6);
     // The sensor is at -T = (0.8, -0.3, 0.8) in the frame of the car. The car is rotated
     // a quarter turn to the left.
-    EXPECT_NEAR(log.world_offset_m.x - kStep_m, 0.3, 1e-6);
-    EXPECT_NEAR(log.world_offset_m.y, 0.8, 1e-6);
-    EXPECT_NEAR(log.world_offset_m.z, 0.8, 1e-6);
+    EXPECT_LT(glm::distance(log.world_offset_m, glm::dvec3(kStep_m + 0.3, 0.8, 0.8)), 1e-6);
     ASSERT_EQ(log.boxes.size(), 1u);
     const BoxTrack& box = log.boxes[0];
     EXPECT_EQ(box.category, "Van");
@@ -286,7 +284,6 @@ protected:
 
 TEST_F(KittiRawReal, Drive) {
     const Log log = load_sequence(folder, {.frames = {0, 12}});
-    ASSERT_EQ(log.frames.size(), 12u);
     EXPECT_NEAR(log.lidars[0].sensor.columns, 2152, 10);
     EXPECT_NEAR(log.lidars[0].sensor.beams[0].elevation_rad * 180 / kPi, 1.94, 0.02);
     EXPECT_NEAR(log.lidars[0].sensor.beams[63].elevation_rad * 180 / kPi, -25.0, 0.05);
@@ -300,9 +297,7 @@ TEST_F(KittiRawReal, Drive) {
                 elevation_error = std::max<double>(
                     elevation_error, std::abs(scan.rays.direction[i].z - nominal.direction[i].z));
         EXPECT_LT(elevation_error, 5e-4) << "frame " << frame.index;
-        const double returned = double(scan.count_returns()) / double(scan.rays.size());
-        EXPECT_GT(returned, 0.8);
-        EXPECT_LT(returned, 0.95);
+        EXPECT_NEAR(double(scan.count_returns()) / double(scan.rays.size()), 0.875, 0.075);
     }
 }
 

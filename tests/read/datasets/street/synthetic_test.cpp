@@ -122,10 +122,10 @@ TEST(Synthetic, LogAgreesWithTheCastUpToNoiseAndDrops) {
 }
 
 TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
-    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_limits";
+    const test::LogFolder files("relidar_synthetic_limits");
+    const fs::path& folder = files.folder;
     save_street(small(), folder);
-    const Log all = load_sequence(folder.string(), {}),
-              some = load_sequence(folder.string(), {.max_range_m = 20.0, .min_range_m = 5.0});
+    const Log all = files.load(), some = files.load({.max_range_m = 20.0, .min_range_m = 5.0});
     EXPECT_EQ(some.lidars[0].sensor.min_range_m, 5.0);
     EXPECT_EQ(some.lidars[0].sensor.max_range_m, 20.0);
     std::size_t n_below_limit = 0, n_beyond_limit = 0;
@@ -139,14 +139,14 @@ TEST(Synthetic, ReturnsOutsideTheLimitsAreDrops) {
         }
     EXPECT_GT(n_below_limit, 0u);
     EXPECT_GT(n_beyond_limit, 0u);
-    EXPECT_THROW(load_sequence(folder.string(), {.max_range_m = 20.0, .min_range_m = 20.0}), UsageError);
-    fs::remove_all(folder);
+    EXPECT_THROW(files.load({.max_range_m = 20.0, .min_range_m = 20.0}), UsageError);
 }
 
 TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
-    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_poses";
+    const test::LogFolder files("relidar_synthetic_poses");
+    const fs::path& folder = files.folder;
     save_street(small(), folder);
-    const Log exact = load_sequence(folder.string(), {});
+    const Log exact = files.load();
     const fs::path file = folder / "poses.txt";
     {
         std::ofstream out(file);
@@ -160,7 +160,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
                 out << m[0][r] << ' ' << m[1][r] << ' ' << m[2][r] << ' ' << t[r] << (r == 2 ? '\n' : ' ');
         }
     }
-    const Log moved = load_sequence(folder.string(), {.poses_file = file});
+    const Log moved = files.load({.poses_file = file});
     const auto expect_moved = [](const PoseTrack& from, const PoseTrack& to) {
         ASSERT_EQ(from.pose.size(), to.pose.size());
         for (std::size_t k = 0; k < from.pose.size(); ++k)
@@ -172,23 +172,21 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     for (std::size_t b = 0; b < exact.boxes.size(); ++b)
         expect_moved(exact.boxes[b].world_from_box, moved.boxes[b].world_from_box);
     EXPECT_EQ(exact.frames[2].scan.range_m, moved.frames[2].scan.range_m);
-    fs::remove_all(folder);
 }
 
 TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
-    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_sizes";
+    const test::LogFolder files("relidar_synthetic_sizes");
+    const fs::path& folder = files.folder;
     fs::create_directories(folder);
     std::ofstream(folder / "street.toml") << "n_frames = 10000\nrows = 256\ncolumns = 8192\n";
-    EXPECT_THAT(test::find_load_error(folder.string()),
-                Names("street.toml: synthetic street: 10000 frames with 2097152 rays have 2.1e+10 rays"));
-    EXPECT_EQ(load_sequence(folder.string(), {.frames = {0, 1}}).frames.size(), 1u);
+    files.expect_error("street.toml: synthetic street: 10000 frames with 2097152 rays have 2.1e+10 rays");
+    EXPECT_EQ(files.load({.frames = {0, 1}}).frames.size(), 1u);
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     for (const std::string& text : {dots + " = 1\n", "[" + dots + "]\nx = 1\n"}) {
         std::ofstream(folder / "street.toml") << text;
-        EXPECT_THROW(load_sequence(folder.string(), {}), DataError);
+        EXPECT_THROW(files.load(), DataError);
     }
-    fs::remove_all(folder);
 }
 
 StreetOptions make_rig_street() {
@@ -265,12 +263,13 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
 }
 
 TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
-    const fs::path folder = fs::path(testing::TempDir()) / "relidar_synthetic_rig_log";
+    const test::LogFolder files("relidar_synthetic_rig_log");
+    const fs::path& folder = files.folder;
     const StreetOptions options = make_rig_street();
     save_street(options, folder);
     EXPECT_EQ(load_street(folder).rig, options.rig);
-    const Log all = load_sequence(folder.string(), {});
-    const Log two = load_sequence(folder.string(), {.lidars = {"wide", "front"}});
+    const Log all = files.load();
+    const Log two = files.load({.lidars = {"wide", "front"}});
     ASSERT_EQ(two.lidars.size(), 2u);
     EXPECT_EQ(two.lidars[0].name, "front") << "in the order of the log";
     ASSERT_EQ(two.frames.size(), 8u);
@@ -280,7 +279,7 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
     EXPECT_THAT(test::find_load_error(folder.string(), {.lidars = {"top", "roof"}}),
                 Names("lidar ... \"roof\" ... top, front, flower, wide"));
     std::ofstream(folder / "street.toml") << "rig = \"street.toml\"\n";
-    EXPECT_THAT(test::find_load_error(folder.string()), Names("rig"));
+    files.expect_error("rig");
 }
 
 TEST(Synthetic, BeamsOfTwoReturnsNeedADivergence) {
@@ -313,10 +312,11 @@ TEST(Synthetic, BeamsOfOneTableAreCastWithTheirOwnCones) {
 }
 
 TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
-    const fs::path folder = fs::temp_directory_path() / "relidar_synthetic_no_poses";
+    const test::LogFolder files("relidar_synthetic_no_poses");
+    const fs::path& folder = files.folder;
     save_street(small(), folder);
-    const Log exact = load_sequence(folder.string(), {});
-    Log log = load_sequence(folder.string(), {.poses_file = kNoPoses});
+    const Log exact = files.load();
+    Log log = files.load({.poses_file = kNoPoses});
     for (const Pose& pose : log.world_from_vehicle.pose) EXPECT_EQ(pose.translation, glm::dvec3(0.0));
     const glm::dvec3 box_in_vehicle_m =
         inverse(exact.world_from_vehicle.pose[0]) * exact.boxes[0].world_from_box.pose[0].translation;
@@ -325,7 +325,6 @@ TEST(Synthetic, WithoutPosesBoxesStandWhereTheSensorSawThem) {
     EXPECT_LT(glm::distance(log.boxes[0].world_from_box.pose[0].translation,
                             exact.boxes[0].world_from_box.pose[0].translation),
               1e-9);
-    fs::remove_all(folder);
 }
 
 TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
@@ -351,14 +350,15 @@ TEST(Synthetic, BoxesHoldTheReturnsOfTheMovingCars) {
 }
 
 TEST(Synthetic, SavedAndLoadedAgain) {
-    const fs::path folder = fs::path(testing::TempDir()) / "relidar_street";
+    const test::LogFolder files("relidar_street");
+    const fs::path& folder = files.folder;
     StreetOptions options = small();
     options.seed = 99;
     options.speed_mps = 6;
     options.people = options.gait = true;
     save_street(options, folder);
     EXPECT_EQ(detect_kind(folder), "synthetic");
-    EXPECT_THROW(load_sequence(folder.string(), {.sequence = "kd1"}), UsageError) << "a street is one drive";
+    EXPECT_THROW(files.load({.sequence = "kd1"}), UsageError) << "a street is one drive";
     EXPECT_THROW(load_sequence("synthetc:" + folder.string(), {}), UsageError);
     EXPECT_THROW(load_sequence((folder / "none").string(), {}), DataError);
     EXPECT_THROW(load_sequence("synthetic:" + (folder / "none").string(), {}), DataError);
@@ -368,18 +368,19 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     ASSERT_EQ(read.frames.size(), 2u);
     EXPECT_EQ(read.frames[1].index, 2);
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);
-    const Scan original = load_sequence(folder.string(), {}).frames[2].scan;
+    const Scan original = files.load().frames[2].scan;
     EXPECT_EQ(original.range_m, made.frames[2].scan.range_m);
     EXPECT_TRUE(read.rolling_shutter);
     range.rolling_shutter = false;
-    EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter)
+    EXPECT_FALSE(files.load(range).rolling_shutter)
         << "the setting must reach initialisation and training, not rendering alone";
     range.frames = {5, 9};
-    EXPECT_THROW(load_sequence(folder.string(), range), UsageError);
+    EXPECT_THROW(files.load(range), UsageError);
 }
 
 TEST(Synthetic, WrongFilesAreNamed) {
-    const fs::path folder = fs::path(testing::TempDir()) / "relidar_wrong_street";
+    const test::LogFolder files("relidar_wrong_street");
+    const fs::path& folder = files.folder;
     fs::create_directories(folder);
     const auto message = [&](const std::string& text) {
         std::ofstream(folder / "street.toml") << text;
