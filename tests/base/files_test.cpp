@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
+// Error messages for invalid files, folders, texts and names.
 #include "base/files.hpp"
 
 #include <cstdlib>
 
 #include <unistd.h>
 
+#include <relidar/base/error.hpp>
 #include "base/codecs/temporary_folder.hpp"
 #include "base/toml_depth.hpp"
 #include "support/names.hpp"
@@ -101,6 +103,27 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
         "# ........................\na = \"..........\\\"..........\"\nb = '..........'\nc.d.e.f.g.h.i.j = "
         "1.5\n[k]\nl = [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]\n",
         "f.toml"));
+}
+
+const std::vector<std::string> kPresets{"paper", "released", "default", "quick"};
+
+TEST(DidYouMean, NamesWhatIsSpelledAlmostAlike) {
+    EXPECT_THAT(did_you_mean("quik", kPresets), test::Names("quick"));
+    EXPECT_THAT(did_you_mean("PAPR", kPresets, "'"), test::Names("'paper'"));
+    EXPECT_THAT(did_you_mean("trian", {"render", "train"}), test::Names("train"));
+    EXPECT_THAT(did_you_mean("maen", {"sh", "mean"}), test::Names("mean"));
+    EXPECT_THAT(did_you_mean("defualt", kPresets, "\""), test::Names("\"default\""));
+    EXPECT_THAT(did_you_mean("iterations", {"train.iterations", "train.interval"}),
+                test::Names("train.iterations"));
+    EXPECT_THAT(did_you_mean("azimuth_ofset_deg", {"azimuth", "azimuth_offset_deg"}),
+                test::Names("azimuth_offset_deg"));
+}
+
+TEST(DidYouMean, SaysNothingWhereNothingResembles) {
+    EXPECT_EQ(did_you_mean("fast", kPresets), "");
+    EXPECT_EQ(did_you_mean("fast", kPresets, "", ", expected a preset"), ", expected a preset");
+    EXPECT_EQ(did_you_mean("", kPresets), "");
+    EXPECT_EQ(did_you_mean("quick", {}), "");
 }
 
 }  // namespace

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
+// Rays of spinning sensors, measurements of a beam, and range images (Eq. 6-7).
 #include <relidar/log/sensor.hpp>
+
+#include <algorithm>
+#include <cmath>
 
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/math.hpp>
-
 #include "base/geometry/incidence.hpp"
+#include "base/random.hpp"
 
 namespace relidar {
 namespace {
@@ -108,6 +112,89 @@ TEST(Rays, ImpossibleSensorsAreRefused) {
     no_number.beams[1].origin_up_m = std::numeric_limits<double>::quiet_NaN();
     for (const SpinningSensor& sensor : {no_beams, no_columns, no_number})
         EXPECT_THROW(make_rays(sensor), UsageError);
+}
+
+TEST(Beam, MeasuringAndItsInverseArePairs) {
+    Random random(11);
+    for (int i = 0; i < 1000; ++i) {
+        const Beam beam{.intensity_gain = 0.5 + random.sample_uniform(),
+                        .intensity_offset = 0.1 * random.sample_uniform(),
+                        .range_offset_m = 0.2 * random.sample_uniform() - 0.1};
+        const double range = 1.0 + 80.0 * random.sample_uniform(), fall = 0.3 + 0.5 * random.sample_uniform(),
+                     albedo = 0.6 * random.sample_uniform();
+        EXPECT_NEAR(beam.to_surface_range_m(beam.to_measured_range_m(range)), range, 1e-12);
+        EXPECT_NEAR(beam.to_measured_range_m(beam.to_surface_range_m(range)), range, 1e-12);
+        EXPECT_NEAR(beam.to_surface_intensity(beam.to_measured_intensity(albedo, fall), fall), albedo, 1e-12);
+    }
+}
+
+TEST(Beam, CutsWhatItCannotMeasure) {
+    const Beam beam{.intensity_gain = 2.0, .intensity_offset = -0.1, .range_offset_m = -0.5};
+    EXPECT_EQ(beam.to_measured_intensity(0.9, 1.0), 1.0);
+    EXPECT_EQ(beam.to_measured_intensity(0.01, 1.0), 0.0);
+    EXPECT_NEAR(beam.to_measured_intensity(0.3, 0.5), 2.0 * 0.5 * 0.3 - 0.1, 1e-15);
+    EXPECT_EQ(beam.to_measured_range_m(0.2), 0.0);
+    EXPECT_EQ(beam.to_measured_range_m(0.0), 0.0) << "nothing came back";
+    EXPECT_EQ(beam.to_surface_range_m(0.0), 0.0);
+    EXPECT_EQ((Beam{.range_offset_m = 3.0}.to_surface_range_m(1.0)), 1e-3);
+}
+
+TEST(HeadAzimuth, IsTheHeadThatFired) {
+    Random random(12);
+    for (int i = 0; i < 1000; ++i) {
+        const Beam beam{.elevation_rad = random.sample_uniform() - 0.5,
+                        .azimuth_offset_rad = 0.4 * random.sample_uniform() - 0.2,
+                        .origin_offset_m = 0.1 * random.sample_uniform(),
+                        .origin_up_m = 0.3 * random.sample_uniform(),
+                        .origin_left_m = 0.1 * random.sample_uniform() - 0.05};
+        const double head = 2.0 * kPi * (random.sample_uniform() - 0.5),
+                     range = 1.0 + 60.0 * random.sample_uniform();
+        const BeamRay ray = aim_beam(beam, head);
+        EXPECT_NEAR(
+            std::remainder(azimuth_facing_rad(beam, ray.origin_m + range * ray.direction) - head, 2.0 * kPi),
+            0.0, 1e-12);
+    }
+}
+
+TEST(RangeGrid, EveryPixelRayProjectsToItsOwnPixel) {
+    const RangeImageGrid grid = kitti360_grid();
+    const RayTable rays = make_rays(grid);
+    ASSERT_EQ(rays.rows, 66);
+    ASSERT_EQ(rays.columns, 1030);
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        const auto pixel = project_to_pixel(grid, 17.0 * glm::dvec3(rays.direction[i]));
+        ASSERT_TRUE(pixel) << i;
+        ASSERT_EQ(*pixel, int(i));
+    }
+}
+
+TEST(RangeGrid, BinsAreCentredOnTheRays) {
+    const RangeImageGrid grid = kitti360_grid();
+    const auto point = [](double row, double column) {
+        const double el = (2.0 - row * 26.9 / 66) * kPi / 180,
+                     az = (180.0 - column * 360.0 / 1030) * kPi / 180;
+        return 10.0 * glm::dvec3(std::cos(el) * std::cos(az), std::cos(el) * std::sin(az), std::sin(el));
+    };
+    EXPECT_EQ(project_to_pixel(grid, point(3.49, 7.49)), 3 * 1030 + 7);
+    EXPECT_EQ(project_to_pixel(grid, point(3.51, 7.51)), 4 * 1030 + 8);
+    EXPECT_EQ(project_to_pixel(grid, point(0.0, 1029.6)), 0);  // the column wraps
+    EXPECT_EQ(project_to_pixel(grid, point(-0.51, 5)), std::nullopt);
+    EXPECT_EQ(project_to_pixel(grid, point(65.51, 5)), std::nullopt);
+    EXPECT_EQ(project_to_pixel(grid, glm::dvec3(0.0)), std::nullopt);
+    EXPECT_EQ(project_to_pixel(grid, 8.01 * point(3, 3)), std::nullopt);  // a range of 80.1 m
+}
+
+TEST(RangeGrid, NearestPointWinsAPixel) {
+    const RangeImageGrid grid = kitti360_grid();
+    const ProjectedRangeImage image =
+        project_points(grid, {{20, 0, 0}, {10, 0, 0}, {15, 0, 0}, {0, 0, 5}}, {0.1f, 0.2f, 0.3f, 0.4f});
+    const auto at = std::size_t(*project_to_pixel(grid, {10, 0, 0}));
+    EXPECT_EQ(image.source[at], 1);
+    EXPECT_FLOAT_EQ(image.range_m[at], 10.0f);
+    EXPECT_FLOAT_EQ(image.intensity[at], 0.2f);
+    EXPECT_EQ(std::count_if(image.source.begin(), image.source.end(), [](int s) { return s >= 0; }), 1);
+    EXPECT_THROW(project_points(grid, {{1, 0, 0}}, {}), UsageError);
+    EXPECT_THROW(find_grid("kiti360"), UsageError);
 }
 
 }  // namespace

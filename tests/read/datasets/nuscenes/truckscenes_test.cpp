@@ -53,9 +53,7 @@ struct TruckScenesFolder : test::LogFolder {
 
     explicit TruckScenesFolder(const std::string& name);
 
-    fs::path table(const std::string& name) const {
-        return folder / "v1.2-trainval" / (name + ".json");
-    }
+    fs::path table(const std::string& name) const { return folder / "v1.2-trainval" / (name + ".json"); }
     fs::path sweep(const std::string& channel, int number) const;
     /// Times are relative to the first sweep of LIDAR_LEFT.
     static Pose compute_vehicle_pose(double time_s);
@@ -110,20 +108,21 @@ void TruckScenesFolder::write_clouds(Lidar& lidar, double later_s) const {
                     .append(reinterpret_cast<const char*>(&t), sizeof t);
                 ++n;
             }
-        test::write_text(sweep(lidar.channel, s),
-                   fmt::format("# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z "
-                               "intensity timestamp\nSIZE 4 4 4 4 8\n"
-                               "TYPE F F F F U\nCOUNT 1 1 1 1 1\nWIDTH {0}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 "
-                               "0\nPOINTS {0}\nDATA binary\n",
-                               n) +
-                       bytes);
+        test::write_text(
+            sweep(lidar.channel, s),
+            fmt::format("# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z "
+                        "intensity timestamp\nSIZE 4 4 4 4 8\n"
+                        "TYPE F F F F U\nCOUNT 1 1 1 1 1\nWIDTH {0}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 "
+                        "0\nPOINTS {0}\nDATA binary\n",
+                        n) +
+                bytes);
     }
 }
 
 void TruckScenesFolder::write_tables() const {
     test::write_records(table("scene"),
-                  {"\"token\": \"s0\", \"name\": \"scene-0044384af3d8494e913fb8b14915239e-3\"",
-                   "\"token\": \"s1\", \"name\": \"scene-ef1a21a0a9c14c9a9eb1b1a0c2ff1d10-7\""});
+                        {"\"token\": \"s0\", \"name\": \"scene-0044384af3d8494e913fb8b14915239e-3\"",
+                         "\"token\": \"s1\", \"name\": \"scene-ef1a21a0a9c14c9a9eb1b1a0c2ff1d10-7\""});
     std::vector<std::string> samples, mounts;
     std::vector<std::string> sensors = {
         "\"token\": \"radar\", \"channel\": \"RADAR_LEFT_FRONT\", \"modality\": \"radar\""};
