@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fuzzes Feather files, and small logs of datasets in which the input replaces a file.
+#include "harness.hpp"
+
+#include <cstdlib>
+
+#include "base/codecs/feather.hpp"
+#include "changed_files.hpp"
+#include "read/datasets/argoverse2/argoverse2_log.hpp"
+#include "read/datasets/nuscenes/nuscenes_folder.hpp"
+#include "read/scans/stamped_folders.hpp"
+
+namespace relidar::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::vector<std::string> make_feather_seeds(const fs::path&) {
+    const std::vector<std::int64_t> times{315966265259836000, 7, -1};
+    std::vector<std::string> seeds;
+    for (const test::FeatherCodec codec :
+         {test::FeatherCodec::none, test::FeatherCodec::lz4, test::FeatherCodec::zstd})
+        seeds.push_back(test::make_feather_bytes(
+            {test::make_numbers("a", times), test::make_halves("b", {1.0f, -2.0f, 3.0f}),
+             test::make_texts("c", {"up_lidar", "", "x"}), test::make_texts("d", {"y", "y", "z"}, true)},
+            codec, 2));
+    return seeds;
+}
+
+void read_feather(std::string_view input, const fs::path&) {
+    const Feather table("input", std::string(input));
+    std::string failure;
+    for (const char* column : {"a", "b", "c", "d"}) {
+        for (const int as : {0, 1, 2}) {
+            try {
+                if (as == 0) table.read_numbers(column);
+                if (as == 1) table.read_integers(column);
+                if (as == 2) table.read_texts(column);
+            } catch (const DataError& error) {
+                failure = error.what();  // only the last failure is reported
+            }
+        }
+    }
+    if (!failure.empty()) throw DataError(failure);
+}
+
+/// A small log of a dataset. LogFolder creates it in the folder TEST_TMPDIR.
+struct Argoverse2 {
+    test::Argoverse2Log log{"fuzz", {.sweeps = 2, .firings = 3, .codec = test::FeatherCodec::none}};
+    ChangedFiles files{{log.sweep(0), log.sweep(1), log.file("annotations.feather"),
+                        log.file("city_SE3_egovehicle.feather"),
+                        log.file("calibration/egovehicle_SE3_sensor.feather")}};
+    void load() const { load_sequence("argoverse2:" + log.folder.string(), {}); }
+};
+
+struct Nuscenes {
+    test::NuscenesFolder log{"fuzz", 6};
+    ChangedFiles files{{log.table("scene"), log.table("sample"), log.table("sensor"),
+                        log.table("calibrated_sensor"), log.table("sample_data"), log.table("ego_pose"),
+                        log.table("sample_annotation"), log.table("instance"), log.table("category"),
+                        log.sweep(0), log.sweep(4)}};
+    void load() const { load_sequence("nuscenes:" + log.folder.string(), {.sequence = "scene-0103"}); }
+};
+
+struct Boreas {
+    test::BoreasFolder log{"fuzz", 0, 40};
+    ChangedFiles files{{log.poses(), log.calibration(), log.scan(1)}};
+    void load() const { load_sequence("boreas:" + log.folder.string(), {}); }
+};
+
+struct Mulran {
+    test::MulranFolder log{"fuzz"};
+    ChangedFiles files{{log.poses()}};
+    // only two frames, because a scan has 65536 points
+    void load() const { load_sequence("mulran:" + log.folder.string(), {.frames = {1, 2}}); }
+};
+
+struct Once {
+    test::OnceFolder log{"fuzz", false, 60};
+    ChangedFiles files{{log.json(), log.scan(1)}};
+    void load() const { load_sequence("once:" + log.folder.string(), {}); }
+};
+
+template <class Dataset>
+const Dataset& dataset_in(const fs::path& folder) {
+    ::setenv("TEST_TMPDIR", folder.c_str(), 1);
+    static const Dataset dataset;
+    return dataset;
+}
+
+template <class Dataset>
+Harness make_harness(const char* name) {
+    return {name, [](const fs::path& folder) { return dataset_in<Dataset>(folder).files.make_seeds_of_one(); },
+            [](std::string_view input, const fs::path& folder) {
+                const Dataset& dataset = dataset_in<Dataset>(folder);
+                dataset.files.read_one(input, [&] { dataset.load(); });
+            }};
+}
+
+}  // namespace
+
+std::vector<Harness> list_dataset_harnesses() {
+    return {{"feather", make_feather_seeds, read_feather, false},
+            make_harness<Argoverse2>("argoverse2"),
+            make_harness<Nuscenes>("nuscenes"),
+            make_harness<Boreas>("boreas"),
+            make_harness<Mulran>("mulran"),
+            make_harness<Once>("once")};
+}
+
+}  // namespace relidar::fuzz
