@@ -90,7 +90,8 @@ const Dataset& dataset_in(const fs::path& folder) {
 
 template <class Dataset>
 Harness make_harness(const char* name) {
-    return {name, [](const fs::path& folder) { return dataset_in<Dataset>(folder).files.make_seeds_of_one(); },
+    return {name,
+            [](const fs::path& folder) { return dataset_in<Dataset>(folder).files.make_seeds_of_one(); },
             [](std::string_view input, const fs::path& folder) {
                 const Dataset& dataset = dataset_in<Dataset>(folder);
                 dataset.files.read_one(input, [&] { dataset.load(); });

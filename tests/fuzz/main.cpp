@@ -37,10 +37,9 @@ void on_free(const volatile void* bytes) {
 
 std::vector<Harness> list_all_harnesses() {
     std::vector<Harness> all = list_array_harnesses();
-    for (const auto& more :
-         {list_text_harnesses(), list_drive_harnesses(), list_dataset_harnesses(), list_folder_harnesses(),
-          list_sensor_harnesses(),
-          list_waymo_harnesses(), run_harnesses(), list_request_harnesses(), list_bag_harnesses()})
+    for (const auto& more : {list_text_harnesses(), list_drive_harnesses(), list_dataset_harnesses(),
+                             list_folder_harnesses(), list_sensor_harnesses(), list_waymo_harnesses(),
+                             run_harnesses(), list_request_harnesses(), list_bag_harnesses()})
         all.insert(all.end(), more.begin(), more.end());
     return all;
 }

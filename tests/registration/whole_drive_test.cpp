@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// From exact poses, from poses with drift and jumps, and without poses. Odometry divides
-// the 400 sweeps into two sections.
+// Registers a drive around a block: 400 sweeps, which odometry divides into two sections.
+// Also detects roads that are driven again.
 #include <gtest/gtest.h>
 
+#include <relidar/read/dataset.hpp>
 #include <relidar/registration/registration.hpp>
-
+#include "registration/loops.hpp"
 #include "street_poses.hpp"
 
 namespace relidar {
@@ -60,6 +61,62 @@ TEST_F(WholeDrive, NeedsNoPoses) {
     const std::vector<int> train = split_frames(drive(), 10).train;
     EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(train[train.size() / 2])].translation,
               glm::dvec3(0.0));
+}
+
+LoopClosureResult close(const PoseTrack& track, const SubsampledScans& scans) {
+    return close_loops(track, scans, {2.0, 0.5}, {0.5, 0.1}, [](double) { return true; });
+}
+
+SubsampledScans thin(const Log& log) {
+    RegistrationOptions movers;
+    movers.movers = log.boxes;
+    return thin_sweeps(log, group_sweeps(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
+}
+
+PoseTrack bend_track(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
+    PoseTrack track = exact;
+    for (std::size_t k = 1; k < track.pose.size(); ++k) {
+        Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
+        const double length = glm::length(step.translation);
+        step.rotation = step.rotation * glm::angleAxis(yaw_rad_per_m * length, glm::dvec3(0, 0, 1)) *
+                        glm::angleAxis(pitch_rad_per_m * length, glm::dvec3(0, 1, 0));
+        track.pose[k] = track.pose[k - 1] * step;
+    }
+    return track;
+}
+
+double gap_m(const PoseTrack& track, const PoseTrack& exact) {
+    return glm::distance((inverse(track.pose.front()) * track.pose.back()).translation,
+                         (inverse(exact.pose.front()) * exact.pose.back()).translation);
+}
+
+TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
+    const Log drive = test::drive_around_block(300);
+    const PoseTrack& exact = drive.world_from_vehicle;
+    const PoseTrack drifted = bend_track(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
+    EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
+    const LoopClosureResult closed = close(drifted, thin(drive));
+    EXPECT_GE(closed.n_closures, 2u);
+    EXPECT_GT(closed.largest_m, 2.0);
+    EXPECT_LT(gap_m(closed.track, exact), 0.1);
+    for (std::size_t k = 1; k < exact.pose.size(); ++k) {  // no jumps between neighbouring poses
+        const Pose step = inverse(closed.track.pose[k - 1]) * closed.track.pose[k],
+                   was = inverse(exact.pose[k - 1]) * exact.pose[k];
+        EXPECT_LT(glm::distance(step.translation, was.translation), 0.03) << "at " << k;
+    }
+}
+
+TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
+    const Log log = make_street_log({.n_frames = 160, .rows = 32, .columns = 256});
+    const auto scans = thin(log);
+    const PoseTrack& exact = log.world_from_vehicle;
+    EXPECT_EQ(close(exact, scans).n_closures, 0u);
+    // Poses turn the street into a circle, but the scans at its ends differ.
+    const PoseTrack circle = bend_track(exact, 2.0 * kPi / 120.0, 0.0);
+    const LoopClosureResult closed = close(circle, scans);
+    EXPECT_EQ(closed.n_closures, 0u) << "up to " << closed.largest_m << " m";
+    for (std::size_t k = 0; k < exact.pose.size(); ++k)
+        ASSERT_EQ(closed.track.pose[k].translation, circle.pose[k].translation);
 }
 
 }  // namespace
