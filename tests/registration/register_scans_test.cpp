@@ -2,8 +2,8 @@
 // Compares poses of the synthetic street with the exact poses. Sweeps of several LiDARs
 // at the same time form a single scan. A LiDAR that sweeps at other times uses the
 // interpolated poses.
-#include <random>
 #include <numeric>
+#include <random>
 
 #include <gtest/gtest.h>
 
