@@ -13,7 +13,7 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
         if (model == ranges.size()) {
             ranges.push_back(p);
             result.scene.models.push_back({"model " + std::to_string(model),
-                                           static_cast<std::uint32_t>(result.original.size()), p.count});
+                                           std::uint32_t(result.original.size()), p.count});
             for (std::uint32_t i = 0; i < p.count; ++i) result.original.push_back(p.first + i);
         }
         result.scene.instances.push_back({model, ""});

@@ -84,7 +84,7 @@ std::vector<float> street_distances(const StreetScanSetup& street_scan,
             }
         }
         probes.rows = 1;
-        probes.columns = static_cast<int>(probe_targets.size());
+        probes.columns = int(probe_targets.size());
         const Scan around =
             cast_street_rays(street_scan.street, probes, street_scan.world_from_sensor, street_scan.time_s);
         for (std::size_t j = 0; j < probe_targets.size(); ++j) {
@@ -173,6 +173,6 @@ int main(int argc, char** argv) {
         print_air_table(folder, device);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_air: {}\n", error.what());
-        return static_cast<int>(error.code());
+        return int(error.code());
     }
 }

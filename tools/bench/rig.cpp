@@ -221,6 +221,6 @@ int main(int argc, char** argv) {
         print_rig_scores(folder, device, aside_m, others);
     } catch (const Error& error) {
         fmt::print(stderr, "relidar_bench_rig: {}\n", error.what());
-        return static_cast<int>(error.code());
+        return int(error.code());
     }
 }

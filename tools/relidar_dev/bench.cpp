@@ -51,10 +51,10 @@ constexpr int kMaxActors = 1000;
 std::vector<int> parse_counts(const std::string& list) {
     std::vector<int> counts;
     for (const double n : parse_list("--actors", list)) {
-        if (!(n >= 1.0 && n <= kMaxActors) || n != static_cast<int>(n))
+        if (!(n >= 1.0 && n <= kMaxActors) || n != int(n))
             fail<UsageError>("--actors: found {} in \"{}\", expected whole numbers from 1 to {}", n, list,
                              kMaxActors);
-        counts.push_back(static_cast<int>(n));
+        counts.push_back(int(n));
     }
     return counts;
 }

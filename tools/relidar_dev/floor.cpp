@@ -37,7 +37,7 @@ double refit_bytes(Sizes s) {
 /// writes both. Then the build writes the binary tree, reads its topology, and writes the
 /// leaf order and the wide nodes.
 double build_bytes(Sizes s) {
-    const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
+    const double bits = 39 + std::bit_width(std::uint64_t(s.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kSortKeyBytes + 2 * kIndexBytes);
     const double tree = kBoxBytes + kSortKeyBytes + kIndexBytes +
                         (kSortKeyBytes + kBoxBytes + 28 + kIndexBytes) + (kSortKeyBytes + kIndexBytes);
@@ -106,7 +106,7 @@ constexpr KernelTraffic kFloorRows[] = {
     {"backward/sort", When::gather,
      [](Sizes s) {
          // number of 8-bit digits that n_surfels different keys need
-         const double n_digits = std::ceil(std::bit_width(static_cast<std::uint64_t>(s.n_surfels)) / 8.0);
+         const double n_digits = std::ceil(std::bit_width(std::uint64_t(s.n_surfels)) / 8.0);
          return s.n_hits * n_digits * (kRowIndexBytes + 2 * (kRowIndexBytes + kIndexBytes));
      }},
     {"diff/backward/gather", When::gather,

@@ -62,18 +62,18 @@ std::string row_name(const std::string& kernel_name, const std::string& phase_na
 RendererOptions forward_options(const DevCase& bench_case) {
     return {.accel = accel_options(bench_case),
             .trace = trace_options(bench_case),
-            .n_rays = static_cast<std::uint32_t>(bench_case.rays.size())};
+            .n_rays = std::uint32_t(bench_case.rays.size())};
 }
 
 /// Returns how many hits per ray would be stored at the end of a training. Training
 /// increases this number until only few rays have more hits.
 std::uint32_t predict_hits(const DevCase& bench_case,
                            const std::vector<std::uint32_t>& measured_hits_per_ray) {
-    auto keep = static_cast<std::uint32_t>(bench_case.config.trace.keep_hits);
+    auto keep = std::uint32_t(bench_case.config.trace.keep_hits);
     while (bench_case.keeps_more_hits) {
         const auto n_overfull = std::count_if(measured_hits_per_ray.begin(), measured_hits_per_ray.end(),
                                               [&](std::uint32_t count) { return count > keep; });
-        const std::uint32_t more = grow_stored_hits(keep, static_cast<std::uint64_t>(n_overfull));
+        const std::uint32_t more = grow_stored_hits(keep, std::uint64_t(n_overfull));
         if (more == keep) break;
         keep = more;
     }
@@ -114,7 +114,7 @@ public:
         image_->stream().submit_and_wait();
         const RenderedRayValues rendering = to_ray_values(image_->last_batch().rendered->download());
         const std::uint32_t keep = includes_training ? predict_hits(case_, rendering.hits) : 0,
-                            chunk = static_cast<std::uint32_t>(case_.config.trace.chunk);
+                            chunk = std::uint32_t(case_.config.trace.chunk);
         for (const std::uint32_t hits : rendering.hits) {
             sizes_.n_hits += hits;
             sizes_.n_hits_written += std::min(hits, keep);
@@ -197,8 +197,8 @@ private:
         return {&rays_,
                 0,
                 1,
-                static_cast<std::uint32_t>(rays_.size()),
-                static_cast<std::uint32_t>(case_.columns),
+                std::uint32_t(rays_.size()),
+                std::uint32_t(case_.columns),
                 training_ ? &training_->targets : nullptr};
     }
 
@@ -246,14 +246,14 @@ BenchResult BenchRunner::bench_result() {
     result.proxy = r.accel().proxy_shape() == ProxyShape::boxes ? "boxes" : "triangles";
     result.kernels = percentile_rows(kernels_, {std::begin(kRowOrder), std::end(kRowOrder)});
     result.phases = percentile_rows(phases_, {"rebuild", "iteration", "iteration_wall", "move"});
-    const double krays = static_cast<double>(rays_.size()) / 1000.0;
+    const double krays = double(rays_.size()) / 1000.0;
     double forward_ms = 0.0;
     for (const KernelBenchTime& row : result.kernels) {
         if (row.name.starts_with("diff/forward/")) forward_ms += row.ms.median;
         if (row.name == "diff/backward/trace") result.backward_mrays_per_s = krays / row.ms.median;
     }
     result.forward_mrays_per_s = krays / forward_ms;
-    result.hits_per_ray = sizes_.n_hits / static_cast<double>(rays_.size());
+    result.hits_per_ray = sizes_.n_hits / double(rays_.size());
     result.stored_hits_per_ray = r.stored_hits_per_ray();
     result.memory = memory_;
     result.memory.rays =
@@ -269,8 +269,8 @@ BenchResult BenchRunner::bench_result() {
 MemoryTrafficSizes BenchRunner::traffic_sizes(const BenchResult& result) {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();
-    s.n_models = static_cast<double>(case_.scene.models.size());
-    s.n_rays = static_cast<double>(rays_.size());
+    s.n_models = double(case_.scene.models.size());
+    s.n_rays = double(rays_.size());
     s.n_sh = (case_.config.image.sh_degree + 1) * (case_.config.image.sh_degree + 1);
     s.sh_per_surfel = case_.config.image.sh_direction == ShDirection::surfel;
     s.training = training_ != nullptr;
@@ -299,10 +299,10 @@ double ms_since(Clock::time_point start) {
 TimePercentiles percentiles_of(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());
     const auto at = [&](double share) {
-        const double sample_position = share * static_cast<double>(samples.size() - 1);
-        const auto low = static_cast<std::size_t>(sample_position),
+        const double sample_position = share * double(samples.size() - 1);
+        const auto low = std::size_t(sample_position),
                    high = std::min(low + 1, samples.size() - 1);
-        return std::lerp(samples[low], samples[high], sample_position - static_cast<double>(low));
+        return std::lerp(samples[low], samples[high], sample_position - double(low));
     };
     return {at(0.1), at(0.5), at(0.9)};
 }
@@ -326,8 +326,8 @@ BenchResult run_benchmark(Device& device, const DevCase& bench_case, const Bench
     for (int i = 0; i < settings.repeat; ++i) {
         check_interrupt();
         repeat();
-        progress.show_step("repetition", static_cast<std::size_t>(i) + 1,
-                           static_cast<std::size_t>(settings.repeat));
+        progress.show_step("repetition", std::size_t(i) + 1,
+                           std::size_t(settings.repeat));
     }
     BenchResult result = bench.bench_result();
     result.device_clock = device_clock;

@@ -49,7 +49,7 @@ std::string summation_method(const BenchResult& result) {
 std::uint64_t total_bytes(const BenchMemory& memory) { return memory.scene + memory.accel + memory.training; }
 
 double bytes_per_item(std::uint64_t n_bytes, std::size_t count) {
-    return static_cast<double>(n_bytes) / static_cast<double>(std::max<std::size_t>(count, 1));
+    return double(n_bytes) / double(std::max<std::size_t>(count, 1));
 }
 
 std::string format_memory(const BenchMemory& memory, std::size_t n_surfels, std::size_t n_rays) {

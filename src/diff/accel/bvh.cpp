@@ -22,8 +22,10 @@ static_assert(sizeof(shared::BvhNode) == 80);
 
 namespace {
 
+using enum SpecialisationConstantId;
+
 constexpr std::uint32_t kWorkgroupSize = RELIDAR_BVH_WORKGROUP;
-constexpr SpecialisationConstant kWorkgroupConstant{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroupSize};
+constexpr SpecialisationConstant kWorkgroupConstant{WORKGROUP_SIZE, kWorkgroupSize};
 
 // Number of threads that refit a tree on a CPU. Each of the n threads processes every
 // n-th node, so that all cores have about the same amount of work.
@@ -46,7 +48,7 @@ std::uint32_t subgroup_size(const Device& device) {
     if (!info.software)
         fail<DeviceError>("cannot trace rays in software on {}: the device lacks {}", info.name,
                           info.why_not_software);
-    return static_cast<std::uint32_t>(info.subgroup_size);
+    return std::uint32_t(info.subgroup_size);
 }
 
 std::vector<std::uint32_t> instance_models(const DeviceScene& scene) {
@@ -78,43 +80,78 @@ constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDeman
 constexpr std::uint32_t kOffsetsAt = kKeysAt, kWideNodeIndicesAt = kBoxesAt, kSlotsAt = kBoxesAt + 1;
 
 struct Bvh::Impl {
-    std::uint32_t n, n_models, n_instances, bound, n_refitting;
-    Kernel<shared::ProxyParams> proxies;
-    Kernel<shared::BvhBoundsParams> bounds_kernel;
-    Kernel<shared::BvhKeysParams> keys_kernel;
-    RadixSort sort;
-    Kernel<shared::BvhClusterParams> cluster;
-    Kernel<shared::BvhWideParams> wide_mark, wide_mark_rest, wide_count, wide_scan, wide_place, wide_emit;
-    Kernel<shared::BvhRefitParams> refit_kernel;
-    Kernel<shared::BvhTopParams> top;
-    Kernel<shared::BvhCostParams> cost_kernel;
-    Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
-    Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
-    Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    Array<std::uint32_t> scratch;
-    Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide nodes
-    Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< number of queue entries per level
-    Array<glm::uvec2, shared::SumsOfTiles> tiles;
-    Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
-    Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
+    Device& device;
+    std::uint32_t n, n_models, n_instances;
+    PrimitiveType primitive;
+    std::uint32_t bound = max_node_count(n, n_models);  ///< maximum number of nodes
+    std::uint32_t n_refitting = should_coalesce(device)
+                                    ? RELIDAR_BVH_WIDTH * bound
+                                    : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu);
+    Kernel<shared::ProxyParams> proxies{
+        device, "diff/accel/proxies", {{BOXES, 2u}, {PRIMITIVE, std::uint32_t(primitive)}}};
+    Kernel<shared::BvhBoundsParams> bounds_kernel{
+        device, "diff/accel/bvh_bounds", {kWorkgroupConstant}, SubgroupRequirement::full};
+    Kernel<shared::BvhKeysParams> keys_kernel{device, "diff/accel/bvh_keys"};
+    RadixSort sort{device, n, 2};
+    Kernel<shared::BvhClusterParams> cluster{device,
+                                             "diff/accel/bvh_cluster",
+                                             {{WORKGROUP_SIZE, subgroup_size(device)}},
+                                             SubgroupRequirement::full};
+    Kernel<shared::BvhWideParams> wide_mark{device, "diff/accel/bvh_wide_mark"};
+    Kernel<shared::BvhWideParams> wide_mark_rest{
+        device, "diff/accel/bvh_wide_mark", {kWorkgroupConstant, {UNTIL_DONE, 1u}}};
+    Kernel<shared::BvhWideParams> wide_count{
+        device, "diff/accel/bvh_wide_count", {kWorkgroupConstant}, SubgroupRequirement::full};
+    Kernel<shared::BvhWideParams> wide_scan{
+        device, "diff/accel/bvh_wide_scan", {kWorkgroupConstant}, SubgroupRequirement::full};
+    Kernel<shared::BvhWideParams> wide_place{device, "diff/accel/bvh_wide_place"};
+    Kernel<shared::BvhWideParams> wide_emit{device, "diff/accel/bvh_wide_emit"};
+    Kernel<shared::BvhRefitParams> refit_kernel{
+        device, "diff/accel/bvh_refit", {{LANES, subgroup_size(device)}}, SubgroupRequirement::full};
+    Kernel<shared::BvhTopParams> top{
+        device, "diff/accel/bvh_top", {kWorkgroupConstant}, SubgroupRequirement::full};
+    Kernel<shared::BvhCostParams> cost_kernel{
+        device, "diff/accel/bvh_cost", {kWorkgroupConstant}, SubgroupRequirement::full};
+    Array<std::uint32_t, shared::InstanceModels> model_of;
+    Array<float, shared::SurfelBoxes> boxes{device, 6 * std::size_t(n), "surfel boxes"};
+    /// [n_models,6] bounds of the box centres
+    Array<std::uint32_t, shared::ModelBounds> bounds{device, 6 * std::size_t(n_models), "model bounds"};
+    Array<std::uint32_t> scratch{device,
+                                 std::max(kScratchWords* std::size_t(round_up_4(n)),
+                                          kSlotsAt* std::size_t(round_up_4(n)) + 8 * std::size_t(bound)),
+                                 "acceleration structure scratch"};
+    /// binary nodes that become wide nodes
+    Array<std::uint32_t, shared::BinaryRoots> queue{device, bound, "collapse queue"};
+    /// number of queue entries per level
+    Array<std::uint32_t, shared::LevelSizes> level_sizes{device, max_levels() + 1, "collapse levels"};
+    Array<glm::uvec2, shared::SumsOfTiles> tiles{device, surfel_tiles(n), "collapse sums"};
+    Array<shared::BvhNode> nodes{device, bound, "wide nodes"};
+    Array<std::uint32_t, shared::LeafOrder> order{device, n, "surfels in leaf order"};
     /// [bound] two indices per node: its parent, and the first surfel of the model that
-    /// contains the node. `bound` is the maximum number of nodes.
-    Array<glm::uvec2, shared::WideLinks> links;
-    Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
+    /// contains the node
+    Array<glm::uvec2, shared::WideLinks> links{device, bound, "wide node links"};
+    /// [bound,6] boxes of the nodes before quantisation
+    Array<float, shared::WideBoxes> node_boxes{device, 6 * std::size_t(bound), "wide node boxes"};
     /// [bound] number of children whose boxes are finished
-    Array<std::uint32_t, shared::Arrivals> arrivals;
-    Array<std::uint32_t, shared::WideCount> count;  ///< [1] number of nodes in use
+    Array<std::uint32_t, shared::Arrivals> arrivals{device, bound, "wide node arrivals"};
+    Array<std::uint32_t, shared::WideCount> count{device, 1, "wide node count"};  ///< number of nodes in use
     /// [n_instances] root node of each instance's model
-    Array<std::uint32_t, shared::InstanceRoots> roots;
-    /// [n_instances] instances in the order of the leaves
-    Array<std::uint32_t, shared::TopOrder> top_order;
-    Array<shared::BvhNode> top_node_array;
-    Array<float, shared::InstanceBoxes> top_boxes;
-    Array<glm::uvec2> top_keys;
-    Array<float, shared::CostSums> cost_sums;  ///< sums of accel/bvh_cost, one per workgroup
-    ReadbackBuffer costs;
+    Array<std::uint32_t, shared::InstanceRoots> roots{device, n_instances, "instance roots"};
+    Array<std::uint32_t, shared::TopOrder> top_order{device, n_instances, "instances in leaf order"};
+    Array<shared::BvhNode> top_node_array{device, count_top_nodes(n_instances), "top nodes"};
+    Array<float, shared::InstanceBoxes> top_boxes{
+        device, 6 * (std::size_t(n_instances) + count_top_nodes(n_instances)), "instance boxes"};
+    Array<glm::uvec2> top_keys{device, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"};
+    Array<float, shared::CostSums> cost_sums{device, count_workgroups(bound), "cost sums"};
+    ReadbackBuffer costs{device, count_workgroups(bound) * sizeof(float), "cost sums"};
 
-    Impl(Device& device, const DeviceScene& scene);
+    Impl(Device& d, const DeviceScene& scene)
+        : device(d),
+          n(scene.size()),
+          n_models(std::uint32_t(scene.layout().models.size())),
+          n_instances(std::uint32_t(scene.layout().instances.size())),
+          primitive(scene.primitive()),
+          model_of(d, instance_models(scene), "models of the instances") {}
     shared::BvhBinary binary_bvh() const;
     shared::BvhWide wide_bvh() const;
     template <class T, class Meaning>
@@ -128,64 +165,12 @@ struct Bvh::Impl {
     std::uint32_t max_levels() const;
     void collapse_tree(Stream& stream, const DeviceScene& scene);
     std::uint32_t n_key_bits() const {
-        return 3 * RELIDAR_BVH_MORTON_BITS +
-               static_cast<std::uint32_t>(std::bit_width(std::max(n_models, 1u) - 1));
+        return 3 * RELIDAR_BVH_MORTON_BITS + std::uint32_t(std::bit_width(std::max(n_models, 1u) - 1));
     }
-    void compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                       const SurfelRange& range);
+    void compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range);
     SortBuffers sort_surfels(Stream& stream, const DeviceScene& scene);
     void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
 };
-
-Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
-    : n(scene.size()),
-      n_models(static_cast<std::uint32_t>(scene.layout().models.size())),
-      n_instances(static_cast<std::uint32_t>(scene.layout().instances.size())),
-      bound(max_node_count(n, n_models)),
-      n_refitting(should_coalesce(d) ? RELIDAR_BVH_WIDTH * bound
-                                     : std::min(RELIDAR_BVH_WIDTH * bound, kRefitThreadsOfCpu)),
-      proxies(d, "diff/accel/proxies",
-              {{SpecialisationConstantId::BOXES, 2u},
-               {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(scene.primitive())}}),
-      bounds_kernel(d, "diff/accel/bvh_bounds", {kWorkgroupConstant}, SubgroupRequirement::full),
-      keys_kernel(d, "diff/accel/bvh_keys"),
-      sort(d, n, 2),
-      cluster(d, "diff/accel/bvh_cluster", {{SpecialisationConstantId::WORKGROUP_SIZE, subgroup_size(d)}},
-              SubgroupRequirement::full),
-      wide_mark(d, "diff/accel/bvh_wide_mark"),
-      wide_mark_rest(d, "diff/accel/bvh_wide_mark",
-                     {kWorkgroupConstant, {SpecialisationConstantId::UNTIL_DONE, 1u}}),
-      wide_count(d, "diff/accel/bvh_wide_count", {kWorkgroupConstant}, SubgroupRequirement::full),
-      wide_scan(d, "diff/accel/bvh_wide_scan", {kWorkgroupConstant}, SubgroupRequirement::full),
-      wide_place(d, "diff/accel/bvh_wide_place"),
-      wide_emit(d, "diff/accel/bvh_wide_emit"),
-      refit_kernel(d, "diff/accel/bvh_refit", {{SpecialisationConstantId::LANES, subgroup_size(d)}},
-                   SubgroupRequirement::full),
-      top(d, "diff/accel/bvh_top", {kWorkgroupConstant}, SubgroupRequirement::full),
-      cost_kernel(d, "diff/accel/bvh_cost", {kWorkgroupConstant}, SubgroupRequirement::full),
-      model_of(d, instance_models(scene), "models of the instances"),
-      boxes(d, 6 * std::size_t(n), "surfel boxes"),
-      bounds(d, 6 * std::size_t(n_models), "model bounds"),
-      scratch(d,
-              std::max(kScratchWords * std::size_t(round_up_4(n)),
-                       kSlotsAt * std::size_t(round_up_4(n)) + 8 * std::size_t(bound)),
-              "acceleration structure scratch"),
-      queue(d, bound, "collapse queue"),
-      level_sizes(d, max_levels() + 1, "collapse levels"),
-      tiles(d, surfel_tiles(n), "collapse sums"),
-      nodes(d, bound, "wide nodes"),
-      order(d, n, "surfels in leaf order"),
-      links(d, bound, "wide node links"),
-      node_boxes(d, 6 * std::size_t(bound), "wide node boxes"),
-      arrivals(d, bound, "wide node arrivals"),
-      count(d, 1, "wide node count"),
-      roots(d, n_instances, "instance roots"),
-      top_order(d, n_instances, "instances in leaf order"),
-      top_node_array(d, count_top_nodes(n_instances), "top nodes"),
-      top_boxes(d, 6 * (std::size_t(n_instances) + count_top_nodes(n_instances)), "instance boxes"),
-      top_keys(d, std::bit_ceil(std::max(n_instances, 1u)), "instance keys"),
-      cost_sums(d, count_workgroups(bound), "cost sums"),
-      costs(d, count_workgroups(bound) * sizeof(float), "cost sums") {}
 
 /// Returns an upper bound of the number of tree levels: the levels of a full tree with
 /// `bound` nodes, plus 4 because real trees are uneven.
@@ -217,16 +202,16 @@ SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
             .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
-void Bvh::Impl::compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                              const SurfelRange& range) {
+void Bvh::Impl::compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
+                              SurfelRange range) {
     run(stream, proxies, range.count,
         {.records = scene.surfel_records().address(),
          .vertices = {},
          .boxes = boxes.address(),
          .reach = {},
          .alpha_min = scene.alpha_min(),
-         .margin_m = options.margin_m,
-         .margin_scale = options.margin_scale,
+         .margin_m = o.margin_m,
+         .margin_scale = o.margin_scale,
          .first_surfel = range.first,
          .n_surfels = range.count});
 }
@@ -242,7 +227,7 @@ SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     // Each pass of the radix sort moves the keys from one of two buffers to the other.
     // The number of passes decides which buffer is first, so that the sorted keys end in
     // buffer 0.
-    const int first_set = static_cast<int>(RadixSort::pass_count(n_key_bits()) % 2);
+    const int first_set = int(RadixSort::pass_count(n_key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.surfel_records().address(),
          .models = scene.model_table().address(),
@@ -346,7 +331,7 @@ void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
          .boxes = b.top_boxes.address(),
          .keys = b.top_keys.address(),
          .n_instances = b.n_instances,
-         .n_padded = static_cast<std::uint32_t>(b.top_keys.size())});
+         .n_padded = std::uint32_t(b.top_keys.size())});
 }
 
 shared::BvhPointers Bvh::bvh_addresses() const {

@@ -16,16 +16,17 @@ namespace relidar {
 
 namespace {
 
+using enum SpecialisationConstantId;
+
 struct VulkanAccelStructure {
     Device::Impl* device = nullptr;
     std::unique_ptr<Buffer> storage;
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    VulkanAccelStructure(Device& owner, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
-                         const std::string& text)
-        : device(&owner.impl()) {
-        storage = std::make_unique<Buffer>(owner, size, text);
+    VulkanAccelStructure(Device& d, VkAccelerationStructureTypeKHR type, VkDeviceSize size, std::string text)
+        : device(&d.impl()) {
+        storage = std::make_unique<Buffer>(d, size, text);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
         info.buffer = storage->impl().handle;
@@ -85,7 +86,7 @@ void record_builds(Stream::Impl& stream, const std::string& command_name, std::v
             infos.back().pGeometries = &input.geometry;
             ranges.push_back(&input.range);
         }
-        vkCmdBuildAccelerationStructuresKHR(commands, static_cast<std::uint32_t>(infos.size()), infos.data(),
+        vkCmdBuildAccelerationStructuresKHR(commands, std::uint32_t(infos.size()), infos.data(),
                                             ranges.data());
     });
 }
@@ -105,9 +106,15 @@ const ProxyTriangleMesh kIcosahedronMesh{
 }  // namespace
 
 struct RayQueryAccel::Impl {
+    Device& device;
     ProxyShape proxy;
-    const ProxyTriangleMesh& mesh;
-    Kernel<shared::ProxyParams> proxies;
+    PrimitiveType primitive;
+    const ProxyTriangleMesh& mesh =
+        properties_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedronMesh : kRectangleMesh;
+    Kernel<shared::ProxyParams> proxies{
+        device,
+        "diff/accel/proxies",
+        {{BOXES, proxy == ProxyShape::boxes ? 1u : 0u}, {PRIMITIVE, std::uint32_t(primitive)}}};
     Array<float> geometry;  ///< vertices [n,corners,3] or boxes [n,6]
     /// [1] metres, stored as the bits of a float: maximum distance between a hit on a 3D
     /// Gaussian and a corner of the enclosing icosahedron. A ray query may find only the
@@ -117,15 +124,16 @@ struct RayQueryAccel::Impl {
     /// Triangle indices for the largest model. Smaller models use the first indices, with
     /// an offset to their first vertex.
     Array<std::uint32_t> indices;
-    std::vector<std::unique_ptr<VulkanAccelStructure>>
-        blas;  ///< one per model, null for a model without surfels
+    /// one per model, null for a model without surfels
+    std::vector<std::unique_ptr<VulkanAccelStructure>> blas;
     std::vector<BuildInput> blas_input;
     /// Offset of each model's scratch memory. Models need separate scratch memory,
     /// because they are built concurrently.
     std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<VulkanAccelStructure> tlas;
     BuildInput tlas_input;
-    Kernel<shared::ModelRadiiParams> model_radii;
+    Kernel<shared::ModelRadiiParams> model_radii{
+        device, "diff/accel/model_radii", {{PRIMITIVE, std::uint32_t(primitive)}}};
     /// [models] radius of a sphere around each model's origin. The sphere contains all
     /// hits of the model.
     Array<std::uint32_t, shared::ModelRadii> radii;
@@ -134,27 +142,19 @@ struct RayQueryAccel::Impl {
     Buffer scratch;
     std::uint64_t scratch_address = 0;
 
-    Impl(Device& device, const Scene& layout, ProxyShape p, PrimitiveType primitive)
-        : proxy(p),
-          mesh(properties_of(primitive).mesh == ProxyMesh::icosahedron ? kIcosahedronMesh : kRectangleMesh),
-          proxies(device, "diff/accel/proxies",
-                  {{SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
-                   {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
-          model_radii(device, "diff/accel/model_radii",
-                      {{SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(primitive)}}),
-          radii(device, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
-          moving(device, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
+    Impl(Device& d, const Scene& layout, ProxyShape shape, PrimitiveType type)
+        : device(d),
+          proxy(shape),
+          primitive(type),
+          radii(d, std::max<std::size_t>(layout.models.size(), 1), "radii of models"),
+          moving(d, std::max<std::size_t>(layout.instances.size(), 1), "moving instances") {
         if (&mesh == &kIcosahedronMesh && proxy == ProxyShape::triangles)
-            reach = Array<std::uint32_t>(
-                device, 1, "largest distance from a hit to a corner of the bounding icosahedron");
+            reach = {d, 1, "largest distance from a hit to a corner of the bounding icosahedron"};
     }
 
     void append_blas(const SurfelModel& model);
-    void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                         const SurfelRange& range);
-    void compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                       const SurfelRange& range);
-    void upload_moving(Stream::Impl& stream, const std::vector<shared::MovingInstance>& moving_instances);
+    void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range);
+    void compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range);
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
@@ -184,14 +184,6 @@ void RayQueryAccel::Impl::append_blas(const SurfelModel& model) {
                        VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-void RayQueryAccel::Impl::upload_moving(Stream::Impl& stream,
-                                        const std::vector<shared::MovingInstance>& moving_instances) {
-    n_moving = static_cast<std::uint32_t>(moving_instances.size());
-    if (n_moving > 0)
-        stream.record_write(moving.buffer(), moving_instances.data(),
-                            moving_instances.size() * sizeof(moving_instances[0]));
-}
-
 /// Leaves out absent instances and models without surfels.
 std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
@@ -204,23 +196,25 @@ std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const D
         VkAccelerationStructureInstanceKHR& row = rows.emplace_back();
         for (int r = 0; r < 3; ++r)
             for (int c = 0; c < 4; ++c) row.transform.matrix[r][c] = m[c][r];
-        row.instanceCustomIndex = static_cast<std::uint32_t>(i) & 0xffffffu;
+        row.instanceCustomIndex = std::uint32_t(i) & 0xffffffu;
         row.mask = RELIDAR_STANDING_MASK;
         if (!scene.poses()[i].motion.is_stationary()) {
             row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
-            of_motion.push_back({static_cast<std::uint32_t>(i), layout.instances[i].model, row.mask});
+            of_motion.push_back({std::uint32_t(i), layout.instances[i].model, row.mask});
         }
         row.instanceShaderBindingTableRecordOffset = 0;
         row.flags = VK_GEOMETRY_INSTANCE_TRIANGLE_FACING_CULL_DISABLE_BIT_KHR;
         row.accelerationStructureReference = model->address;
     }
-    tlas_input.range.primitiveCount = static_cast<std::uint32_t>(rows.size());
-    upload_moving(stream, of_motion);
+    tlas_input.range.primitiveCount = std::uint32_t(rows.size());
+    n_moving = std::uint32_t(of_motion.size());
+    if (n_moving > 0)
+        stream.record_write(moving.buffer(), of_motion.data(), of_motion.size() * sizeof(of_motion[0]));
     return rows.empty() ? 0 : stream.stage_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
-RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy)
-    : impl_(std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive())) {
+RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy) {
+    impl_ = std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive());
     Impl& a = *impl_;
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
@@ -239,7 +233,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
         a.indices = Array<std::uint32_t>(device, indices, "proxy indices");
     }
 
-    const auto n_triangles = static_cast<std::uint32_t>(a.mesh.corners.size() / 3);
+    const auto n_triangles = std::uint32_t(a.mesh.corners.size() / 3);
     const std::uint64_t alignment = device.impl().scratch_alignment;
     VkDeviceSize scratch_bytes = 0;
     a.blas_input.reserve(layout.models.size());
@@ -266,7 +260,7 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
     const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.query_sizes(
-        device.impl(), static_cast<std::uint32_t>(std::max<std::size_t>(layout.instances.size(), 1)));
+        device.impl(), std::uint32_t(std::max<std::size_t>(layout.instances.size(), 1)));
     a.tlas = std::make_unique<VulkanAccelStructure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
                                                     sizes.accelerationStructureSize, "top level");
     scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
@@ -276,30 +270,30 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
 
 RayQueryAccel::~RayQueryAccel() = default;
 
-void RayQueryAccel::Impl::compute_proxies(Stream& stream, const DeviceScene& scene,
-                                          const AccelOptions& options, const SurfelRange& range) {
+void RayQueryAccel::Impl::compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
+                                          SurfelRange range) {
     run(stream, proxies, range.count,
         {.records = scene.surfel_records().address(),
          .vertices = geometry.address_as<float, shared::ProxyVertices>(),
          .boxes = geometry.address_as<float, shared::SurfelBoxes>(),
          .reach = reach.address(),
          .alpha_min = scene.alpha_min(),
-         .margin_m = options.margin_m,
-         .margin_scale = options.margin_scale,
+         .margin_m = o.margin_m,
+         .margin_scale = o.margin_scale,
          .first_surfel = range.first,
          .n_surfels = range.count});
 }
 
-void RayQueryAccel::Impl::compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                                        const SurfelRange& range) {
+void RayQueryAccel::Impl::compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
+                                        SurfelRange range) {
     run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
         {.records = scene.surfel_records().address(),
          .models = scene.model_table().address(),
          .radii = radii.address(),
          .alpha_min = scene.alpha_min(),
-         .margin_m = options.margin_m,
-         .margin_scale = options.margin_scale,
-         .n_models = static_cast<std::uint32_t>(scene.layout().models.size()),
+         .margin_m = o.margin_m,
+         .margin_scale = o.margin_scale,
+         .n_models = std::uint32_t(scene.layout().models.size()),
          .first_surfel = range.first,
          .n_surfels = range.count});
 }

@@ -16,6 +16,8 @@
 namespace relidar {
 namespace {
 
+using enum SpecialisationConstantId;
+
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
 /// Returns true if the kernels write one record per hit and sum the records without
@@ -33,30 +35,30 @@ struct BackwardPass::Impl {
     TraceOptions options;
     Kernel<shared::BackwardParams> trace;
     PoseGradientKernels poses;
-    std::unique_ptr<HitGradientGather> gather;  ///< null if gradients are added with atomics
+    std::unique_ptr<HitGather> gather;  ///< null if gradients are added with atomics
     /// Number of truncated rays. The kernel must write this number, but nothing reads it,
     /// because the forward pass has already counted these rays.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
-    static std::vector<SpecialisationConstant> kernel_constants(const Device& device, const ImageModel& model,
+    static TraceConstants kernel_constants(const Device& device, const ImageModel& model,
                                                                 ProxyShape proxy,
                                                                 const TraceOptions& trace_options,
                                                                 const BackwardOptions& backward_options) {
-        std::vector<SpecialisationConstant> all = trace_constants(device, proxy, trace_options, model);
+        TraceConstants all = trace_constants(device, proxy, trace_options, model);
         const bool gathered = uses_hit_records(device, backward_options.reduction, model.sh_direction);
-        all.push_back({SpecialisationConstantId::GATHER, gathered ? 1u : 0u});
+        all.push_back({GATHER, gathered ? 1u : 0u});
         // If `exchanged`, the threads of a subgroup collect gradients in shared memory
         // before the atomics. This reduces memory traffic, but needs
         // VK_KHR_shader_maximal_reconvergence.
         const bool exchanged = !gathered && backward_options.coalesced_atomics.value_or(
                                                 should_coalesce(device) && lanes_reconverge(device));
-        all.push_back({SpecialisationConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
+        all.push_back({COALESCED_ATOMICS, exchanged ? 1u : 0u});
         // If the lanes of a subgroup exchange gradients (`exchanged`), the kernel needs
         // subgroup barriers. lavapipe (a CPU driver) executes them as barriers of the
         // full workgroup. Therefore each workgroup has only one subgroup.
         if (exchanged)
-            all.push_back({SpecialisationConstantId::WORKGROUP_SIZE,
-                           static_cast<std::uint32_t>(device.info().subgroup_size)});
+            all.push_back({WORKGROUP_SIZE,
+                           std::uint32_t(device.info().subgroup_size)});
         return all;
     }
 
@@ -68,7 +70,7 @@ struct BackwardPass::Impl {
                 kernel_constants(device, m, proxy, o, backward)),
           poses(device),
           gather(uses_hit_records(device, backward.reduction, m.sh_direction)
-                     ? std::make_unique<HitGradientGather>(device, m, backward.hits_per_ray, o)
+                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
                      : nullptr),
           pass_cap(device, 1, "number of truncated rays") {}
 };

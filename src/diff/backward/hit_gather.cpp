@@ -10,16 +10,18 @@
 namespace relidar {
 namespace {
 
+using enum SpecialisationConstantId;
+
 std::vector<SpecialisationConstant> gather_constants(const ImageModel& model, const TraceOptions& options) {
-    return {{SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
+    return {{SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {PRIMITIVE, std::uint32_t(model.primitive)},
+            {LIKELIHOOD, options.likelihood ? 1u : 0u}};
 }
 
 }  // namespace
 
-HitGradientGather::HitGradientGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
                                      const TraceOptions& options)
     : device_(device),
       hits_per_ray_(hits_per_ray),
@@ -31,9 +33,9 @@ HitGradientGather::HitGradientGather(Device& device, const ImageModel& model, st
       n_hits_(device, 1, "hits of a batch"),
       prefix_sum_(device) {}
 
-void HitGradientGather::reserve_records(std::uint64_t n_hits) {
+void HitGather::reserve_records(std::uint64_t n_hits) {
     constexpr std::uint64_t kMaxRecords = 1ull << 31;  // record indices have 32 bits
-    const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMaxRecords));
+    const auto capacity = std::uint32_t(std::min(n_hits, kMaxRecords));
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();
     sort_ = std::make_unique<RadixSort>(device_, capacity, 1);
@@ -46,7 +48,7 @@ void HitGradientGather::reserve_records(std::uint64_t n_hits) {
               "sums of hit records"};
 }
 
-void HitGradientGather::assign_records(Stream& stream, const RenderedBatch& batch) {
+void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
         stream.submit_and_wait();
@@ -61,20 +63,20 @@ void HitGradientGather::assign_records(Stream& stream, const RenderedBatch& batc
                     n_hits_.address().cast_tag<shared::ScanTotal>());
 }
 
-void HitGradientGather::set_addresses(shared::BackwardParams& params) const {
+void HitGather::set_addresses(shared::BackwardParams& params) const {
     params.first_hit = first_hit_.address();
     params.hits = hits_.address();
     params.rows = rows_[0].address();
     params.capacity = sort_->capacity();
 }
 
-void HitGradientGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
+void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int index) {
         return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),
                            .order = slots_[index].address().cast_tag<shared::SortOrder>()};
     };
     const SortBuffers sorted =
-        sort_->run(stream, set(0), set(1), static_cast<std::uint32_t>(std::bit_width(params.n_rows)),
+        sort_->run(stream, set(0), set(1), std::uint32_t(std::bit_width(params.n_rows)),
                    n_hits_.address().cast_tag<shared::SortCount>());
     const shared::GatherParams gather{.scene = params.scene,
                                       .upstream = params.upstream,

@@ -13,9 +13,9 @@
 
 namespace relidar {
 
-class HitGradientGather {
+class HitGather {
 public:
-    HitGradientGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
+    HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
                       const TraceOptions& options);
     /// Assigns a record index to each rendered hit, in the order of the rays. If the
     /// batch is larger than all earlier batches, waits for the device and allocates

@@ -9,6 +9,8 @@
 namespace relidar {
 namespace {
 
+using enum SpecialisationConstantId;
+
 constexpr std::uint32_t kWorkgroupThreads = 64;  // threads per workgroup
 // Number of surfels per workgroup. The first kernel sums the gradients of each workgroup,
 // the second kernel sums over the workgroups.
@@ -27,13 +29,13 @@ BlockTable split_into_blocks(const DeviceScene& scene) {
         const std::uint32_t model = layout.instances[i].model;
         const std::uint32_t n = layout.models[model].count, first = layout.models[model].first,
                             first_row = scene.first_gradient_row(i);
-        table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
+        table.first.push_back(std::uint32_t(table.blocks.size()));
         for (std::uint32_t k = 0; k < n; k += kSurfelsPerBlock)
             table.blocks.push_back(
                 {first + k, first_row + k, std::min(kSurfelsPerBlock, n - k), viewed[model] ? 0u : 1u});
         viewed[model] = true;
     }
-    table.first.push_back(static_cast<std::uint32_t>(table.blocks.size()));
+    table.first.push_back(std::uint32_t(table.blocks.size()));
     return table;
 }
 
@@ -49,15 +51,15 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
 
 PoseGradientKernels::PoseGradientKernels(Device& device)
     : blocks_(device, "diff/backward/pose_blocks",
-              {{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroupThreads}}),
-      poses_(device, "diff/backward/poses", {{SpecialisationConstantId::WORKGROUP_SIZE, kWorkgroupThreads}}),
+              {{WORKGROUP_SIZE, kWorkgroupThreads}}),
+      poses_(device, "diff/backward/poses", {{WORKGROUP_SIZE, kWorkgroupThreads}}),
       sensor_(device, "diff/backward/sensor_pose") {}
 
 void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
                                  const glm::vec3& view_origin_m, DeviceGradients& gradients) {
     const DeviceGradients::PoseGradientSums& sums = *gradients.pose_sums;
-    const auto n_instances = static_cast<std::uint32_t>(scene.layout().instances.size()),
-               n_blocks = static_cast<std::uint32_t>(sums.blocks.size());
+    const auto n_instances = std::uint32_t(scene.layout().instances.size()),
+               n_blocks = std::uint32_t(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
     relidar::run(stream, blocks_, kWorkgroupThreads * std::size_t(n_blocks),
                  {.records = scene.surfel_records().address(),

@@ -31,7 +31,7 @@ std::string allocation_error(Device& device, double n_bytes) {
     std::vector<Buffer> pieces;
     try {
         for (; n_bytes > 0.0; n_bytes -= kPiece)
-            pieces.emplace_back(device, static_cast<std::size_t>(std::min(std::max(n_bytes, 4.0), kPiece)),
+            pieces.emplace_back(device, std::size_t(std::min(std::max(n_bytes, 4.0), kPiece)),
                                 "additional surfels");
     } catch (const OutOfDeviceMemory& error) {
         return error.what();
@@ -82,7 +82,7 @@ struct Densifier::Impl {
           min_opacity(std::max(float(o.min_opacity), alpha_min)),
           reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
           seed(random_seed),
-          arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames,
+          arrays(d, std::uint32_t(scene.surfels.size()), n_frames,
                  scene.surfels.parameters_used()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "diff/densify/observe"),
@@ -97,7 +97,7 @@ struct Densifier::Impl {
         return hash_pair(hash_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
     DensifyThresholds thresholds_at(int step) const;
-    std::vector<ModelDensifyCounters> choose_actions(Stream& stream, const DeviceScene& scene,
+    std::vector<ModelCounters> choose_actions(Stream& stream, const DeviceScene& scene,
                                                      const DensifyThresholds& thresholds, int step);
     std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested_surfels,
                                    double other_arrays_bytes_per_surfel, std::string& failure_reason);
@@ -108,11 +108,11 @@ struct Densifier::Impl {
 
 DensifyThresholds Densifier::Impl::thresholds_at(int step) const {
     DensifyThresholds rules{min_opacity, kUnbounded};
-    if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
+    if (step > options.large_from) rules.max_extent_share = float(options.max_extent_share);
     return rules;
 }
 
-std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene,
+std::vector<ModelCounters> Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene,
                                                                   const DensifyThresholds& thresholds,
                                                                   int step) {
     const SurfelStatistics& s = arrays.statistics;
@@ -129,14 +129,14 @@ std::vector<ModelDensifyCounters> Densifier::Impl::choose_actions(Stream& stream
                   .extents = stream.impl().stage_values(extents).cast_tag<shared::ModelExtents>(),
                   .min_opacity = thresholds.min_opacity,
                   .max_extent_share = thresholds.max_extent_share,
-                  .clone_extent_share = static_cast<float>(options.clone_extent_share),
-                  .gradient_threshold = static_cast<float>(options.gradient_threshold),
+                  .clone_extent_share = float(options.clone_extent_share),
+                  .gradient_threshold = float(options.gradient_threshold),
                   .n_surfels = scene.size(),
-                  .n_models = static_cast<std::uint32_t>(extents.size()),
-                  .key = static_cast<std::uint32_t>(random_key(RandomPurpose::classify, step))});
+                  .n_models = std::uint32_t(extents.size()),
+                  .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
     const std::vector<std::uint32_t> values = counters.download();
-    std::vector<ModelDensifyCounters> result(extents.size());
+    std::vector<ModelCounters> result(extents.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
     return result;
@@ -164,7 +164,7 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam,
                                          (grows ? bytes * (capacity - now) + while_copied : 0.0));
         if (!failure_reason.empty() || !grows) return failure_reason.empty();
         try {
-            const std::uint32_t n = static_cast<std::uint32_t>(capacity);
+            const std::uint32_t n = std::uint32_t(capacity);
             scene.reserve(device, n);
             adam.first_moments().reserve(device, n, "first moment");
             adam.second_moments().reserve(device, n, "second moment");
@@ -179,7 +179,7 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam,
         const std::uint32_t target = before + growth;
         const double generous =
             std::min(1.5 * double(arrays.capacity()),
-                     double(std::max(static_cast<std::uint32_t>(options.max_surfels), target)));
+                     double(std::max(std::uint32_t(options.max_surfels), target)));
         const bool there = target <= arrays.capacity();
         if (fits(target, there ? target : std::max(double(target), generous)) ||
             (!there && fits(target, target)))
@@ -192,7 +192,7 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
                                                const DensifyThresholds& thresholds, int step,
                                                double other_arrays_bytes_per_surfel) {
     const std::uint32_t before = scene.size();
-    const std::vector<ModelDensifyCounters> counted = choose_actions(stream, scene, thresholds, step);
+    const std::vector<ModelCounters> counted = choose_actions(stream, scene, thresholds, step);
     GrowthPlan plan =
         limit_growth(plan_growth(counted, options, random_key(RandomPurpose::phase, step)), memory_limit);
     std::string failure_reason;
@@ -222,7 +222,7 @@ DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scen
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
                   .n_surfels = before,
-                  .key = static_cast<std::uint32_t>(random_key(RandomPurpose::classify, step))});
+                  .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
     arrays.move_statistics(stream);
     stream.submit_and_wait();
     scene.set_models(plan.assign_ranges(scene.layout().models, counted));
@@ -276,7 +276,7 @@ void Densifier::reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, 
     if (o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
                  {.opacity_logit = scene.surfel_parameters().opacity_logit.address(),
-                  .max_logit = static_cast<float>(logit(impl_->reset_opacity_to)),
+                  .max_logit = float(logit(impl_->reset_opacity_to)),
                   .n_surfels = scene.size()});
     stream.fill(adam.first_moments().opacity_logit);
     stream.fill(adam.second_moments().opacity_logit);

@@ -7,11 +7,11 @@ namespace relidar {
 
 std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) const {
     return total_weight == 0 ? 0u
-                             : static_cast<std::uint32_t>((cumulative_weight * n_new + phase) / total_weight);
+                             : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }
 
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
-                                                   const std::vector<ModelDensifyCounters>& counts) const {
+                                                   const std::vector<ModelCounters>& counts) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
@@ -25,17 +25,17 @@ std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> mode
     return models;
 }
 
-GrowthPlan plan_growth(const std::vector<ModelDensifyCounters>& counts, const DensifyOptions& options,
+GrowthPlan plan_growth(const std::vector<ModelCounters>& counts, const DensifyOptions& options,
                        std::uint64_t random_number) {
     GrowthPlan plan;
-    for (const ModelDensifyCounters& c : counts) {
+    for (const ModelCounters& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
         plan.total_weight += c[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
-    plan.phase = static_cast<std::uint32_t>(random_number % plan.total_weight);
+    plan.phase = std::uint32_t(random_number % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
-    return limit_growth(plan, static_cast<std::uint32_t>(options.max_surfels));
+    return limit_growth(plan, std::uint32_t(options.max_surfels));
 }
 
 GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels) {
@@ -43,9 +43,9 @@ GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels) {
     return plan;
 }
 
-DensifyReport densify_report(const std::vector<ModelDensifyCounters>& counts, const GrowthPlan& plan) {
+DensifyReport densify_report(const std::vector<ModelCounters>& counts, const GrowthPlan& plan) {
     DensifyReport r;
-    for (const ModelDensifyCounters& c : counts) {
+    for (const ModelCounters& c : counts) {
         r.invalid += c[RELIDAR_DENSIFY_INVALID];
         r.faint += c[RELIDAR_DENSIFY_FAINT];
         r.large += c[RELIDAR_DENSIFY_LARGE];

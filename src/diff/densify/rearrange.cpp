@@ -44,7 +44,7 @@ std::uint32_t SurfelReorderer::capacity() const {
                                     statistics.gradient_sum.size(), statistics.n_observing_batches.size()});
     const std::size_t n_frames =
         std::min(statistics.frames.size(), scratch_frames_.size()) / statistics.n_words;
-    return std::min(scratch_surfels_.capacity(), static_cast<std::uint32_t>(std::min(n, n_frames)));
+    return std::min(scratch_surfels_.capacity(), std::uint32_t(std::min(n, n_frames)));
 }
 
 std::size_t SurfelReorderer::bytes_per_surfel() const {

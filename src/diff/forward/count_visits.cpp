@@ -13,7 +13,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                         const AccelerationStructure& accel, const RayBatch& batch,
                                         const ImageModel& model, const TraceOptions& options) {
     if (device.backend() != RayTracingBackend::software || is_brute_force(device)) return std::nullopt;
-    std::vector<SpecialisationConstant> constants =
+    TraceConstants constants =
         trace_constants(device, accel.proxy_shape(), options, model);
     constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),

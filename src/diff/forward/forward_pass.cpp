@@ -95,7 +95,7 @@ RenderedRayValues to_ray_values(const std::vector<shared::RenderedRay>& rays,
         r.median_depth.push_back(ray.median_depth);
         r.hits.push_back(ray.n_hits);
         r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1
-                                                                 : static_cast<std::int32_t>(ray.instance));
+                                                                 : std::int32_t(ray.instance));
     }
     for (const shared::RenderedSurface& surface : surfaces) {
         r.normal.push_back(surface.normal);

@@ -11,16 +11,18 @@
 namespace relidar {
 namespace {
 
+using enum SpecialisationConstantId;
+
 // Maximum number of hit lists (one per ray). One subgroup sorts each list, so more lists
 // could need more than 2^32 threads in a launch.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
 Kernel<shared::SortHitsParams> make_sort_kernel(Device& device) {
-    const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
+    const auto lanes = std::uint32_t(device.info().subgroup_size);
     return {device,
             KernelName<shared::SortHitsParams>("diff/forward/sort_hits"),
-            {{SpecialisationConstantId::LANES, lanes},
-             {SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
+            {{LANES, lanes},
+             {WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
             SubgroupRequirement::full};
 }
 
@@ -28,17 +30,17 @@ Kernel<shared::SortHitsParams> make_sort_kernel(Device& device) {
 
 std::uint32_t max_list_hits(const Device& device) {
     return std::min<std::uint32_t>(
-        RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
+        RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * std::uint32_t(device.info().subgroup_size));
 }
 
 HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
-                             const std::vector<SpecialisationConstant>& constants, int initial_hits_per_list)
+                             const TraceConstants& constants, int initial_hits_per_list)
     : device_(device),
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
       sort_(make_sort_kernel(device)),
       max_hits_per_list_(max_list_hits(device)),
-      hits_per_list_(std::min(static_cast<std::uint32_t>(initial_hits_per_list), max_hits_per_list_)),
+      hits_per_list_(std::min(std::uint32_t(initial_hits_per_list), max_hits_per_list_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u},
                    "number of rays with more hits than a hit list can store"),
       overflows_(device, sizeof(std::uint32_t), "number of rays with more hits than a hit list can store") {}
@@ -108,7 +110,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
     const std::uint32_t hits_per_list = uses_stored_hit_memory ? kept_hits->per_ray : hits_per_list_;
     return {.hits = uses_stored_hit_memory ? kept_hits->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
-            .n = static_cast<std::uint32_t>(n_threads),
+            .n = std::uint32_t(n_threads),
             .room = hits_per_list};
 }
 
@@ -128,7 +130,7 @@ void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::Forwar
     relidar::run(stream, append_, n,
                  {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     record_readback(stream);
-    relidar::run(stream, sort_, n * static_cast<std::size_t>(device_.info().subgroup_size), {.lists = lists});
+    relidar::run(stream, sort_, n * std::size_t(device_.info().subgroup_size), {.lists = lists});
     relidar::run(stream, blend_, n, params);
 }
 

@@ -31,7 +31,7 @@ public:
     /// @param initial_hits_per_list initial capacity of a list in hits, limited to the
     /// maximum
     HitListTracer(Device& device, const KernelVariant& variant,
-                  const std::vector<SpecialisationConstant>& constants, int initial_hits_per_list);
+                  const TraceConstants& constants, int initial_hits_per_list);
 
     /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
     /// diff/forward/trace must run afterwards for the rays whose lists cannot be used.

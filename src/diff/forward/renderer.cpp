@@ -140,7 +140,7 @@ RenderedRayValues Renderer::render_rays(const WorldRays& rays) {
     r.stream.submit_and_wait();  // waits, because earlier commands may still read the rays
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
-    record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});
+    record_forward({&r.host_rays, 0, 1, std::uint32_t(rays.size())});
     return download_rays();
 }
 

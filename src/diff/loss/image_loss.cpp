@@ -39,8 +39,8 @@ void ImageLoss::add_ray_losses(Stream& stream, const RenderedBatch& rays, const 
     RELIDAR_ASSERT_LE(batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1,
                       batch.targets->size());
     const LossWeights& w = impl_->weights;
-    const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0)),
-                per_ray = static_cast<float>(1.0 / std::max(batch.n_known_rays, 1.0));
+    const float per_return = float(1.0 / std::max(batch.n_returned, 1.0)),
+                per_ray = float(1.0 / std::max(batch.n_known_rays, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,
                  {.rendered = rendered.address(),
                   .targets = batch.targets->address(),

@@ -28,7 +28,7 @@ void LikelihoodLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendere
                                     const LossTermRow& terms) {
     const LossWeights& w = impl_->weights;
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.upstream->size());
-    const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
+    const float per_return = float(1.0 / std::max(batch.n_returned, 1.0));
     relidar::run(stream, impl_->kernel, batch.n_rays,
                  {.rendered = rendered.rendered->address(),
                   .targets = batch.targets->address(),

@@ -44,10 +44,10 @@ void ActorBoxLoss::add_regularisers(Stream& stream, const DeviceScene& scene,
                   .terms = terms.row_address(),
                   .models = scene.model_table().address(),
                   .box_scale_share = w.box_scale_share,
-                  .box_weight = static_cast<float>(w.box / std::max(n_boxed, 1.0)),
+                  .box_weight = float(w.box / std::max(n_boxed, 1.0)),
                   .first_surfel = first,
                   .n_surfels = end - first,
-                  .n_models = static_cast<std::uint32_t>(models.size())});
+                  .n_models = std::uint32_t(models.size())});
 }
 
 }  // namespace relidar

@@ -8,16 +8,18 @@
 namespace relidar::network {
 namespace {
 
+using enum SpecialisationConstantId;
+
 constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
 
-std::vector<SpecialisationConstant> attention_constants(std::uint32_t lanes_per_subgroup) {
-    return {{SpecialisationConstantId::LANES, lanes_per_subgroup},
-            {SpecialisationConstantId::WORKGROUP_SIZE, kAttentionThreads}};
+std::vector<SpecialisationConstant> attention_constants(std::uint32_t lanes) {
+    return {{LANES, lanes},
+            {WORKGROUP_SIZE, kAttentionThreads}};
 }
 
 /// Describes an image slice as one matrix per attention head. Its shape is [channels,
 /// pixels], or [pixels, channels] if `transposed` is true.
-shared::MatrixView head_matrices(const ChannelSlice& slice, std::uint32_t n_heads, bool transposed) {
+shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.n_image_pixels());
     return {.values = slice.view.values,
             .first = slice.view.first * pixels,
@@ -28,10 +30,10 @@ shared::MatrixView head_matrices(const ChannelSlice& slice, std::uint32_t n_head
             .unused = 0};
 }
 
-shared::MatrixView attention_matrices(const Tensor& attention_weights, const ImageBatchSize& grid,
+shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid,
                                       std::uint32_t n_heads, bool transposed) {
     const auto pixels = std::uint32_t(grid.n_image_pixels());
-    return {.values = attention_weights.values.address(),
+    return {.values = shares.values.address(),
             .first = 0,
             .batch = n_heads * pixels * pixels,
             .head = pixels * pixels,
@@ -48,10 +50,10 @@ Attention::Attention(Device& device, std::uint32_t heads)
       matmul_(device, "diff/network/matmul", attention_constants(lanes_), SubgroupRequirement::full),
       softmax_(device, "diff/network/softmax", attention_constants(lanes_), SubgroupRequirement::full) {}
 
-AttentionActivations Attention::allocate_state(Device& device, const ImageBatchSize& grid,
+AttentionState Attention::allocate_state(Device& device, ImageBatchSize grid,
                                                bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.n_image_pixels());
-    AttentionActivations state{Tensor(device, channels, grid, "attention"), {}};
+    AttentionState state{Tensor(device, channels, grid, "attention"), {}};
     if (with_gradients) state.d_share = Tensor(device, channels, grid, "gradient of attention");
     return state;
 }
@@ -60,7 +62,7 @@ AttentionActivations Attention::allocate_state(Device& device, const ImageBatchS
 /// per pixel.
 void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
                          const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
-                         const ImageBatchSize& grid) const {
+                         ImageBatchSize grid) const {
     const auto columns = std::uint32_t(grid.n_image_pixels());
     const std::uint32_t jobs =
         grid.n * heads_ * div_ceil(columns, lanes_) * div_ceil(rows, RELIDAR_MATMUL_ROWS);
@@ -76,7 +78,7 @@ void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shar
          .scale = scale});
 }
 
-void Attention::run_softmax(Stream& stream, AttentionActivations& state, const ImageBatchSize& grid,
+void Attention::run_softmax(Stream& stream, AttentionState& state, ImageBatchSize grid,
                             bool is_backward) const {
     const auto pixels = std::uint32_t(grid.n_image_pixels()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_, std::size_t(div_ceil(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
@@ -87,12 +89,12 @@ void Attention::run_softmax(Stream& stream, AttentionActivations& state, const I
          .n = pixels});
 }
 
-void Attention::attend(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
-                       const ChannelSlice& output) {
+void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state,
+                       const Slice& output) {
     const std::uint32_t channels = output.channels, size = channels / heads_,
                         pixels = std::uint32_t(output.grid.n_image_pixels());
     RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
-    const ChannelSlice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
+    const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
                        value = qkv.channel_range(2 * channels, channels);
     const ImageBatchSize& grid = output.grid;
     multiply(stream, head_matrices(query, heads_, true), head_matrices(key, heads_, false),
@@ -103,26 +105,26 @@ void Attention::attend(Stream& stream, const ChannelSlice& qkv, AttentionActivat
              head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
 }
 
-void Attention::attend_vjp(Stream& stream, const ChannelSlice& qkv, AttentionActivations& state,
-                           const ChannelSlice& d_output, const ChannelSlice& d_qkv) {
-    const std::uint32_t channels = d_output.channels, size = channels / heads_,
-                        pixels = std::uint32_t(d_output.grid.n_image_pixels());
-    const ChannelSlice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
+void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state,
+                           const Slice& d_out, const Slice& d_qkv) {
+    const std::uint32_t channels = d_out.channels, size = channels / heads_,
+                        pixels = std::uint32_t(d_out.grid.n_image_pixels());
+    const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
                        value = qkv.channel_range(2 * channels, channels);
-    const ChannelSlice d_query = d_qkv.channel_range(0, channels),
+    const Slice d_query = d_qkv.channel_range(0, channels),
                        d_key = d_qkv.channel_range(channels, channels),
                        d_value = d_qkv.channel_range(2 * channels, channels);
-    const ImageBatchSize& grid = d_output.grid;
+    const ImageBatchSize& grid = d_out.grid;
     const float scale = 1.0f / std::sqrt(float(size));
     const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,
                              const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
                              float factor) { multiply(stream, first, second, c, rows, inner, factor, grid); };
-    // computes d_value = d_output share
-    product(head_matrices(d_output, heads_, false), attention_matrices(state.share, grid, heads_, false),
+    // computes d_value = d_out share
+    product(head_matrices(d_out, heads_, false), attention_matrices(state.share, grid, heads_, false),
             head_matrices(d_value, heads_, false), size, pixels, 1.0f);
-    // Computes d_share, the gradient of the attention weights: transposed d_output times
+    // Computes d_share, the gradient of the attention weights: transposed d_out times
     // value. Then run_softmax() replaces it by the gradient of the softmax input.
-    product(head_matrices(d_output, heads_, true), head_matrices(value, heads_, false),
+    product(head_matrices(d_out, heads_, true), head_matrices(value, heads_, false),
             attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);
     product(head_matrices(key, heads_, false), attention_matrices(state.d_share, grid, heads_, true),

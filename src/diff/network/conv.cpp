@@ -14,13 +14,15 @@
 namespace relidar::network {
 namespace {
 
+using enum SpecialisationConstantId;
+
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
 // Number of image rows in one part of an image. A subgroup sums the gradients of the
 // weights over one part. Then the sums of all parts are added.
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
-std::uint32_t count_weight_sums(const ImageBatchSize& grid, std::size_t n_weights) {
+std::uint32_t count_weight_sums(ImageBatchSize grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
     return std::uint32_t(std::clamp<std::size_t>(div_ceil(lines, kLinesOfPart), 1, most));
@@ -43,26 +45,26 @@ std::uint32_t choose_pixels(const Device& device) { return should_coalesce(devic
 Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t kernel_taps) {
     return {device,
             "diff/network/conv",
-            {{SpecialisationConstantId::TAPS, kernel_taps},
-             {SpecialisationConstantId::PIXELS, choose_pixels(device)},
-             {SpecialisationConstantId::LANES, subgroup_lanes(device)},
-             {SpecialisationConstantId::STAGED, should_coalesce(device) ? 1u : 0u},
-             {SpecialisationConstantId::WORKGROUP_SIZE, kConvThreads}},
+            {{TAPS, kernel_taps},
+             {PIXELS, choose_pixels(device)},
+             {LANES, subgroup_lanes(device)},
+             {STAGED, should_coalesce(device) ? 1u : 0u},
+             {WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
 
 Kernel<shared::ConvWeightsParams> make_weight_vjp(Device& device, std::uint32_t kernel_taps) {
     return {device,
             "diff/network/conv_weights",
-            {{SpecialisationConstantId::TAPS, kernel_taps},
-             {SpecialisationConstantId::LANES, subgroup_lanes(device)},
-             {SpecialisationConstantId::WORKGROUP_SIZE, kConvThreads}},
+            {{TAPS, kernel_taps},
+             {LANES, subgroup_lanes(device)},
+             {WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
 
 }  // namespace
 
-ConvolutionKernels::ConvolutionKernels(Device& device, std::uint32_t taps)
+Convolution::Convolution(Device& device, std::uint32_t taps)
     : taps_(check_taps(device, taps)),
       pixels_(choose_pixels(device)),
       lanes_(subgroup_lanes(device)),
@@ -70,21 +72,21 @@ ConvolutionKernels::ConvolutionKernels(Device& device, std::uint32_t taps)
       conv_weights_(make_weight_vjp(device, taps)),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-std::size_t ConvolutionKernels::n_conv_threads(const shared::ConvParams& params) const {
+std::size_t Convolution::n_conv_threads(const shared::ConvParams& params) const {
     const std::size_t lines = std::size_t(params.n_images) * params.rows;
     const std::uint32_t segments = std::uint32_t(lines) * div_ceil(params.columns, lanes_ * pixels_);
     return std::size_t(div_ceil(segments, kConvThreads / lanes_)) * div_ceil(params.n_out, RELIDAR_CONV_OUT) *
            kConvThreads;
 }
 
-std::size_t ConvolutionKernels::n_weight_threads(const shared::ConvWeightsParams& params) const {
+std::size_t Convolution::n_weight_threads(const shared::ConvWeightsParams& params) const {
     const std::uint32_t input_channels_per_subgroup = taps_ == 1 ? RELIDAR_CONV_IN : 1;
     const std::uint32_t subgroups = params.n_parts * div_ceil(params.n_in, input_channels_per_subgroup) *
                                     div_ceil(params.n_out, RELIDAR_CONV_OUT);
     return std::size_t(div_ceil(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
-void ConvolutionKernels::run_conv_kernel(Stream& stream, const ChannelSlice& from, const ChannelSlice& to,
+void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice& to,
                                          Weights weights, Bias bias, bool transposed, bool accumulate) const {
     RELIDAR_ASSERT_EQ(from.grid.n_pixels_total(), to.grid.n_pixels_total());
     const shared::ConvParams params{.from = from.view,
@@ -102,36 +104,36 @@ void ConvolutionKernels::run_conv_kernel(Stream& stream, const ChannelSlice& fro
     run(stream, conv_, n_conv_threads(params), params);
 }
 
-void ConvolutionKernels::run_convolution(Stream& stream, const ChannelSlice& input, Weights weights,
-                                         Bias bias, const ChannelSlice& output, bool accumulate) {
+void Convolution::run_convolution(Stream& stream, const Slice& input, Weights weights,
+                                         Bias bias, const Slice& output, bool accumulate) {
     run_conv_kernel(stream, input, output, weights, bias, false, accumulate);
 }
 
-void ConvolutionKernels::input_vjp(Stream& stream, const ChannelSlice& d_output, Weights weights,
-                                   const ChannelSlice& d_input) {
-    run_conv_kernel(stream, d_output, d_input, weights, {}, true, false);
+void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights,
+                                   const Slice& d_in) {
+    run_conv_kernel(stream, d_out, d_in, weights, {}, true, false);
 }
 
-std::size_t ConvolutionKernels::n_partial_sums(const ImageBatchSize& grid, std::uint32_t n_input_channels,
-                                               std::uint32_t n_output_channels) const {
-    const std::size_t n = std::size_t(n_input_channels) * n_output_channels * taps_;
+std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in,
+                                               std::uint32_t n_out) const {
+    const std::size_t n = std::size_t(n_in) * n_out * taps_;
     return count_weight_sums(grid, n) * n;
 }
 
-void ConvolutionKernels::weights_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d_out,
                                      Weights d_weights) {
-    RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_output.grid.n_pixels_total());
-    const std::uint32_t n = input.channels * d_output.channels * taps_,
+    RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_out.grid.n_pixels_total());
+    const std::uint32_t n = input.channels * d_out.channels * taps_,
                         n_parts = count_weight_sums(input.grid, n);
     RELIDAR_ASSERT_LE(std::size_t(n_parts) * n, partial_.size());
     const shared::ConvWeightsParams params{.from = input.view,
-                                           .d_to = d_output.view,
+                                           .d_to = d_out.view,
                                            .partial = partial_.address(),
                                            .n_images = input.grid.n,
                                            .rows = input.grid.rows,
                                            .columns = input.grid.columns,
                                            .n_in = input.channels,
-                                           .n_out = d_output.channels,
+                                           .n_out = d_out.channels,
                                            .n_parts = n_parts,
                                            .circular = input.grid.circular ? 1u : 0u};
     run(stream, conv_weights_, n_weight_threads(params), params);

@@ -10,7 +10,7 @@
 
 namespace relidar::network {
 
-class ConvolutionKernels {
+class Convolution {
 public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
@@ -18,23 +18,23 @@ public:
     /// Creates the kernels for convolutions of one size.
     /// @param taps number of weights per pair of channels: 1 (1x1) or 9 (3x3)
     /// @throws DeviceError with the name of a missing device feature
-    ConvolutionKernels(Device& device, std::uint32_t taps);
+    Convolution(Device& device, std::uint32_t taps);
 
     /// Computes the convolution output = bias + weights * input.
     /// @param weights [output.channels, input.channels, taps]
     /// @param bias [output.channels], or a null address
     /// @param accumulate true: adds the result to `output` instead of overwriting it
-    void run_convolution(Stream& stream, const ChannelSlice& input, Weights weights, Bias bias,
-                         const ChannelSlice& output, bool accumulate = false);
-    /// Computes the gradient of the input, `d_input`.
-    void input_vjp(Stream& stream, const ChannelSlice& d_output, Weights weights,
-                   const ChannelSlice& d_input);
+    void run_convolution(Stream& stream, const Slice& input, Weights weights, Bias bias,
+                         const Slice& output, bool accumulate = false);
+    /// Computes the gradient of the input, `d_in`.
+    void input_vjp(Stream& stream, const Slice& d_out, Weights weights,
+                   const Slice& d_in);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
     /// Adds in a fixed order, so that every run gives the same result.
-    void weights_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
+    void weights_vjp(Stream& stream, const Slice& input, const Slice& d_out,
                      Weights d_weights);
-    std::size_t n_partial_sums(const ImageBatchSize& grid, std::uint32_t n_input_channels,
-                               std::uint32_t n_output_channels) const;
+    std::size_t n_partial_sums(ImageBatchSize grid, std::uint32_t n_in,
+                               std::uint32_t n_out) const;
     void reserve_weight_sums(Device& device, std::size_t n_floats) {
         partial_.reserve(device, n_floats, "partial sums of weights");
     }
@@ -46,7 +46,7 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void run_conv_kernel(Stream& stream, const ChannelSlice& from, const ChannelSlice& to, Weights weights,
+    void run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights weights,
                          Bias bias, bool transposed, bool accumulate) const;
     std::size_t n_conv_threads(const shared::ConvParams& params) const;
     std::size_t n_weight_threads(const shared::ConvWeightsParams& params) const;

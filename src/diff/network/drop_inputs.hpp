@@ -17,16 +17,17 @@ namespace relidar::network {
 /// to mean 0 and standard deviation 1 over all images. A constant channel becomes 0.
 std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std::size_t n_channels);
 
+/// An image of a batch, and the number of columns by which its scene is rotated.
+struct RotatedSample {
+    std::uint32_t sample = 0, column_shift = 0;
+};
+
 class RayDropInputs {
 public:
     RayDropInputs(Device& device, const RayDropNetwork& network);
 
     void upload_images(Device& device, std::span<const RayDropImage> images);
 
-    /// An image of a batch, and the number of columns by which its scene is rotated.
-    struct RotatedSample {
-        std::uint32_t sample = 0, column_shift = 0;
-    };
     void fill_batch(Stream& stream, std::span<const RotatedSample> selection, const Tensor& output_images);
     /// Submits the kernel that creates a batch from images that are already on the
     /// device. Does not update measured_drops(), because it is unknown which rays of

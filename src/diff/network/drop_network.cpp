@@ -52,7 +52,7 @@ std::vector<std::string> channel_names(const RayDropNetworkOptions& options) {
 }
 
 std::size_t count_parameters(const RayDropNetworkOptions& options) {
-    return network::UnetParameterLayout(network::make_network(options)).n_parameters;
+    return network::UnetLayout(network::make_network(options)).n_parameters;
 }
 
 namespace network {

@@ -24,7 +24,7 @@ const RayDropNetwork& check_network(const RayDropNetwork& network) {
             "cannot use the ray-drop network: found {} levels, {} input channels and kernels of {} pixels, "
             "expected at least 1 level, at least 1 input channel, and kernels of 1 or 9 pixels",
             network.widths.size(), network.inputs.size(), network.taps);
-    const network::UnetParameterLayout plan(network);
+    const network::UnetLayout plan(network);
     const auto check = [](const char* text, std::size_t found, std::size_t expected) {
         if (found != expected)
             fail("cannot use the ray-drop network: it has {} {}, but its architecture requires {}", found,
@@ -40,7 +40,7 @@ const RayDropNetwork& check_network(const RayDropNetwork& network) {
 
 void compile_network(Device& device, const RayDropNetworkOptions& options) {
     RayDropNetwork network = network::make_network(options);
-    const network::UnetParameterLayout plan(network);
+    const network::UnetLayout plan(network);
     network::init_parameters(network, plan, 0);
     network.normalisation.assign(2 * network.inputs.size(), 0.0f);
     const network::RayDropInputs inputs(device, network);
@@ -76,7 +76,7 @@ struct RayDropInference::Impl {
         shaped.emplace_front(device, network);
     }
 
-    SizedRayDropNetwork& network_for(Stream& stream, const network::ImageBatchSize& image_grid) {
+    SizedRayDropNetwork& network_for(Stream& stream, network::ImageBatchSize image_grid) {
         auto cache_entry = std::ranges::find(shaped, image_grid, &SizedRayDropNetwork::grid);
         const bool is_new = cache_entry == shaped.end();
         if (is_new)
@@ -118,7 +118,7 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_drops(
     const network::ImageBatchSize grid{1, std::uint32_t(rows), std::uint32_t(columns), circular};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.n_image_pixels(), input_channels.size());
     SizedRayDropNetwork& shaped = r.network_for(stream, grid);
-    const network::RayDropInputs::RotatedSample unrotated_sample{};
+    const network::RotatedSample unrotated_sample{};
     shaped.inputs.fill_batch(stream, {&unrotated_sample, 1}, input_channels.address(),
                              shaped.unet.input_images());
     shaped.unet.run_inference(stream);

@@ -47,7 +47,7 @@ RayDropNetwork initial_network(const std::vector<RayDropImage>& images, const Ra
     RayDropNetwork network = make_network(options);
     check_images(network, images);
     network.normalisation = channel_scaling(images, network.inputs.size());
-    init_parameters(network, UnetParameterLayout(network), seed);
+    init_parameters(network, UnetLayout(network), seed);
     return network;
 }
 
@@ -95,11 +95,11 @@ std::size_t RayDropTraining::images_per_step() const { return impl_->batch; }
 std::size_t RayDropTraining::steps_per_epoch() const { return impl_->n_images / impl_->batch; }
 const KernelTimes& RayDropTraining::times() const { return impl_->stream.times(); }
 
-RayDropScore RayDropTraining::train_on_batch(std::span<const RayDropInputs::RotatedSample> selection,
+RayDropScore RayDropTraining::train_on_batch(std::span<const RotatedSample> selection,
                                              int step, int n_steps) {
     Impl& t = *impl_;
     std::size_t n_known_pixels = 0;
-    for (const RayDropInputs::RotatedSample& c : selection) n_known_pixels += t.inputs.count_known(c.sample);
+    for (const RotatedSample& c : selection) n_known_pixels += t.inputs.count_known(c.sample);
     t.inputs.fill_batch(t.stream, selection, t.unet.input_images());
     t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
     t.loss.record_loss(t.stream, t.grid.n_pixels_total(),

@@ -8,15 +8,17 @@
 namespace relidar::network {
 namespace {
 
+using enum SpecialisationConstantId;
+
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kNormMomentum = 0.1f, kNormEpsilon = 1e-5f;
 
 /// Returns the number of parts into which the pixels of a batch are split. A sum is
 /// computed separately for each part. The pixels of a part belong to the same image.
-std::uint32_t count_channel_sums(const ImageBatchSize& grid) {
+std::uint32_t count_channel_sums(ImageBatchSize grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.n_image_pixels() / 4096, 1, 64));
 }
-std::size_t count_norm_threads(const ChannelSlice& slice) {
+std::size_t count_norm_threads(const Slice& slice) {
     constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels *
            ((slice.grid.n_image_pixels() + kPixelsPerWorkgroup - 1) / kPixelsPerWorkgroup) * kNormThreads;
@@ -24,24 +26,24 @@ std::size_t count_norm_threads(const ChannelSlice& slice) {
 
 }  // namespace
 
-NormalisationKernels::NormalisationKernels(Device& device)
+Normalisation::Normalisation(Device& device)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       sums_(device, "diff/network/channel_sums",
-            {{SpecialisationConstantId::LANES, lanes_},
-             {SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}},
+            {{LANES, lanes_},
+             {WORKGROUP_SIZE, kNormThreads}},
             SubgroupRequirement::full),
       finish_(device, "diff/network/norm_finish"),
-      norm_(device, "diff/network/norm", {{SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}}),
-      norm_vjp_(device, "diff/network/norm_vjp", {{SpecialisationConstantId::WORKGROUP_SIZE, kNormThreads}}),
+      norm_(device, "diff/network/norm", {{WORKGROUP_SIZE, kNormThreads}}),
+      norm_vjp_(device, "diff/network/norm_vjp", {{WORKGROUP_SIZE, kNormThreads}}),
       sum_parts_(device, "diff/network/sum_parts") {}
 
-void NormalisationKernels::reserve_sums(Device& device, std::uint32_t n_channels,
-                                        const ImageBatchSize& grid) {
+void Normalisation::reserve_sums(Device& device, std::uint32_t n_channels,
+                                        ImageBatchSize grid) {
     partial_.reserve(device, 2 * std::size_t(n_channels) * count_channel_sums(grid),
                      "partial sums of channels");
 }
 
-shared::ChannelSumsParams NormalisationKernels::make_sums_params(const ChannelSlice& input,
+shared::ChannelSumsParams Normalisation::make_sums_params(const Slice& input,
                                                                  std::uint32_t kind) const {
     return {.from = input.view,
             .d_to = input.view,
@@ -57,15 +59,15 @@ shared::ChannelSumsParams NormalisationKernels::make_sums_params(const ChannelSl
             .dropout = 0.0f};
 }
 
-void NormalisationKernels::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
+void Normalisation::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
     const std::uint32_t of_workgroup = kNormThreads / lanes_, jobs = params.n_channels * params.n_parts;
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kNormThreads, params);
 }
 
-void NormalisationKernels::compute_scale(Stream& stream, const ChannelSlice& input,
-                                         const NormWeights& weights, NormActivations& state,
-                                         bool is_training) const {
+void Normalisation::compute_scale(Stream& stream, const Slice& input,
+                                         const NormWeights& weights, NormState& state,
+                                         bool training) const {
     run(stream, finish_, input.channels,
         {.partial = partial_.address(),
          .beta_gamma = weights.beta_gamma,
@@ -76,14 +78,14 @@ void NormalisationKernels::compute_scale(Stream& stream, const ChannelSlice& inp
          .n_parts = count_channel_sums(input.grid),
          .n_images = input.grid.n,
          .n_pixels = std::uint32_t(input.grid.n_image_pixels()),
-         .training = is_training ? 1u : 0u,
+         .training = training ? 1u : 0u,
          .momentum = kNormMomentum,
          .epsilon = kNormEpsilon});
 }
 
-void NormalisationKernels::apply_scale(Stream& stream, const ChannelSlice& input,
-                                       const NormActivations& state, const ChannelSlice& output,
-                                       bool is_training) const {
+void Normalisation::apply_scale(Stream& stream, const Slice& input,
+                                       const NormState& state, const Slice& output,
+                                       bool training) const {
     RELIDAR_ASSERT_EQ(input.channels * input.grid.n_pixels_total(),
                       output.channels * output.grid.n_pixels_total());
     run(stream, norm_, count_norm_threads(input),
@@ -94,28 +96,28 @@ void NormalisationKernels::apply_scale(Stream& stream, const ChannelSlice& input
          .n_pixels = std::uint32_t(input.grid.n_image_pixels()),
          .n_channels = input.channels,
          .dropout_key = state.dropout_key,
-         .dropout = is_training ? state.dropout : 0.0f});
+         .dropout = training ? state.dropout : 0.0f});
 }
 
-void NormalisationKernels::normalise_batch(Stream& stream, const ChannelSlice& input,
-                                           const NormWeights& weights, NormActivations& state,
-                                           const ChannelSlice& output) {
+void Normalisation::normalise_batch(Stream& stream, const Slice& input,
+                                           const NormWeights& weights, NormState& state,
+                                           const Slice& output) {
     channel_sums(stream, make_sums_params(input, shared::kMomentSums));
     compute_scale(stream, input, weights, state, true);
     apply_scale(stream, input, state, output, true);
 }
 
-void NormalisationKernels::normalise(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                                     NormActivations& state, const ChannelSlice& output) {
+void Normalisation::normalise(Stream& stream, const Slice& input, const NormWeights& weights,
+                                     NormState& state, const Slice& output) {
     compute_scale(stream, input, weights, state, false);
     apply_scale(stream, input, state, output, false);
 }
 
-void NormalisationKernels::norm_vjp(Stream& stream, const ChannelSlice& input, const NormActivations& state,
-                                    const ChannelSlice& d_output, const ChannelSlice& d_input,
+void Normalisation::norm_vjp(Stream& stream, const Slice& input, const NormState& state,
+                                    const Slice& d_out, const Slice& d_in,
                                     const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(input, shared::kNormVjpSums);
-    sums.d_to = d_output.view;
+    sums.d_to = d_out.view;
     sums.scale_shift = state.scale_shift.address();
     sums.moments = state.moments.address();
     sums.dropout_key = state.dropout_key;
@@ -128,8 +130,8 @@ void NormalisationKernels::norm_vjp(Stream& stream, const ChannelSlice& input, c
          .n = 2 * input.channels});
     run(stream, norm_vjp_, count_norm_threads(input),
         {.from = input.view,
-         .d_to = d_output.view,
-         .d_from = d_input.view,
+         .d_to = d_out.view,
+         .d_from = d_in.view,
          .d_beta_gamma = gradient.all.address_as<glm::vec2, shared::BetaGamma>(gradient.first),
          .scale_shift = state.scale_shift.address(),
          .moments = state.moments.address(),
@@ -141,15 +143,15 @@ void NormalisationKernels::norm_vjp(Stream& stream, const ChannelSlice& input, c
          .accumulate = accumulate ? 1u : 0u});
 }
 
-void NormalisationKernels::bias_vjp(Stream& stream, const ChannelSlice& d_output,
+void Normalisation::bias_vjp(Stream& stream, const Slice& d_out,
                                     Address<float, shared::ConvBias> d_bias) {
-    const shared::ChannelSumsParams sums = make_sums_params(d_output, shared::kPlainSums);
+    const shared::ChannelSumsParams sums = make_sums_params(d_out, shared::kPlainSums);
     channel_sums(stream, sums);
-    run(stream, sum_parts_, d_output.channels,
+    run(stream, sum_parts_, d_out.channels,
         {.partial = partial_.address(),
          .sum = d_bias.cast_tag<shared::SumOfParts>(),
          .n_parts = sums.n_parts,
-         .n = d_output.channels});
+         .n = d_out.channels});
 }
 
 }  // namespace relidar::network

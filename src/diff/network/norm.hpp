@@ -22,39 +22,39 @@ struct NormGradientTarget {
     std::size_t first = 0;
 };
 
-struct NormActivations {
+struct NormState {
     Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
     Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
     std::uint32_t dropout_key = 0;
     float dropout = 0.0f;
 
-    NormActivations() = default;
-    NormActivations(Device& device, std::uint32_t channels)
+    NormState() = default;
+    NormState(Device& device, std::uint32_t channels)
         : moments(device, channels, "moments"), scale_shift(device, channels, "scale and shift") {}
 };
 
-class NormalisationKernels {
+class Normalisation {
 public:
-    explicit NormalisationKernels(Device& device);
+    explicit Normalisation(Device& device);
 
     /// Computes output = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and
     /// variance.
-    void normalise_batch(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                         NormActivations& state, const ChannelSlice& output);
+    void normalise_batch(Stream& stream, const Slice& input, const NormWeights& weights,
+                         NormState& state, const Slice& output);
     /// Uses the running mean and variance, and no dropout.
-    void normalise(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                   NormActivations& state, const ChannelSlice& output);
-    /// Computes the gradients of the input (d_input), beta and gamma from the gradient of
-    /// the output (d_output). Requires an earlier normalise_batch().
-    /// @param accumulate true: adds the result to `d_input` instead of overwriting it
-    void norm_vjp(Stream& stream, const ChannelSlice& input, const NormActivations& state,
-                  const ChannelSlice& d_output, const ChannelSlice& d_input,
+    void normalise(Stream& stream, const Slice& input, const NormWeights& weights,
+                   NormState& state, const Slice& output);
+    /// Computes the gradients of the input (d_in), beta and gamma from the gradient of
+    /// the output (d_out). Requires an earlier normalise_batch().
+    /// @param accumulate true: adds the result to `d_in` instead of overwriting it
+    void norm_vjp(Stream& stream, const Slice& input, const NormState& state,
+                  const Slice& d_out, const Slice& d_in,
                   const NormGradientTarget& gradient, bool accumulate = false);
     /// Computes the gradient of a bias, [channels]: the sum of each channel over the
     /// pixels of all images.
-    void bias_vjp(Stream& stream, const ChannelSlice& d_output, Address<float, shared::ConvBias> d_bias);
-    void reserve_sums(Device& device, std::uint32_t n_channels, const ImageBatchSize& grid);
+    void bias_vjp(Stream& stream, const Slice& d_out, Address<float, shared::ConvBias> d_bias);
+    void reserve_sums(Device& device, std::uint32_t n_channels, ImageBatchSize grid);
 
 private:
     std::uint32_t lanes_;
@@ -65,12 +65,12 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    shared::ChannelSumsParams make_sums_params(const ChannelSlice& input, std::uint32_t kind) const;
+    shared::ChannelSumsParams make_sums_params(const Slice& input, std::uint32_t kind) const;
     void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    void apply_scale(Stream& stream, const ChannelSlice& input, const NormActivations& state,
-                     const ChannelSlice& output, bool is_training) const;
-    void compute_scale(Stream& stream, const ChannelSlice& input, const NormWeights& weights,
-                       NormActivations& state, bool is_training) const;
+    void apply_scale(Stream& stream, const Slice& input, const NormState& state,
+                     const Slice& output, bool training) const;
+    void compute_scale(Stream& stream, const Slice& input, const NormWeights& weights,
+                       NormState& state, bool training) const;
 };
 
 }  // namespace relidar::network

@@ -6,8 +6,8 @@
 namespace relidar::network {
 namespace {
 
-shared::ResampleParams resample_params(const ChannelSlice& input, const ChannelSlice& output,
-                                       const ImageBatchSize& large_grid, const ImageBatchSize& small_grid) {
+shared::ResampleParams resample_params(const Slice& input, const Slice& output,
+                                       ImageBatchSize large_grid, ImageBatchSize small_grid) {
     RELIDAR_ASSERT_EQ(input.channels, output.channels);
     RELIDAR_ASSERT_EQ(large_grid.n, small_grid.n);
     return {.from = input.view,
@@ -22,41 +22,41 @@ shared::ResampleParams resample_params(const ChannelSlice& input, const ChannelS
             .circular = large_grid.circular ? 1u : 0u};
 }
 
-std::size_t count_values(const ChannelSlice& slice) { return slice.channels * slice.grid.n_pixels_total(); }
+std::size_t count_values(const Slice& slice) { return slice.channels * slice.grid.n_pixels_total(); }
 
 }  // namespace
 
-ImageBatchSize half_size(const ImageBatchSize& grid) {
+ImageBatchSize half_size(ImageBatchSize grid) {
     return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
-ResamplingKernels::ResamplingKernels(Device& device)
+Resampling::Resampling(Device& device)
     : pool_(device, "diff/network/pool"),
       pool_vjp_(device, "diff/network/pool_vjp"),
       upsample_(device, "diff/network/upsample"),
       upsample_vjp_(device, "diff/network/upsample_vjp") {}
 
-void ResamplingKernels::max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output) {
+void Resampling::max_pool(Stream& stream, const Slice& input, const Slice& output) {
     RELIDAR_ASSERT_EQ(half_size(input.grid) == output.grid, true);
     run(stream, pool_, count_values(output), resample_params(input, output, input.grid, output.grid));
 }
 
-void ResamplingKernels::max_pool_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
-                                     const ChannelSlice& d_input) {
-    RELIDAR_ASSERT_EQ(half_size(input.grid) == d_output.grid && input.grid == d_input.grid, true);
-    shared::ResampleParams params = resample_params(d_output, d_input, input.grid, d_output.grid);
+void Resampling::max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out,
+                                     const Slice& d_in) {
+    RELIDAR_ASSERT_EQ(half_size(input.grid) == d_out.grid && input.grid == d_in.grid, true);
+    shared::ResampleParams params = resample_params(d_out, d_in, input.grid, d_out.grid);
     params.pooled = input.view;
-    run(stream, pool_vjp_, count_values(d_output), params);
+    run(stream, pool_vjp_, count_values(d_out), params);
 }
 
-void ResamplingKernels::upsample(Stream& stream, const ChannelSlice& input, const ChannelSlice& output) {
+void Resampling::upsample(Stream& stream, const Slice& input, const Slice& output) {
     run(stream, upsample_, count_values(output), resample_params(input, output, output.grid, input.grid));
 }
 
-void ResamplingKernels::upsample_vjp(Stream& stream, const ChannelSlice& d_output,
-                                     const ChannelSlice& d_input) {
-    run(stream, upsample_vjp_, count_values(d_input),
-        resample_params(d_output, d_input, d_output.grid, d_input.grid));
+void Resampling::upsample_vjp(Stream& stream, const Slice& d_out,
+                                     const Slice& d_in) {
+    run(stream, upsample_vjp_, count_values(d_in),
+        resample_params(d_out, d_in, d_out.grid, d_in.grid));
 }
 
 }  // namespace relidar::network

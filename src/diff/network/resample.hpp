@@ -8,19 +8,19 @@
 namespace relidar::network {
 
 /// Half the rows and half the columns, rounded down.
-ImageBatchSize half_size(const ImageBatchSize& grid);
+ImageBatchSize half_size(ImageBatchSize grid);
 
-class ResamplingKernels {
+class Resampling {
 public:
-    explicit ResamplingKernels(Device& device);
+    explicit Resampling(Device& device);
 
     /// Maximum of each block of 2 x 2 pixels.
-    void max_pool(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
-    /// Adds to `d_input`.
-    void max_pool_vjp(Stream& stream, const ChannelSlice& input, const ChannelSlice& d_output,
-                      const ChannelSlice& d_input);
-    void upsample(Stream& stream, const ChannelSlice& input, const ChannelSlice& output);
-    void upsample_vjp(Stream& stream, const ChannelSlice& d_output, const ChannelSlice& d_input);
+    void max_pool(Stream& stream, const Slice& input, const Slice& output);
+    /// Adds to `d_in`.
+    void max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out,
+                      const Slice& d_in);
+    void upsample(Stream& stream, const Slice& input, const Slice& output);
+    void upsample_vjp(Stream& stream, const Slice& d_out, const Slice& d_in);
 
 private:
     Kernel<shared::ResampleParams> pool_, pool_vjp_, upsample_, upsample_vjp_;

@@ -27,12 +27,12 @@ inline std::uint32_t div_ceil(std::uint32_t count, std::uint32_t group_size) {
     return (count + group_size - 1) / group_size;
 }
 
-struct ChannelSlice {
+struct Slice {
     shared::ImageSlice view;
     std::uint32_t channels = 0;
     ImageBatchSize grid;
 
-    ChannelSlice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
+    Slice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
         return {{view.values, view.channels, view.first + first_channel}, n_channels, grid};
     }
 };
@@ -43,11 +43,11 @@ struct Tensor {
     Array<float> values;
 
     Tensor() = default;
-    Tensor(Device& device, std::uint32_t n_channels, const ImageBatchSize& g, const std::string& text)
+    Tensor(Device& device, std::uint32_t n_channels, ImageBatchSize g, const std::string& text)
         : channels(n_channels), grid(g), values(device, n_channels * g.n_pixels_total(), text) {}
     /// Returns all channels.
-    operator ChannelSlice() const { return {{values.address(), channels, 0}, channels, grid}; }
-    ChannelSlice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
+    operator Slice() const { return {{values.address(), channels, 0}, channels, grid}; }
+    Slice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
         return {{values.address(), channels, first_channel}, n_channels, grid};
     }
 };

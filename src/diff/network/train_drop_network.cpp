@@ -20,17 +20,17 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The seed depends on
 /// the epoch, so that a resumed training draws the same values.
-std::vector<network::RayDropInputs::RotatedSample> sample_epoch(std::size_t n_images, int n_columns,
+std::vector<network::RotatedSample> sample_epoch(std::size_t n_images, int n_columns,
                                                                 bool rotate_images, std::uint64_t seed,
                                                                 int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
-    std::vector<network::RayDropInputs::RotatedSample> chosen(n_images);
+    std::vector<network::RotatedSample> chosen(n_images);
     for (std::size_t i = 0; i < n_images; ++i) {
         const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
-    for (network::RayDropInputs::RotatedSample& c : chosen)
+    for (network::RotatedSample& c : chosen)
         c.column_shift = rotate_images ? std::uint32_t(random() % std::uint64_t(n_columns)) : 0;
     return chosen;
 }
@@ -94,7 +94,7 @@ RayDropNetwork train_drop_network(Device& device, const std::vector<RayDropImage
         result.seconds = course.report.seconds;
         return result;
     };
-    std::vector<network::RayDropInputs::RotatedSample> order;
+    std::vector<network::RotatedSample> order;
     while (course.report.step < course.report.n_steps) {
         const std::size_t k = std::size_t(course.report.step++) % course.n_steps;  // step index in the epoch
         if (k == 0) course.entropy = course.accuracy = 0.0;

@@ -21,28 +21,28 @@ Unet::Unet(Device& device, const RayDropNetwork& network)
     if (network.heads > 0) attention_.emplace(device, network.heads);
 }
 
-ChannelSlice Unet::skip(std::size_t level) const {
+Slice Unet::skip(std::size_t level) const {
     return levels_[level].joined.channel_range(upsampled_channels(widths_, level), widths_[level]);
 }
-ChannelSlice Unet::d_skip(std::size_t level) const {
+Slice Unet::d_skip(std::size_t level) const {
     return levels_[level].d_joined.channel_range(upsampled_channels(widths_, level), widths_[level]);
 }
 
-void Unet::allocate_block(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
-                          UnetBlockActivations& state) {
+void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid,
+                          BlockState& state) {
     state.active = Tensor(device, block.conv.n_in, grid, "activations");
-    state.norm = NormActivations(device, block.conv.n_in);
+    state.norm = NormState(device, block.conv.n_in);
     norm_.reserve_sums(device, block.conv.n_in, grid);
     if (!with_gradients_) return;
     most_active_ = std::max(most_active_, block.conv.n_in * grid.n_pixels_total());
-    ConvolutionKernels& conv = conv_kernels(block.conv);
+    Convolution& conv = conv_kernels(block.conv);
     conv.reserve_weight_sums(device, conv.n_partial_sums(grid, block.conv.n_in, block.conv.n_out));
 }
 
-void Unet::allocate_level(Device& device, std::size_t level, const ImageBatchSize& grid) {
-    UnetLevelBuffers& l = levels_[level];
+void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid) {
+    LevelBuffers& l = levels_[level];
     const auto tensors = [&](Tensor& values, Tensor& gradients, std::uint32_t channels,
-                             const ImageBatchSize& of) {
+                             ImageBatchSize of) {
         values = Tensor(device, channels, of, "activations");
         if (with_gradients_) gradients = Tensor(device, channels, of, "gradients of activations");
     };
@@ -63,7 +63,7 @@ void Unet::allocate_level(Device& device, std::size_t level, const ImageBatchSiz
         allocate_block(device, plan_.up[2 * level + k], grid, up_states_[2 * level + k]);
 }
 
-void Unet::allocate(Device& device, const ImageBatchSize& grid, bool with_gradients) {
+void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
     if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
@@ -80,7 +80,7 @@ void Unet::allocate(Device& device, const ImageBatchSize& grid, bool with_gradie
     ImageBatchSize at = grid;
     for (std::size_t level = 0; level < levels_.size(); ++level, at = half_size(at))
         allocate_level(device, level, at);
-    for (const ConvParameterOffsets* layer : {&plan_.first_conv, &plan_.last_conv})
+    for (const ConvOffsets* layer : {&plan_.first_conv, &plan_.last_conv})
         conv1_.reserve_weight_sums(device, conv1_.n_partial_sums(grid, layer->n_in, layer->n_out));
     norm_.reserve_sums(device, 1, grid);
     norm_.reserve_sums(device, widths_[0], grid);
@@ -104,17 +104,17 @@ void Unet::allocate_attention(Device& device) {
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                          const ChannelSlice& input, const ChannelSlice& output, UnetMode mode) {
+void Unet::run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state,
+                          const Slice& input, const Slice& output, Mode mode) {
     const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
                                    running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
-    if (mode == UnetMode::train) norm_.normalise_batch(stream, input, norm_weights, state.norm, state.active);
+    if (mode == Mode::train) norm_.normalise_batch(stream, input, norm_weights, state.norm, state.active);
     else norm_.normalise(stream, input, norm_weights, state.norm, state.active);
     conv_kernels(block.conv)
         .run_convolution(stream, state.active, conv_weights(block.conv.weights), {}, output);
 }
 
-void Unet::run_attention(Stream& stream, UnetMode mode) {
+void Unet::run_attention(Stream& stream, Mode mode) {
     const Tensor& bottom = levels_.back().up;
     run_conv_block(stream, *plan_.query, query_state_, bottom, qkv_, mode);
     attention_->attend(stream, qkv_, attention_state_, attended_);
@@ -123,12 +123,12 @@ void Unet::run_attention(Stream& stream, UnetMode mode) {
                            conv_bias(*plan_.project.bias), mixed_, true);
 }
 
-void Unet::run_all_layers(Stream& stream, UnetMode mode) {
+void Unet::run_all_layers(Stream& stream, Mode mode) {
     conv1_.run_convolution(stream, inputs_, conv_weights(plan_.first_conv.weights),
                            conv_bias(*plan_.first_conv.bias), skip(0));
     const std::size_t n_levels = widths_.size() - 1;
     for (std::size_t l = 1; l <= n_levels; ++l) {
-        const ChannelSlice pooled = levels_[l].pooled, between = levels_[l].down_between;
+        const Slice pooled = levels_[l].pooled, between = levels_[l].down_between;
         resample_.max_pool(stream, skip(l - 1), pooled);
         run_conv_block(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], pooled, between, mode);
         run_conv_block(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between,
@@ -136,7 +136,7 @@ void Unet::run_all_layers(Stream& stream, UnetMode mode) {
     }
     if (attention_) run_attention(stream, mode);
     for (std::size_t l = plan_.up.size() / 2; l-- > 0;) {
-        const UnetLevelBuffers& level = levels_[l];
+        const LevelBuffers& level = levels_[l];
         if (const std::uint32_t below = upsampled_channels(widths_, l); below > 0) {
             const bool smallest = l + 1 == n_levels;
             resample_.upsample(stream, smallest && attention_ ? mixed_ : levels_[l + 1].up,
@@ -151,35 +151,35 @@ void Unet::run_all_layers(Stream& stream, UnetMode mode) {
 
 void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate) {
     std::uint32_t key = dropout_key;
-    for (std::vector<UnetBlockActivations>* states : {&down_states_, &up_states_})
-        for (UnetBlockActivations& state : *states) {
+    for (std::vector<BlockState>* states : {&down_states_, &up_states_})
+        for (BlockState& state : *states) {
             state.norm.dropout_key = key++;
             state.norm.dropout = dropout_rate;
         }
-    run_all_layers(stream, UnetMode::train);
+    run_all_layers(stream, Mode::train);
 }
 
-void Unet::run_inference(Stream& stream) { run_all_layers(stream, UnetMode::evaluate); }
+void Unet::run_inference(Stream& stream) { run_all_layers(stream, Mode::evaluate); }
 
-void Unet::conv_vjp(Stream& stream, const ConvParameterOffsets& layer, const ChannelSlice& input,
-                    const ChannelSlice& d_output) {
-    conv_kernels(layer).weights_vjp(stream, input, d_output,
+void Unet::conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input,
+                    const Slice& d_out) {
+    conv_kernels(layer).weights_vjp(stream, input, d_out,
                                     gradients_.address_as<float, shared::ConvWeights>(layer.weights));
     if (layer.bias)
-        norm_.bias_vjp(stream, d_output, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
+        norm_.bias_vjp(stream, d_out, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::block_vjp(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                     const ChannelSlice& input, const ChannelSlice& d_output, const ChannelSlice& d_input,
+void Unet::block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state,
+                     const Slice& input, const Slice& d_out, const Slice& d_in,
                      bool accumulate) {
-    const ChannelSlice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
-    conv_vjp(stream, block.conv, state.active, d_output);
-    conv_kernels(block.conv).input_vjp(stream, d_output, conv_weights(block.conv.weights), d_active);
-    norm_.norm_vjp(stream, input, state.norm, d_active, d_input, {gradients_, block.beta_gamma}, accumulate);
+    const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
+    conv_vjp(stream, block.conv, state.active, d_out);
+    conv_kernels(block.conv).input_vjp(stream, d_out, conv_weights(block.conv.weights), d_active);
+    norm_.norm_vjp(stream, input, state.norm, d_active, d_in, {gradients_, block.beta_gamma}, accumulate);
 }
 
 void Unet::attention_vjp(Stream& stream) {
-    const UnetLevelBuffers& smallest = levels_.back();
+    const LevelBuffers& smallest = levels_.back();
     conv_vjp(stream, plan_.project, attended_, d_mixed_);
     conv1_.input_vjp(stream, d_mixed_, conv_weights(plan_.project.weights), d_attended_);
     attention_->attend_vjp(stream, qkv_, attention_state_, d_attended_, d_qkv_);
@@ -193,8 +193,8 @@ void Unet::backward(Stream& stream) {
     conv_vjp(stream, plan_.last_conv, levels_[0].up, d_logit_);
     conv1_.input_vjp(stream, d_logit_, conv_weights(plan_.last_conv.weights), levels_[0].d_up);
     for (std::size_t l = 0; l < plan_.up.size() / 2; ++l) {
-        const UnetLevelBuffers& level = levels_[l];
-        const ChannelSlice between = level.up_between, d_between = level.d_up_between;
+        const LevelBuffers& level = levels_[l];
+        const Slice between = level.up_between, d_between = level.d_up_between;
         block_vjp(stream, plan_.up[2 * l + 1], up_states_[2 * l + 1], between, level.d_up, d_between);
         block_vjp(stream, plan_.up[2 * l], up_states_[2 * l], level.joined, d_between, level.d_joined);
         if (const std::uint32_t below = upsampled_channels(widths_, l); below > 0) {
@@ -205,8 +205,8 @@ void Unet::backward(Stream& stream) {
     }
     if (attention_) attention_vjp(stream);
     for (std::size_t l = n_levels; l > 0; --l) {
-        const UnetLevelBuffers& level = levels_[l];
-        const ChannelSlice d_to = l < n_levels ? d_skip(l) : level.d_up, between = level.down_between;
+        const LevelBuffers& level = levels_[l];
+        const Slice d_to = l < n_levels ? d_skip(l) : level.d_up, between = level.down_between;
         block_vjp(stream, plan_.down[2 * l - 1], down_states_[2 * l - 1], between, d_to,
                   level.d_down_between);
         block_vjp(stream, plan_.down[2 * l - 2], down_states_[2 * l - 2], level.pooled, level.d_down_between,

@@ -17,7 +17,7 @@
 
 namespace relidar::network {
 
-struct ConvParameterOffsets {
+struct ConvOffsets {
     std::uint32_t n_in = 0, n_out = 0, taps = 1;
     std::size_t weights = 0;
     std::optional<std::size_t> bias = {};
@@ -25,23 +25,23 @@ struct ConvParameterOffsets {
 
 /// Offsets of a block's parameters in the parameter array. A block is normalisation,
 /// ReLU, dropout, convolution.
-struct UnetBlockOffsets {
+struct BlockOffsets {
     std::size_t beta_gamma = 0, running = 0;
-    ConvParameterOffsets conv;
+    ConvOffsets conv;
 };
 
-struct UnetParameterLayout {
+struct UnetLayout {
     /// `first_conv` converts the inputs to the channels of the first level. `last_conv`
     /// converts these channels to a logit.
-    ConvParameterOffsets first_conv, last_conv;
+    ConvOffsets first_conv, last_conv;
     /// Blocks of the encoder (`down`) and of the decoder (`up`), two per level. Each list
     /// starts with the level of full image size.
-    std::vector<UnetBlockOffsets> down, up;
-    std::optional<UnetBlockOffsets> query;  ///< attention: query, key, value
-    ConvParameterOffsets project;           ///< attention: projection of the result
+    std::vector<BlockOffsets> down, up;
+    std::optional<BlockOffsets> query;  ///< attention: query, key, value
+    ConvOffsets project;           ///< attention: projection of the result
     std::size_t n_parameters = 0, n_running = 0;
 
-    explicit UnetParameterLayout(const RayDropNetwork& network);
+    explicit UnetLayout(const RayDropNetwork& network);
 };
 
 /// These functions count the channels of a decoder level: of its output, of its upsampled
@@ -52,7 +52,7 @@ std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::siz
 
 /// Initialises the parameters with Kaiming's uniform distribution. If the network is
 /// residual, its last convolution starts at 0, so that its first output is 0.
-void init_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
+void init_parameters(RayDropNetwork& network, const UnetLayout& layout,
                      std::uint64_t seed);
 
 class Unet {
@@ -60,7 +60,7 @@ public:
     Unet(Device& device, const RayDropNetwork& network);
 
     /// @param with_gradients true: also allocates memory for backward()
-    void allocate(Device& device, const ImageBatchSize& grid, bool with_gradients);
+    void allocate(Device& device, ImageBatchSize grid, bool with_gradients);
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate);
     /// Uses the running mean and variance, and no dropout.
     void run_inference(Stream& stream);
@@ -84,59 +84,59 @@ public:
 
 private:
     /// Results of a block that the backward pass needs.
-    struct UnetBlockActivations {
+    struct BlockState {
         Tensor active;
-        NormActivations norm;
+        NormState norm;
     };
     /// Arrays of one level of the U-Net. `joined`: upsampled images and skip connection.
     /// `between`: images between the two blocks of a level.
-    struct UnetLevelBuffers {
+    struct LevelBuffers {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;
     };
-    enum class UnetMode { train, evaluate };
+    enum class Mode { train, evaluate };
 
-    UnetParameterLayout plan_;
+    UnetLayout plan_;
     std::vector<std::uint32_t> widths_;
     bool with_gradients_ = false;
-    ConvolutionKernels conv1_, conv3_;
-    NormalisationKernels norm_;
-    ResamplingKernels resample_;
+    Convolution conv1_, conv3_;
+    Normalisation norm_;
+    Resampling resample_;
     std::optional<Attention> attention_;
     Array<float> parameters_, gradients_, running_;
     Tensor inputs_, logit_, d_logit_;
     Tensor qkv_, d_qkv_, attended_, d_attended_, mixed_, d_mixed_;
-    AttentionActivations attention_state_;
-    UnetBlockActivations query_state_;
-    std::vector<UnetLevelBuffers> levels_;
-    std::vector<UnetBlockActivations> down_states_, up_states_;
+    AttentionState attention_state_;
+    BlockState query_state_;
+    std::vector<LevelBuffers> levels_;
+    std::vector<BlockState> down_states_, up_states_;
     std::size_t most_active_ = 0;  ///< largest number of activations after a normalisation in any block
     Tensor scratch_;               ///< gradients of these activations
 
-    ConvolutionKernels::Weights conv_weights(std::size_t offset) const {
+    Convolution::Weights conv_weights(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvWeights>(offset);
     }
-    ConvolutionKernels::Bias conv_bias(std::size_t offset) const {
+    Convolution::Bias conv_bias(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvBias>(offset);
     }
-    ConvolutionKernels& conv_kernels(const ConvParameterOffsets& layer) {
+    Convolution& conv_kernels(const ConvOffsets& layer) {
         return layer.taps == 1 ? conv1_ : conv3_;
     }
-    ChannelSlice skip(std::size_t level) const;
-    ChannelSlice d_skip(std::size_t level) const;
-    void allocate_level(Device& device, std::size_t level, const ImageBatchSize& grid);
+    Slice skip(std::size_t level) const;
+    Slice d_skip(std::size_t level) const;
+    void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);
     void allocate_attention(Device& device);
-    void allocate_block(Device& device, const UnetBlockOffsets& block, const ImageBatchSize& grid,
-                        UnetBlockActivations& state);
-    void run_conv_block(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                        const ChannelSlice& input, const ChannelSlice& output, UnetMode mode);
-    void block_vjp(Stream& stream, const UnetBlockOffsets& block, UnetBlockActivations& state,
-                   const ChannelSlice& input, const ChannelSlice& d_output, const ChannelSlice& d_input,
+    void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid,
+                        BlockState& state);
+    void run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state,
+                        const Slice& input, const Slice& output, Mode mode);
+    void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state,
+                   const Slice& input, const Slice& d_out, const Slice& d_in,
                    bool accumulate = false);
-    void conv_vjp(Stream& stream, const ConvParameterOffsets& layer, const ChannelSlice& input,
-                  const ChannelSlice& d_output);
-    void run_all_layers(Stream& stream, UnetMode mode);
-    void run_attention(Stream& stream, UnetMode mode);
+    void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input,
+                  const Slice& d_out);
+    void run_all_layers(Stream& stream, Mode mode);
+    void run_attention(Stream& stream, Mode mode);
     void attention_vjp(Stream& stream);
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the offsets and initial values of a network's parameters. The constructor of
-// UnetParameterLayout assigns the offsets in the order of its calls. Each group of
+// UnetLayout assigns the offsets in the order of its calls. Each group of
 // parameters starts at a multiple of four floats, because arrays on the device need this
 // alignment.
 #include <cmath>
@@ -19,15 +19,15 @@ std::size_t reserve_floats(std::size_t& n_allocated, std::size_t n_floats) {
 
 }  // namespace
 
-UnetParameterLayout::UnetParameterLayout(const RayDropNetwork& network) {
+UnetLayout::UnetLayout(const RayDropNetwork& network) {
     const auto conv = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps, bool biased) {
-        ConvParameterOffsets layer{
+        ConvOffsets layer{
             n_in, n_out, taps, reserve_floats(n_parameters, std::size_t(n_in) * n_out * taps), {}};
         if (biased) layer.bias = reserve_floats(n_parameters, n_out);
         return layer;
     };
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
-        return UnetBlockOffsets{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
+        return BlockOffsets{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
                                 conv(n_in, n_out, taps, false)};
     };
     const std::vector<std::uint32_t>& w = network.widths;
@@ -63,12 +63,12 @@ std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::siz
     return upsampled_channels(widths, level) + widths[level];
 }
 
-void init_parameters(RayDropNetwork& network, const UnetParameterLayout& parameter_layout,
+void init_parameters(RayDropNetwork& network, const UnetLayout& layout,
                      std::uint64_t seed) {
     std::mt19937_64 random(seed);
-    network.parameters.assign(parameter_layout.n_parameters, 0.0f);
-    network.running.assign(parameter_layout.n_running, 0.0f);
-    const auto draw_conv = [&](const ConvParameterOffsets& layer) {
+    network.parameters.assign(layout.n_parameters, 0.0f);
+    network.running.assign(layout.n_running, 0.0f);
+    const auto draw_conv = [&](const ConvOffsets& layer) {
         const float bound = std::sqrt(6.0f / float(layer.n_in * layer.taps));
         for (std::size_t i = 0; i < std::size_t(layer.n_in) * layer.n_out * layer.taps; ++i) {
             // Random number between -1 and 1. std::uniform_real_distribution is not used,
@@ -77,20 +77,20 @@ void init_parameters(RayDropNetwork& network, const UnetParameterLayout& paramet
             network.parameters[layer.weights + i] = bound * uniform;
         }
     };
-    const auto draw_block = [&](const UnetBlockOffsets& block) {
+    const auto draw_block = [&](const BlockOffsets& block) {
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {
             network.parameters[block.beta_gamma + 2 * c + 1] = 1.0f;
             network.running[block.running + 2 * c + 1] = 1.0f;
         }
         draw_conv(block.conv);
     };
-    draw_conv(parameter_layout.first_conv);
-    for (const UnetBlockOffsets& block : parameter_layout.down) draw_block(block);
+    draw_conv(layout.first_conv);
+    for (const BlockOffsets& block : layout.down) draw_block(block);
     // Leaves the output projection of the attention at 0, so that attention adds nothing
     // at first.
-    if (parameter_layout.query) draw_block(*parameter_layout.query);
-    for (const UnetBlockOffsets& block : parameter_layout.up) draw_block(block);
-    if (!network.residual) draw_conv(parameter_layout.last_conv);
+    if (layout.query) draw_block(*layout.query);
+    for (const BlockOffsets& block : layout.up) draw_block(block);
+    if (!network.residual) draw_conv(layout.last_conv);
 }
 
 }  // namespace relidar::network

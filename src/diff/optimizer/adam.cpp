@@ -21,13 +21,15 @@ double interpolate_exp(double start, double end, int step, int n_steps) {
 
 namespace {
 
+using enum SpecialisationConstantId;
+
 // Number of threads per workgroup. With only 32 threads, a GPU would not be fully
 // occupied.
 constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<SpecialisationConstant> adam_constants(bool thread_per_float) {
-    return {{SpecialisationConstantId::ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u},
-            {SpecialisationConstantId::WORKGROUP_SIZE, kStreamingThreads}};
+    return {{ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u},
+            {WORKGROUP_SIZE, kStreamingThreads}};
 }
 
 }  // namespace
@@ -78,11 +80,11 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
-    const float correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
-    const float correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
+    const float correction1 = float(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
+    const float correction2 = float(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
     const bool listed = a.list && touched_flags;
     if (listed) a.list->compact(stream, touched_flags->address(first), n_rows);
-    const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
+    const std::uint32_t active_harmonics = std::uint32_t((sh_degree + 1) * (sh_degree + 1));
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {
         const std::uint32_t stride = group.count_floats(), block = group.harmonics ? group.row[1] : stride;
@@ -107,15 +109,15 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
                  (by_model ? stream.impl().stage_values(learning_rates.mean_factors) : Address<float>{})
                      .cast_tag<shared::ModelRates>(),
              .models = by_model ? learning_rates.models->address() : Address<shared::ModelEntry>{},
-             .learning_rate = static_cast<float>(learning_rates.*group.rate * rest_factor),
-             .beta1 = static_cast<float>(a.options.beta1),
-             .beta2 = static_cast<float>(a.options.beta2),
-             .epsilon = static_cast<float>(a.options.epsilon),
+             .learning_rate = float(learning_rates.*group.rate * rest_factor),
+             .beta1 = float(a.options.beta1),
+             .beta2 = float(a.options.beta2),
+             .epsilon = float(a.options.epsilon),
              .correction1 = correction1,
              .correction2 = correction2,
-             .first_scale = static_cast<float>(1.0 / std::max(rest_factor, 1e-12)),
-             .block_scale = static_cast<float>(group.harmonics ? learning_rates.intensity_factor : 1.0),
-             .n_models = static_cast<std::uint32_t>(by_model ? learning_rates.mean_factors.size() : 0),
+             .first_scale = float(1.0 / std::max(rest_factor, 1e-12)),
+             .block_scale = float(group.harmonics ? learning_rates.intensity_factor : 1.0),
+             .n_models = std::uint32_t(by_model ? learning_rates.mean_factors.size() : 0),
              .first_row = first,
              .n_rows = n_rows,
              .stride = stride,
@@ -165,17 +167,17 @@ void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Ar
          .bounds = {},
          .model_scale = {},
          .models = {},
-         .learning_rate = static_cast<float>(learning_rate),
-         .beta1 = static_cast<float>(a.options.beta1),
-         .beta2 = static_cast<float>(a.options.beta2),
-         .epsilon = static_cast<float>(a.options.epsilon),
-         .correction1 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta1, step_number))),
-         .correction2 = static_cast<float>(1.0 / (1.0 - std::pow(a.options.beta2, step_number))),
+         .learning_rate = float(learning_rate),
+         .beta1 = float(a.options.beta1),
+         .beta2 = float(a.options.beta2),
+         .epsilon = float(a.options.epsilon),
+         .correction1 = float(1.0 / (1.0 - std::pow(a.options.beta1, step_number))),
+         .correction2 = float(1.0 / (1.0 - std::pow(a.options.beta2, step_number))),
          .first_scale = 1.0f,
          .block_scale = 1.0f,
          .n_models = 0,
          .first_row = 0,
-         .n_rows = static_cast<std::uint32_t>(a.moment1.size()),
+         .n_rows = std::uint32_t(a.moment1.size()),
          .stride = 1,
          .block = 1,
          .n_blocks = 1,

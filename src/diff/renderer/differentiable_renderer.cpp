@@ -15,7 +15,7 @@ namespace relidar {
 namespace {
 
 std::uint32_t max_batch_rays(const Renderer& renderer) {
-    return static_cast<std::uint32_t>(renderer.last_batch().rendered->size());
+    return std::uint32_t(renderer.last_batch().rendered->size());
 }
 
 struct UpstreamGradientField {

@@ -7,7 +7,7 @@
 namespace relidar {
 
 CollectedHits collect_hits(Device& device, const KernelVariant& variant,
-                           const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
+                           const TraceConstants& constants, shared::TraceScene scene,
                            const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> kernel(device, "diff/traversal/collect_hits", variant, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
@@ -20,7 +20,7 @@ CollectedHits collect_hits(Device& device, const KernelVariant& variant,
     const Array<float, shared::HitDistances> t(device, n_slots, "hit distances");
     scene.rays = device_rays.address();
     scene.pass_cap_count = pass_cap.address();
-    scene.n_rays = static_cast<std::uint32_t>(n);
+    scene.n_rays = std::uint32_t(n);
     Stream stream(device);
     run(stream, kernel, n,
         {.scene = scene,

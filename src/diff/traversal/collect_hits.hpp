@@ -8,8 +8,7 @@
 
 #include <relidar/diff/traversal.hpp>
 
-#include "diff/shared/trace.h"
-#include "gpu/kernel.hpp"
+#include "diff/traversal/trace_scene.hpp"
 
 namespace relidar {
 
@@ -26,8 +25,7 @@ struct CollectedHits {
 /// @param scene from trace_params(); this function adds the rays
 /// @param variant,constants of the kernel, see trace_scene.hpp
 /// @throws DeviceError if a ray has too many hits to be traced completely
-CollectedHits collect_hits(Device& device, const KernelVariant& variant,
-                           const std::vector<SpecialisationConstant>& constants, shared::TraceScene scene,
-                           const WorldRays& rays, std::uint32_t max_hits);
+CollectedHits collect_hits(Device& device, const KernelVariant& variant, const TraceConstants& constants,
+                           shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits);
 
 }  // namespace relidar

@@ -12,6 +12,9 @@
 
 namespace relidar {
 
+/// Specialisation constants of a tracing kernel.
+using TraceConstants = std::vector<SpecialisationConstant>;
+
 /// Returns the parameters that tracing kernels need for a scene, except the rays. The
 /// caller must add the rays.
 inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelAddresses& accel,
@@ -33,9 +36,9 @@ inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelAddr
             .alpha_max = model.alpha_max,
             .transmittance_min = model.transmittance_min,
             .likelihood_scale_m = 1.0f,
-            .n_instances = static_cast<std::uint32_t>(scene.instance_table().size()),
+            .n_instances = std::uint32_t(scene.instance_table().size()),
             .n_moving = accel.n_moving,
-            .sh_degree = static_cast<std::uint32_t>(model.sh_degree),
+            .sh_degree = std::uint32_t(model.sh_degree),
             .n_rays = 0,
             .first_ray = 0,
             .ray_stride = 1,
@@ -77,18 +80,18 @@ inline std::uint32_t together_mode(const Device& device, const TraceOptions& opt
     return is_cpu ? 2 : 1;
 }
 
-inline std::vector<SpecialisationConstant> trace_constants(const Device& device, ProxyShape proxy,
-                                                           const TraceOptions& options,
-                                                           const ImageModel& model) {
-    return {{SpecialisationConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},
-            {SpecialisationConstantId::BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
-            {SpecialisationConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
-            {SpecialisationConstantId::TOGETHER, together_mode(device, options)},
-            {SpecialisationConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
-            {SpecialisationConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {SpecialisationConstantId::NORMAL, options.normals ? 1u : 0u},
-            {SpecialisationConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
-            {SpecialisationConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
+inline TraceConstants trace_constants(const Device& device, ProxyShape proxy, const TraceOptions& options,
+                                      const ImageModel& model) {
+    using enum SpecialisationConstantId;
+    return {{CHUNK, std::uint32_t(options.chunk)},
+            {BOXES, proxy == ProxyShape::boxes ? 1u : 0u},
+            {SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
+            {TOGETHER, together_mode(device, options)},
+            {SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
+            {PRIMITIVE, std::uint32_t(model.primitive)},
+            {NORMAL, options.normals ? 1u : 0u},
+            {LIKELIHOOD, options.likelihood ? 1u : 0u},
+            {MODE, options.mode_gap_m ? 1u : 0u}};
 }
 
 }  // namespace relidar

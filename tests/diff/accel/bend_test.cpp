@@ -37,7 +37,7 @@ protected:
         scene.instances.clear();
         std::uint32_t first = 0;
         for (const std::uint32_t count : {900u, 300u, 400u, 0u, 100u, 300u}) {
-            scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), ""});
+            scene.instances.push_back({std::uint32_t(scene.models.size()), ""});
             scene.models.push_back({"model " + std::to_string(scene.models.size()), first, count});
             first += count;
         }

@@ -42,7 +42,7 @@ Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) 
     scene.instances.clear();
     std::uint32_t first = 0;
     for (const std::uint32_t size : sizes) {
-        scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), ""});
+        scene.instances.push_back({std::uint32_t(scene.models.size()), ""});
         scene.models.push_back({"model " + std::to_string(scene.models.size()), first, size});
         first += size;
     }
@@ -93,7 +93,7 @@ protected:
         EXPECT_EQ(std::count(node_visit_counts.begin(), node_visit_counts.end(), 1),
                   std::ptrdiff_t(node_visit_counts.size()))
             << description << ": nodes that no root reaches";
-        EXPECT_LE(host.nodes.size(), Bvh::max_node_count(n, static_cast<std::uint32_t>(layout.models.size())))
+        EXPECT_LE(host.nodes.size(), Bvh::max_node_count(n, std::uint32_t(layout.models.size())))
             << description;
     }
 

@@ -15,7 +15,7 @@ std::uint32_t unpack_byte(const std::uint32_t* words, int slot) {
 
 double decoded(float origin, std::uint32_t exponent, std::uint32_t quantised) {
     const float scale = std::bit_cast<float>(exponent << 23);
-    volatile float offset = static_cast<float>(quantised) * scale;  // each step rounded to float
+    volatile float offset = float(quantised) * scale;  // each step rounded to float
     volatile float x = origin + offset;
     return x;
 }

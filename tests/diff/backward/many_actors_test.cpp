@@ -36,7 +36,7 @@ test::RandomScene make_many_actors(bool has_models, int n_actors) {
         const glm::dvec3 cell(i % kAcross, i / kAcross % kAcross - 4.5, i / (kAcross * kAcross) - 4.5);
         const glm::dquat rotation =
             i % 3 == 0 ? glm::dquat(0.0, 0.0, 0.0, 1.0) : glm::dquat(1.0, 0.0, 0.0, 0.0);
-        const auto first = static_cast<std::uint32_t>(has_models ? kSurfels * i : 0);
+        const auto first = std::uint32_t(has_models ? kSurfels * i : 0);
         scene.world.instances.push_back(
             {first, kSurfels, {rotation, glm::dvec3(4.0, 0.0, 0.0) + kApart_m * cell}});
     }
@@ -133,7 +133,7 @@ std::vector<float> train(Passes& passes) {
         make_targets_near(passes.renderer.last_batch().rendered->download());
     const Array<DeviceTarget> targets(device, values, "targets");
     const Array<float> terms(device, kLossTerms, "loss terms");
-    const auto n = static_cast<std::uint32_t>(values.size());
+    const auto n = std::uint32_t(values.size());
     constexpr LearningRates kRates{1e-3, 1e-3, 5e-3, 0.05, 0.01, 0.05};
     ImageLoss loss(device, {});
     Adam adam(device, renderer.scene().size(), {});

@@ -33,7 +33,7 @@ inline RendererOptions make_options(const ImageModel& model) {
 }
 
 inline RendererOptions add_hit_room(RendererOptions options, std::size_t n_rays) {
-    options.n_rays = static_cast<std::uint32_t>(n_rays);
+    options.n_rays = std::uint32_t(n_rays);
     return options;
 }
 
@@ -69,7 +69,7 @@ struct Passes {
         differentiable.last_batch().upstream->upload(u);
     }
 
-    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
+    RayBatch batch() const { return {&rays, 0, 1, std::uint32_t(rays.size()), 0, &targets}; }
     DeviceGradients& gradients() { return differentiable.gradients(); }
     void run_forward() {
         renderer.update(view_origin);

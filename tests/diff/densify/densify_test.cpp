@@ -84,7 +84,7 @@ std::vector<Fate> compute_expected_fates(const Case& test_case, int step) {
         rules.clone_scale = test_case.options.clone_extent_share * extent;
         rules.gradient_threshold = test_case.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
-        rules.key = static_cast<std::uint32_t>(hash_pair(hash_pair(kSeed, 1), std::uint64_t(step)));
+        rules.key = std::uint32_t(hash_pair(hash_pair(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             fates.push_back(reference::decide_fate(
                 test::densify_surfel(test_case.scene.surfels, i),
@@ -113,7 +113,7 @@ std::vector<Row> compute_expected_rows(const std::vector<Fate>& fates, std::uint
         total += weight.back();
     }
     const std::uint32_t phase =
-        total ? static_cast<std::uint32_t>(hash_pair(hash_pair(kSeed, 2), std::uint64_t(step)) % total) : 0u;
+        total ? std::uint32_t(hash_pair(hash_pair(kSeed, 2), std::uint64_t(step)) % total) : 0u;
     const std::vector<std::uint32_t> copies = reference::count_copies(weight, n_new, phase);
     std::vector<Row> rows;
     for (std::uint32_t i = 0; i < fates.size(); ++i)
@@ -210,7 +210,7 @@ DensifyReport expect_reference(Case& test_case, int step) {
     EXPECT_EQ(test_case.device_scene.size(), rows.size());
     const Surfels now = test_case.device_scene.surfel_parameters().download();
     if (now.size() != rows.size()) return report;
-    const std::uint32_t key = static_cast<std::uint32_t>(hash_pair(hash_pair(kSeed, 1), std::uint64_t(step)));
+    const std::uint32_t key = std::uint32_t(hash_pair(hash_pair(kSeed, 1), std::uint64_t(step)));
     for (std::size_t i = 0; i < rows.size(); ++i) {
         EXPECT_EQ(test::get_tag(now, i), rows[i].source) << "row " << i;
         expect_values(test_case, rows[i], now, i, key);

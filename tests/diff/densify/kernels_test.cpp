@@ -38,7 +38,7 @@ void expect_allotted(Device& device, std::uint32_t largest) {
     const std::uint32_t total = cumulative.back() + weight.back();
     const Kernel<shared::AllotParams> allot(device, "diff/densify/allot");
     for (const std::uint32_t n_new : {0u, 1u, 300u, 5000u}) {
-        GrowthPlan plan{0, total, n_new, static_cast<std::uint32_t>(random() % total)};
+        GrowthPlan plan{0, total, n_new, std::uint32_t(random() % total)};
         const Array<std::uint32_t, shared::GrowthWeights> w(device, weight, "weight");
         const Array<std::uint32_t, shared::WeightsBefore> c(device, cumulative, "cumulative");
         const Array<std::uint32_t, shared::DensifyActions> a(device, action, "action");

@@ -12,10 +12,10 @@ Scene make_random_model_scene(const std::vector<std::uint32_t>& counts, std::uin
     std::normal_distribution<float> normal;
     Scene scene;
     for (std::size_t m = 0; m < counts.size(); ++m) {
-        const auto first = static_cast<std::uint32_t>(scene.surfels.size());
+        const auto first = std::uint32_t(scene.surfels.size());
         scene.models.push_back({m == 0 ? "background" : "car", first, counts[m],
                                 m == 0 ? glm::vec3(0.0f) : glm::vec3(2.0f, 1.0f, 0.8f)});
-        scene.instances.push_back({static_cast<std::uint32_t>(m), m == 0 ? "" : "car"});
+        scene.instances.push_back({std::uint32_t(m), m == 0 ? "" : "car"});
         scene.surfels.resize(first + counts[m]);
         for (std::uint32_t i = first; i < first + counts[m]; ++i) {
             const float spread = m == 0 ? 20.0f : 0.8f;
@@ -56,7 +56,7 @@ reference::DensifiedSurfel densify_surfel(const Surfels& surfels, std::size_t in
 }
 
 std::uint32_t get_tag(const Surfels& surfels, std::size_t index) {
-    return static_cast<std::uint32_t>(surfels.sh[index * kShFloats]);
+    return std::uint32_t(surfels.sh[index * kShFloats]);
 }
 
 }  // namespace relidar::test

@@ -60,7 +60,7 @@ struct Placed {
         stream.submit_and_wait();
     }
 
-    RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size())}; }
+    RayBatch batch() const { return {&rays, 0, 1, std::uint32_t(rays.size())}; }
 
     std::vector<shared::RenderedRay> render(const TraceOptions& options, StoredRayHits* kept = nullptr) {
         ForwardPass forward(stream.device(), model, accel.proxy_shape(), options);
@@ -181,15 +181,15 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitSortMethod::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
     for (const int requested_capacity : {1, 60, 512}) {
-        const int list_capacity = std::min(requested_capacity, static_cast<int>(max_list_hits(device())));
+        const int list_capacity = std::min(requested_capacity, int(max_list_hits(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_capacity);
         for (std::size_t i = 0; i < actual.size(); ++i) {
-            if (expected[i].n_hits > static_cast<std::uint32_t>(list_capacity))
+            if (expected[i].n_hits > std::uint32_t(list_capacity))
                 EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
             // A ray through the edge between two triangles may report the hit twice,
             // which uses two entries of the list.
             else if (actual[i].n_hits == kUntouched)
-                EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(list_capacity)) << "ray " << i;
+                EXPECT_GE(2 * expected[i].n_hits, std::uint32_t(list_capacity)) << "ray " << i;
             else EXPECT_TRUE(is_same(actual[i], expected[i])) << "ray " << i << ", room " << list_capacity;
         }
     }

@@ -81,7 +81,7 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
         targets[i * setting.stride] = {clouds.measured[i], 0.5f, 1.0f};
     }
     const LossWeights weights{.chamfer = 1.0f, .normalised_depth = setting.normalised};
-    ChamferLoss loss(device, weights, static_cast<std::uint32_t>(n));
+    ChamferLoss loss(device, weights, std::uint32_t(n));
     Stream stream(device);
     const Array<shared::RenderedRay> r(device, rendered, "rendered");
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
@@ -90,8 +90,8 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
     Array<shared::RayGradient> upstream(device, n, "upstream");
     stream.fill(upstream);
     loss.add_ray_losses(stream,
-                        {{&device_rays, 0, setting.stride, static_cast<std::uint32_t>(n)}, &r, &upstream},
-                        {&t, 0, setting.stride, static_cast<std::uint32_t>(n), 0, 0,
+                        {{&device_rays, 0, setting.stride, std::uint32_t(n)}, &r, &upstream},
+                        {&t, 0, setting.stride, std::uint32_t(n), 0, 0,
                          setting.image ? clouds.image : ImageShape{}},
                         terms);
     stream.submit_and_wait();

@@ -77,7 +77,7 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             double returned = 0.0;
             for (const DeviceTarget& t : d.targets) returned += t.range_m > 0.0f;
             loss.add_ray_losses(stream, {{}, &rendered, &upstream},
-                                {&targets, 0, 1, static_cast<std::uint32_t>(n), returned, double(n)}, sums);
+                                {&targets, 0, 1, std::uint32_t(n), returned, double(n)}, sums);
             stream.submit_and_wait();
             const std::vector<float> g = test::to_floats(upstream.download()), s = sums.download();
             EXPECT_NEAR(s[loss_term::depth], weights.depth * terms.depth, 1e-4 * weights.depth * terms.depth);

@@ -54,16 +54,16 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
         if (image.is_known[i]) target = {10.0f, float(image.y[i]), 1.0f};
     }
     const LossWeights weights{.intensity = 1.0f, .intensity_ssim = share};
-    ImageLoss loss(device, weights, static_cast<std::uint32_t>(n));
+    ImageLoss loss(device, weights, std::uint32_t(n));
     Stream stream(device);
     const Array<shared::RenderedRay> r(device, rendered, "rendered");
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceTarget> t(device, targets, "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
-    const ImageShape shape{static_cast<std::uint32_t>(image.rows), static_cast<std::uint32_t>(image.columns),
+    const ImageShape shape{std::uint32_t(image.rows), std::uint32_t(image.columns),
                            image.circular};
     loss.add_ray_losses(stream, {{}, &r, &upstream},
-                        {&t, 0, stride, static_cast<std::uint32_t>(n), n_known_pixels, double(n), shape},
+                        {&t, 0, stride, std::uint32_t(n), n_known_pixels, double(n), shape},
                         terms);
     stream.submit_and_wait();
     Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};

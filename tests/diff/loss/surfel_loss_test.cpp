@@ -48,7 +48,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
         for (std::size_t i = 0; i < n; ++i) touched[i] = i % 3 != 0;
         Stream stream(device());
         DeviceScene on_device(device(), scene);
-        SurfelArrays d(device(), static_cast<std::uint32_t>(n), "gradient", scene.surfels.primitive);
+        SurfelArrays d(device(), std::uint32_t(n), "gradient", scene.surfels.primitive);
         d.fill_zero(stream);
         stream.fill(d.mean, 0x3e800000u);  // 0.25
         const Array<std::uint32_t, shared::TouchedSurfels> rows(device(), touched, "touched");

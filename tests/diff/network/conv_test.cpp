@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-using network::ConvolutionKernels, network::ImageBatchSize;
+using network::Convolution, network::ImageBatchSize;
 using test::OnDevice, test::compute_worst_error;
 
 struct Case {
@@ -53,7 +53,7 @@ Layer make_random_layer(const Case& test_case) {
 TEST_P(ConvSizes, Forward) {
     const Case& c = GetParam();
     const Layer layer = make_random_layer(c);
-    ConvolutionKernels conv(device(), c.taps);
+    Convolution conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
                                                sum(device(), layer.d_to);
@@ -73,7 +73,7 @@ TEST_P(ConvSizes, Forward) {
 TEST_P(ConvSizes, DerivativeByTheInput) {
     const Case& c = GetParam();
     const Layer layer = make_random_layer(c);
-    ConvolutionKernels conv(device(), c.taps);
+    Convolution conv(device(), c.taps);
     Stream stream(device());
     const OnDevice d_to(device(), layer.d_to), d_from = OnDevice::make_unwritten(device(), c.grid, c.n_in);
     const auto weights = test::to_device<shared::ConvWeights>(device(), layer.weights);
@@ -87,7 +87,7 @@ TEST_P(ConvSizes, DerivativeByTheInput) {
 TEST_P(ConvSizes, DerivativeByTheWeights) {
     const Case& c = GetParam();
     const Layer layer = make_random_layer(c);
-    ConvolutionKernels conv(device(), c.taps);
+    Convolution conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to);
     std::vector<double> guarded(layer.weights.size() + 1, std::nan(""));
@@ -113,7 +113,7 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
 TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const Case c{9, {4, 11, 37}, 9, 17};
     const Layer layer = make_random_layer(c);
-    ConvolutionKernels conv(device(), c.taps);
+    Convolution conv(device(), c.taps);
     Stream stream(device());
     const OnDevice from(device(), layer.from), d_to(device(), layer.d_to),
         to = OnDevice::make_unwritten(device(), c.grid, c.n_out),
@@ -139,7 +139,7 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         test::ImageBatch one(1, 1, 3, int(columns));
         one.at(0, 0, 0, 0) = 1.0;
         const std::vector<double> taps{1, 2, 3, 4, 5, 6, 7, 8, 9};
-        ConvolutionKernels conv(device(), 9);
+        Convolution conv(device(), 9);
         Stream stream(device());
         const OnDevice from(device(), one), to = OnDevice::make_unwritten(device(), test::get_grid(one), 1),
                                             back = OnDevice::make_unwritten(device(), test::get_grid(one), 1);

@@ -28,7 +28,7 @@ inline std::vector<double> make_random_floats(std::size_t count, std::uint64_t s
     return values;
 }
 
-inline ImageBatch make_random_images(const network::ImageBatchSize& grid, int channels, std::uint64_t seed,
+inline ImageBatch make_random_images(network::ImageBatchSize grid, int channels, std::uint64_t seed,
                                      double scale = 1.0, double offset = 0.0) {
     ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
     images.values = make_random_floats(images.values.size(), seed, scale, offset);
@@ -79,14 +79,14 @@ public:
         });
         upload(tensor_, values);
     }
-    static OnDevice make_unwritten(Device& device, const network::ImageBatchSize& grid, int channels,
+    static OnDevice make_unwritten(Device& device, network::ImageBatchSize grid, int channels,
                                    std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns), grid.circular);
         for (double& x : images.values) x = std::nan("");
         return OnDevice(device, images, before, after);
     }
 
-    network::ChannelSlice slice() const {
+    network::Slice slice() const {
         return tensor_.channel_range(before_, std::uint32_t(shape_.channels));
     }
     ImageBatch read() const {

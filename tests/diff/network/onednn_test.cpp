@@ -133,8 +133,8 @@ TEST_P(OneDnnConv, Agrees) {
                                       test::make_random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
                                   bias = test::make_random_floats(std::size_t(size.n_out), 4);
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
-        network::ConvolutionKernels conv(device(), taps);
-        network::NormalisationKernels norm(device());
+        network::Convolution conv(device(), taps);
+        network::Normalisation norm(device());
         norm.reserve_sums(device(), std::uint32_t(size.n_out), size.grid);
         conv.reserve_weight_sums(
             device(), conv.n_partial_sums(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
@@ -218,9 +218,9 @@ TEST_F(OneDnnNorm, Agrees) {
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
-        network::NormalisationKernels norm(device());
+        network::Normalisation norm(device());
         norm.reserve_sums(device(), channels, grid);
-        network::NormActivations state(device(), channels);
+        network::NormState state(device(), channels);
         const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::upload_pairs<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
@@ -261,7 +261,7 @@ TEST_F(OneDnnResample, PoolingAgrees) {
                 {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
         execute(onednn::pooling_backward(backward),
                 {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
-        network::ResamplingKernels resample(device());
+        network::Resampling resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), network::half_size(grid), 3),
@@ -295,7 +295,7 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         memory in = given(wide), d_out = given(wide_gradient), out = empty(of_to), d_in = empty(of_from);
         execute(dnnl::resampling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}});
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});
-        network::ResamplingKernels resample(device());
+        network::Resampling resample(device());
         Stream stream(device());
         const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::make_unwritten(device(), size.large, 3),

@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-using network::ImageBatchSize, network::ResamplingKernels;
+using network::ImageBatchSize, network::Resampling;
 using test::OnDevice, test::compute_worst_error;
 
 struct PoolCase {
@@ -59,7 +59,7 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     EXPECT_EQ(small, (ImageBatchSize{c.grid.n, c.grid.rows / 2, c.grid.columns / 2, c.grid.circular}));
     const test::ImageBatch upstream = test::make_random_images(small, c.channels, 2),
                            before = test::make_random_images(c.grid, c.channels, 3);
-    ResamplingKernels resample(device());
+    Resampling resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), small, c.channels),
                                            d_to(device(), upstream), d_from(device(), before);
@@ -85,7 +85,7 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
         for (int k = 0; k < 4; ++k)
             values.at(0, 0, k / 2, 2 * q + k % 2) = quads[std::size_t(q)][std::size_t(k)];
     }
-    ResamplingKernels resample(device());
+    Resampling resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), d_to(device(), ones),
         d_from(device(), test::ImageBatch(1, 1, 2, 10));
@@ -102,7 +102,7 @@ TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
     const test::ImageBatch values = test::make_random_images(c.small, c.channels, 1),
                            upstream = test::make_random_images(c.large, c.channels, 2);
-    ResamplingKernels resample(device());
+    Resampling resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::make_unwritten(device(), c.large, c.channels),
                                            d_to(device(), upstream),
@@ -126,7 +126,7 @@ TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     test::ImageBatch first(1, 1, 2, 4), ones(1, 1, 3, 5);
     first.at(0, 0, 0, 0) = 1.0;
     for (double& x : ones.values) x = 1.0;
-    ResamplingKernels resample(device());
+    Resampling resample(device());
     Stream stream(device());
     const OnDevice from(device(), first), to = OnDevice::make_unwritten(device(), {1, 4, 8}, 1),
                                           even(device(), ones),

@@ -13,9 +13,9 @@
 namespace relidar {
 namespace {
 
-using network::ConvParameterOffsets;
-using network::UnetBlockOffsets;
-using network::UnetParameterLayout;
+using network::ConvOffsets;
+using network::BlockOffsets;
+using network::UnetLayout;
 using reference::ImageBatch;
 
 /// Implements the network in double precision. In training mode, normalises each batch by
@@ -44,7 +44,7 @@ public:
 
 private:
     const RayDropNetwork& network_;
-    UnetParameterLayout plan_;
+    UnetLayout plan_;
     std::vector<double> parameters_;
     bool training_;
 
@@ -52,13 +52,13 @@ private:
         return {parameters_.begin() + std::ptrdiff_t(first),
                 parameters_.begin() + std::ptrdiff_t(first + count)};
     }
-    ImageBatch convolve(const ConvParameterOffsets& layer, const ImageBatch& from) const {
+    ImageBatch convolve(const ConvOffsets& layer, const ImageBatch& from) const {
         const std::vector<double> bias = layer.bias ? part(*layer.bias, layer.n_out) : std::vector<double>{};
         return reference::convolve(from,
                                    part(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps),
                                    bias, int(layer.n_out), int(layer.taps));
     }
-    ImageBatch run(const UnetBlockOffsets& block, const ImageBatch& from) const {
+    ImageBatch run(const BlockOffsets& block, const ImageBatch& from) const {
         reference::NormLayer layer;
         reference::Moments running;
         for (std::size_t c = 0; c < block.conv.n_in; ++c) {
@@ -105,7 +105,7 @@ protected:
         network_.widths = GetParam().widths;
         network_.heads = GetParam().heads;
         network_.taps = GetParam().taps;
-        const UnetParameterLayout plan(network_);
+        const UnetLayout plan(network_);
         network::init_parameters(network_, plan, 5);
         // uses random values instead of the initial zeros, which would hide errors of
         // gradients
@@ -175,23 +175,23 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         const ImageBatch logits = ReferenceUnet(network_, std::move(moved), true).compute_logits(inputs_);
         return std::inner_product(upstream.begin(), upstream.end(), logits.values.begin(), 0.0);
     };
-    const UnetParameterLayout plan(network_);
+    const UnetLayout plan(network_);
     std::vector<std::pair<std::size_t, std::size_t>> groups;  // first index and number of parameters
-    const auto add_conv = [&](const ConvParameterOffsets& layer) {
+    const auto add_conv = [&](const ConvOffsets& layer) {
         groups.emplace_back(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps);
         if (layer.bias) groups.emplace_back(*layer.bias, layer.n_out);
     };
-    const auto add_block = [&](const UnetBlockOffsets& block) {
+    const auto add_block = [&](const BlockOffsets& block) {
         groups.emplace_back(block.beta_gamma, 2 * block.conv.n_in);
         add_conv(block.conv);
     };
     add_conv(plan.first_conv);
-    for (const UnetBlockOffsets& block : plan.down) add_block(block);
+    for (const BlockOffsets& block : plan.down) add_block(block);
     if (plan.query) {
         add_block(*plan.query);
         add_conv(plan.project);
     }
-    for (const UnetBlockOffsets& block : plan.up) add_block(block);
+    for (const BlockOffsets& block : plan.up) add_block(block);
     add_conv(plan.last_conv);
     for (const auto& [first, n] : groups) {
         std::vector<double> device_result, expected;

@@ -139,7 +139,7 @@ TEST_F(Differentiable, ArraysOfSeveralAllocationsGiveTheSameBits) {
 /// device has finished.
 TEST_F(Differentiable, ArraysOutliveSubmittedWork) {
     const Array<DeviceRay> device_rays(device(), to_device_rays(rays), "rays");
-    const RayBatch batch{&device_rays, 0, 1, static_cast<std::uint32_t>(rays.size())};
+    const RayBatch batch{&device_rays, 0, 1, std::uint32_t(rays.size())};
     const test::WorkInFlight work;
     {
         DifferentiableRenderer differentiable(device(), placed.scene, settings.image,

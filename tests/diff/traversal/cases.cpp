@@ -249,7 +249,7 @@ TraversalCase to_gaussians(TraversalCase test_case, std::uint64_t seed) {
                     kInfinity = std::numeric_limits<float>::infinity();
     const float unusable[] = {kNan, -kInfinity, -800.0f};  // for the last value 1 / s overflows
     for (std::size_t i = 0; i < test_case.surfels.mean.size(); ++i) {
-        const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
+        const auto thickness = float(uniform(random, std::log(0.03), std::log(0.5)));
         test_case.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
     }
     test_case.surfels.primitive = PrimitiveType::gaussian;
