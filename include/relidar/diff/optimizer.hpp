@@ -30,8 +30,7 @@ double interpolate_exp(double start, double end, int step, int n_steps);
 
 class Adam {
 public:
-    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
-         SurfelParameterSet parameter_set = {});
+    Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, SurfelParameterSet used = {});
     ~Adam();
     /// Records GPU commands for one optimiser step.
     /// @param touched_flags [n] 1 for each surfel with a gradient. The gradients of other

@@ -22,8 +22,6 @@ namespace relidar {
 
 namespace {
 
-constexpr float kUnbounded = std::numeric_limits<float>::infinity();
-
 /// Returns an empty string, or the reason why the allocation failed.
 std::string allocation_error(Device& device, double n_bytes) {
     // allocates in pieces, because drivers limit the size of one allocation
@@ -41,13 +39,6 @@ std::string allocation_error(Device& device, double n_bytes) {
 
 double logit(double probability) { return std::log(probability / (1.0 - probability)); }
 
-/// Surfels with an opacity below `min_opacity` are dropped. Surfels larger than
-/// `max_extent_share` times the extent of their model are also dropped.
-struct DensifyThresholds {
-    float min_opacity = 0.0f;
-    float max_extent_share = kUnbounded;
-};
-
 /// Purpose of random numbers. It is part of the seed, so that random numbers for
 /// different purposes are independent.
 enum class RandomPurpose : std::uint64_t { classify = 1, phase = 2 };
@@ -63,32 +54,25 @@ struct Densifier::Impl {
     DensifyOptions options;
     float min_opacity;
     double reset_opacity_to;
-    std::uint64_t seed;
+    std::uint64_t seed = 0;
     std::vector<double> extents_m;
     SurfelReorderer arrays;
     /// [n_models, RELIDAR_DENSIFY_COUNTERS] counters of each model
     Array<std::uint32_t, shared::DensifyCounters> counters;
-    Kernel<shared::ObserveParams> observe;
-    Kernel<shared::ClassifyParams> classify;
-    Kernel<shared::SpawnParams> spawn;
-    Kernel<shared::ResetOpacityParams> reset_opacity;
+    Kernel<shared::ObserveParams> observe{device, "diff/densify/observe"};
+    Kernel<shared::ClassifyParams> classify{device, "diff/densify/classify"};
+    Kernel<shared::SpawnParams> spawn{device, "diff/densify/spawn"};
+    Kernel<shared::ResetOpacityParams> reset_opacity{device, "diff/densify/reset_opacity"};
     /// Maximum number of surfels. Becomes smaller if an allocation fails.
     std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();
 
-    Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames,
-         std::uint64_t random_seed)
+    Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames)
         : device(d),
           options(o),
           min_opacity(std::max(float(o.min_opacity), alpha_min)),
           reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
-          seed(random_seed),
-          arrays(d, std::uint32_t(scene.surfels.size()), n_frames,
-                 scene.surfels.parameters_used()),
-          counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
-          observe(d, "diff/densify/observe"),
-          classify(d, "diff/densify/classify"),
-          spawn(d, "diff/densify/spawn"),
-          reset_opacity(d, "diff/densify/reset_opacity") {
+          arrays(d, std::uint32_t(scene.surfels.size()), n_frames, scene.surfels.parameters_used()),
+          counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
             extents_m.push_back(model_extent_m(scene, model));
     }
@@ -96,25 +80,13 @@ struct Densifier::Impl {
     std::uint64_t random_key(RandomPurpose purpose, int step) const {
         return hash_pair(hash_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
-    DensifyThresholds thresholds_at(int step) const;
-    std::vector<ModelCounters> choose_actions(Stream& stream, const DeviceScene& scene,
-                                                     const DensifyThresholds& thresholds, int step);
-    std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t requested_surfels,
-                                   double other_arrays_bytes_per_surfel, std::string& failure_reason);
-    DensifyReport densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
-                                  const DensifyThresholds& thresholds, int step,
-                                  double other_arrays_bytes_per_surfel);
+    std::vector<ModelCounters> choose_actions(Stream& stream, const DeviceScene& scene, int step);
+    std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
+                                   double reserved_bytes_per_surfel, std::string& error);
 };
 
-DensifyThresholds Densifier::Impl::thresholds_at(int step) const {
-    DensifyThresholds rules{min_opacity, kUnbounded};
-    if (step > options.large_from) rules.max_extent_share = float(options.max_extent_share);
-    return rules;
-}
-
 std::vector<ModelCounters> Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene,
-                                                                  const DensifyThresholds& thresholds,
-                                                                  int step) {
+                                                           int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
@@ -127,8 +99,9 @@ std::vector<ModelCounters> Densifier::Impl::choose_actions(Stream& stream, const
                   .counters = counters.address(),
                   .models = scene.model_table().address(),
                   .extents = stream.impl().stage_values(extents).cast_tag<shared::ModelExtents>(),
-                  .min_opacity = thresholds.min_opacity,
-                  .max_extent_share = thresholds.max_extent_share,
+                  .min_opacity = min_opacity,
+                  .max_extent_share = step > options.large_from ? float(options.max_extent_share)
+                                                                : std::numeric_limits<float>::infinity(),
                   .clone_extent_share = float(options.clone_extent_share),
                   .gradient_threshold = float(options.gradient_threshold),
                   .n_surfels = scene.size(),
@@ -144,13 +117,10 @@ std::vector<ModelCounters> Densifier::Impl::choose_actions(Stream& stream, const
 
 /// Allocates memory for the surfels after a densification. If there is not enough memory,
 /// tries fewer surfels.
-/// @param requested_surfels desired number of surfels
-/// @param failure_reason receives the reason if there is not enough memory
-/// @return number of surfels for which memory is available, at most `requested_surfels`
-std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam,
-                                                std::uint32_t requested_surfels,
-                                                double other_arrays_bytes_per_surfel,
-                                                std::string& failure_reason) {
+/// @param error receives the reason if there is not enough memory
+/// @return number of surfels for which memory is available, at most `n_requested`
+std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
+                                                double reserved_bytes_per_surfel, std::string& error) {
     const std::uint32_t before = scene.size();
     // bytes per surfel for parameters, Adam moments and records
     const double others = 4.0 * (3.0 * floats_per_surfel(scene.surfel_parameters().parameters_used()) + 16.0);
@@ -159,81 +129,39 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam,
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
-        failure_reason =
-            allocation_error(device, other_arrays_bytes_per_surfel * target +
-                                         (grows ? bytes * (capacity - now) + while_copied : 0.0));
-        if (!failure_reason.empty() || !grows) return failure_reason.empty();
+        error = allocation_error(device, reserved_bytes_per_surfel * target +
+                                             (grows ? bytes * (capacity - now) + while_copied : 0.0));
+        if (!error.empty() || !grows) return error.empty();
         try {
             const std::uint32_t n = std::uint32_t(capacity);
             scene.reserve(device, n);
             adam.first_moments().reserve(device, n, "first moment");
             adam.second_moments().reserve(device, n, "second moment");
             arrays.reserve_surfels(n);
-        } catch (const OutOfDeviceMemory& error) {
-            failure_reason = error.what();
+        } catch (const OutOfDeviceMemory& e) {
+            error = e.what();
         }
-        return failure_reason.empty();
+        return error.empty();
     };
-    for (std::uint32_t growth = requested_surfels > before ? requested_surfels - before : 0; growth > 0;
+    for (std::uint32_t growth = n_requested > before ? n_requested - before : 0; growth > 0;
          growth = growth >= 16 ? growth / 2 : 0) {
         const std::uint32_t target = before + growth;
-        const double generous =
-            std::min(1.5 * double(arrays.capacity()),
-                     double(std::max(std::uint32_t(options.max_surfels), target)));
+        const double generous = std::min(1.5 * double(arrays.capacity()),
+                                         double(std::max(std::uint32_t(options.max_surfels), target)));
         const bool there = target <= arrays.capacity();
         if (fits(target, there ? target : std::max(double(target), generous)) ||
             (!there && fits(target, target)))
             return target;
     }
-    return std::min(requested_surfels, before);
-}
-
-DensifyReport Densifier::Impl::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam,
-                                               const DensifyThresholds& thresholds, int step,
-                                               double other_arrays_bytes_per_surfel) {
-    const std::uint32_t before = scene.size();
-    const std::vector<ModelCounters> counted = choose_actions(stream, scene, thresholds, step);
-    GrowthPlan plan =
-        limit_growth(plan_growth(counted, options, random_key(RandomPurpose::phase, step)), memory_limit);
-    std::string failure_reason;
-    const std::uint32_t surfel_capacity =
-        allocate_surfels(scene, adam, plan.size(), other_arrays_bytes_per_surfel, failure_reason);
-    std::string note;
-    if (surfel_capacity < plan.size()) {
-        memory_limit = surfel_capacity;
-        plan = limit_growth(plan, surfel_capacity);
-        note =
-            fmt::format("training stops adding surfels at {} surfels: {}", surfel_capacity, failure_reason);
-    }
-    DensifyReport report = densify_report(counted, plan);
-    report.note = note;
-    if (report.n_removed() == 0 && report.added == 0) {
-        arrays.reset_sums(stream);
-        stream.submit_and_wait();
-        return report;
-    }
-    arrays.compute_indices(stream, plan, before);
-    arrays.move_surfels(stream, scene.surfel_parameters(), false, plan.size());
-    arrays.move_surfels(stream, adam.first_moments(), true, plan.size());
-    arrays.move_surfels(stream, adam.second_moments(), true, plan.size());
-    relidar::run(stream, spawn, before,
-                 {.surfels = surfel_pointers(scene.surfel_parameters()),
-                  .action = arrays.action.address(),
-                  .n_rows = arrays.n_rows.address(),
-                  .starts = arrays.starts.address(),
-                  .n_surfels = before,
-                  .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
-    arrays.move_statistics(stream);
-    stream.submit_and_wait();
-    scene.set_models(plan.assign_ranges(scene.layout().models, counted));
-    return report;
+    return std::min(n_requested, before);
 }
 
 Densifier::Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min,
-                     std::uint32_t n_frames, std::uint64_t seed)
-    : impl_(options.strategy == DensifyStrategy::none
-                ? nullptr
-                : std::make_unique<Impl>(device, initial, options, alpha_min, n_frames, seed)) {}
+                     std::uint32_t n_frames, std::uint64_t seed) {
+    if (options.strategy == DensifyStrategy::none) return;
+    impl_ = std::make_unique<Impl>(device, initial, options, alpha_min, n_frames);
+    impl_->seed = seed;
+}
 Densifier::~Densifier() = default;
 bool Densifier::is_enabled() const { return impl_ != nullptr; }
 SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
@@ -266,8 +194,42 @@ bool Densifier::is_densify_step(int step) const {
 
 DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                          double reserved_bytes_per_surfel) {
-    return impl_->densify_surfels(stream, scene, adam, impl_->thresholds_at(step), step,
-                                  reserved_bytes_per_surfel);
+    Impl& d = *impl_;
+    const std::uint32_t before = scene.size();
+    const std::vector<ModelCounters> counted = d.choose_actions(stream, scene, step);
+    GrowthPlan plan = limit_growth(plan_growth(counted, d.options, d.random_key(RandomPurpose::phase, step)),
+                                   d.memory_limit);
+    std::string error;
+    const std::uint32_t surfel_capacity =
+        d.allocate_surfels(scene, adam, plan.size(), reserved_bytes_per_surfel, error);
+    std::string note;
+    if (surfel_capacity < plan.size()) {
+        d.memory_limit = surfel_capacity;
+        plan = limit_growth(plan, surfel_capacity);
+        note = fmt::format("training stops adding surfels at {} surfels: {}", surfel_capacity, error);
+    }
+    DensifyReport report = densify_report(counted, plan);
+    report.note = note;
+    if (report.n_removed() == 0 && report.added == 0) {
+        d.arrays.reset_sums(stream);
+        stream.submit_and_wait();
+        return report;
+    }
+    d.arrays.compute_indices(stream, plan, before);
+    d.arrays.move_surfels(stream, scene.surfel_parameters(), false, plan.size());
+    d.arrays.move_surfels(stream, adam.first_moments(), true, plan.size());
+    d.arrays.move_surfels(stream, adam.second_moments(), true, plan.size());
+    relidar::run(stream, d.spawn, before,
+                 {.surfels = surfel_pointers(scene.surfel_parameters()),
+                  .action = d.arrays.action.address(),
+                  .n_rows = d.arrays.n_rows.address(),
+                  .starts = d.arrays.starts.address(),
+                  .n_surfels = before,
+                  .key = std::uint32_t(d.random_key(RandomPurpose::classify, step))});
+    d.arrays.move_statistics(stream);
+    stream.submit_and_wait();
+    scene.set_models(plan.assign_ranges(scene.layout().models, counted));
+    return report;
 }
 
 void Densifier::reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, int step) {

@@ -6,8 +6,7 @@
 namespace relidar {
 
 std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) const {
-    return total_weight == 0 ? 0u
-                             : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
+    return total_weight == 0 ? 0u : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }
 
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,

@@ -27,116 +27,99 @@ struct ImageTileLevels {
     }
 };
 
+/// Has enough tiles and groups for any image with `count` points. An image with one
+/// column needs the most: a tile then has only 4 points, and a group only 4 tiles.
 struct TiledPointCloud {
-    Array<glm::vec3, shared::CloudPoints> points;
-    Array<glm::vec3, shared::TileLows> tile_low;
-    Array<glm::vec3, shared::TileHighs> tile_high;
-    Array<glm::vec3, shared::GroupLows> group_low;
-    Array<glm::vec3, shared::GroupHighs> group_high;
-
-    /// Allocates enough tiles and groups for any image with `count` points. An image with
-    /// one column needs the most: a tile then has only 4 points, and a group only 4
-    /// tiles.
-    TiledPointCloud(Device& device, std::size_t count, const std::string& text)
-        : points(device, count, text + " points"),
-          tile_low(device, count / 4 + 1, text + " tiles"),
-          tile_high(device, count / 4 + 1, text + " tiles"),
-          group_low(device, count / 16 + 2, text + " groups"),
-          group_high(device, count / 16 + 2, text + " groups") {}
+    Device& device;
+    std::size_t count;
+    Array<glm::vec3, shared::CloudPoints> points{device, count, "points of a cloud"};
+    Array<glm::vec3, shared::TileLows> tile_low{device, count / 4 + 1, "tiles of a cloud"};
+    Array<glm::vec3, shared::TileHighs> tile_high{device, count / 4 + 1, "tiles of a cloud"};
+    Array<glm::vec3, shared::GroupLows> group_low{device, count / 16 + 2, "groups of a cloud"};
+    Array<glm::vec3, shared::GroupHighs> group_high{device, count / 16 + 2, "groups of a cloud"};
 };
 
 }  // namespace
 
 struct ChamferLoss::Impl {
+    Device& device;
     LossWeights weights;
-    TiledPointCloud simulated, measured;
-    Array<std::uint32_t, shared::NearestMeasured> nearest_measured;
-    Array<std::uint32_t, shared::NearestSimulated> nearest_simulated;
-    Array<std::uint32_t, shared::FoundGradients> d_nearest_simulated;
-    Array<float, shared::PointCounts> counts;
-    Kernel<shared::ChamferPointsParams> points;
-    Kernel<shared::ChamferBoxesParams> boxes;
-    Kernel<shared::ChamferNearestParams> nearest;
-    Kernel<shared::ChamferParams> chamfer, vjp;
+    std::size_t count;
+    TiledPointCloud simulated{device, count}, measured{device, count};
+    Array<std::uint32_t, shared::NearestMeasured> nearest_measured{device, count, "nearest measured points"};
+    Array<std::uint32_t, shared::NearestSimulated> nearest_simulated{device, count,
+                                                                     "nearest simulated points"};
+    Array<std::uint32_t, shared::FoundGradients> d_nearest_simulated{device, 2 * count,
+                                                                     "gradients of nearest points"};
+    Array<float, shared::PointCounts> counts{device, 2, "points"};
+    Kernel<shared::ChamferPointsParams> points{device, "diff/loss/chamfer_points", atomic_variant(device)};
+    Kernel<shared::ChamferBoxesParams> boxes{device, "diff/loss/chamfer_boxes"};
+    Kernel<shared::ChamferNearestParams> nearest{device, "diff/loss/chamfer_nearest"};
+    Kernel<shared::ChamferParams> chamfer{device, "diff/loss/chamfer", atomic_variant(device)};
+    Kernel<shared::ChamferParams> vjp{device, "diff/loss/chamfer_vjp"};
     std::uint32_t n_rays = 0;  ///< number of rays of the last batch
 
-    Impl(Device& device, const LossWeights& w, std::size_t count)
-        : weights(w),
-          simulated(device, count, "simulated"),
-          measured(device, count, "measured"),
-          nearest_measured(device, count, "nearest measured points"),
-          nearest_simulated(device, count, "nearest simulated points"),
-          d_nearest_simulated(device, 2 * count, "gradients of nearest points"),
-          counts(device, 2, "points"),
-          points(device, "diff/loss/chamfer_points", atomic_variant(device)),
-          boxes(device, "diff/loss/chamfer_boxes"),
-          nearest(device, "diff/loss/chamfer_nearest"),
-          chamfer(device, "diff/loss/chamfer", atomic_variant(device)),
-          vjp(device, "diff/loss/chamfer_vjp") {}
-
-    void tile_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& tile_layout) const {
-        RELIDAR_ASSERT_LE(std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y, cloud.tile_low.size());
-        relidar::run(stream, boxes, std::size_t(tile_layout.tiles.x) * tile_layout.tiles.y,
+    void tile_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& levels) const {
+        RELIDAR_ASSERT_LE(std::size_t(levels.tiles.x) * levels.tiles.y, cloud.tile_low.size());
+        relidar::run(stream, boxes, std::size_t(levels.tiles.x) * levels.tiles.y,
                      {.low = cloud.points.address().cast_tag<shared::LowCorners>(),
                       .high = cloud.points.address().cast_tag<shared::HighCorners>(),
                       .tile_low = cloud.tile_low.address(),
                       .tile_high = cloud.tile_high.address(),
-                      .rows = tile_layout.points.x,
-                      .columns = tile_layout.points.y,
-                      .tile_rows = tile_layout.tile.x,
-                      .tile_columns = tile_layout.tile.y});
+                      .rows = levels.points.x,
+                      .columns = levels.points.y,
+                      .tile_rows = levels.tile.x,
+                      .tile_columns = levels.tile.y});
     }
-    void group_bounds(Stream& stream, const TiledPointCloud& cloud,
-                      const ImageTileLevels& tile_layout) const {
-        RELIDAR_ASSERT_LE(std::size_t(tile_layout.groups.x) * tile_layout.groups.y, cloud.group_low.size());
-        relidar::run(stream, boxes, std::size_t(tile_layout.groups.x) * tile_layout.groups.y,
+    void group_bounds(Stream& stream, const TiledPointCloud& cloud, const ImageTileLevels& levels) const {
+        RELIDAR_ASSERT_LE(std::size_t(levels.groups.x) * levels.groups.y, cloud.group_low.size());
+        relidar::run(stream, boxes, std::size_t(levels.groups.x) * levels.groups.y,
                      {.low = cloud.tile_low.address().cast_tag<shared::LowCorners>(),
                       .high = cloud.tile_high.address().cast_tag<shared::HighCorners>(),
                       .tile_low = cloud.group_low.address().cast_tag<shared::TileLows>(),
                       .tile_high = cloud.group_high.address().cast_tag<shared::TileHighs>(),
-                      .rows = tile_layout.tiles.x,
-                      .columns = tile_layout.tiles.y,
-                      .tile_rows = tile_layout.tile.x,
-                      .tile_columns = tile_layout.tile.y});
+                      .rows = levels.tiles.x,
+                      .columns = levels.tiles.y,
+                      .tile_rows = levels.tile.x,
+                      .tile_columns = levels.tile.y});
     }
-    void find_nearest(Stream& stream, const TiledPointCloud& source_cloud,
-                      const TiledPointCloud& target_cloud, const Array<std::uint32_t>& nearest_index,
-                      const ImageTileLevels& tile_layout) const {
+    void find_nearest(Stream& stream, const TiledPointCloud& from, const TiledPointCloud& to,
+                      const Array<std::uint32_t>& result, const ImageTileLevels& levels) const {
         relidar::run(stream, nearest, n_rays,
-                     {.queries = source_cloud.points.address().cast_tag<shared::QueryPoints>(),
-                      .cloud = {.points = target_cloud.points.address(),
-                                .tile_low = target_cloud.tile_low.address(),
-                                .tile_high = target_cloud.tile_high.address(),
-                                .group_low = target_cloud.group_low.address(),
-                                .group_high = target_cloud.group_high.address()},
-                      .nearest = nearest_index.address(),
-                      .rows = tile_layout.points.x,
-                      .columns = tile_layout.points.y,
-                      .tile_rows = tile_layout.tile.x,
-                      .tile_columns = tile_layout.tile.y});
+                     {.queries = from.points.address().cast_tag<shared::QueryPoints>(),
+                      .cloud = {.points = to.points.address(),
+                                .tile_low = to.tile_low.address(),
+                                .tile_high = to.tile_high.address(),
+                                .group_low = to.group_low.address(),
+                                .group_high = to.group_high.address()},
+                      .nearest = result.address(),
+                      .rows = levels.points.x,
+                      .columns = levels.points.y,
+                      .tile_rows = levels.tile.x,
+                      .tile_columns = levels.tile.y});
     }
     /// Submits kernels that search the nearest measured point of each simulated point,
     /// and the nearest simulated point of each measured point. Both searches run
     /// concurrently on the device.
-    void find_both_ways(Stream& stream, const ImageTileLevels& tile_layout) const {
+    void find_both_ways(Stream& stream, const ImageTileLevels& levels) const {
         {
             const ConcurrentLaunchScope both(stream);
-            tile_bounds(stream, simulated, tile_layout);
-            tile_bounds(stream, measured, tile_layout);
+            tile_bounds(stream, simulated, levels);
+            tile_bounds(stream, measured, levels);
         }
         {
             const ConcurrentLaunchScope both(stream);
-            group_bounds(stream, simulated, tile_layout);
-            group_bounds(stream, measured, tile_layout);
+            group_bounds(stream, simulated, levels);
+            group_bounds(stream, measured, levels);
         }
         const ConcurrentLaunchScope both(stream);
-        find_nearest(stream, simulated, measured, nearest_measured, tile_layout);
-        find_nearest(stream, measured, simulated, nearest_simulated, tile_layout);
+        find_nearest(stream, simulated, measured, nearest_measured, levels);
+        find_nearest(stream, measured, simulated, nearest_simulated, levels);
     }
 };
 
-ChamferLoss::ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
-    : impl_(new Impl(device, weights, n_rays)) {}
+ChamferLoss::ChamferLoss(Device& device, const LossWeights& w, std::uint32_t n)
+    : impl_(new Impl{device, w, n}) {}
 ChamferLoss::~ChamferLoss() = default;
 std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
     return std::make_unique<ChamferLoss>(device, weights, n_rays);

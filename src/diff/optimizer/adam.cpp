@@ -28,34 +28,30 @@ using enum SpecialisationConstantId;
 constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<SpecialisationConstant> adam_constants(bool thread_per_float) {
-    return {{ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u},
-            {WORKGROUP_SIZE, kStreamingThreads}};
+    return {{ONE_THREAD_PER_FLOAT, thread_per_float ? 1u : 0u}, {WORKGROUP_SIZE, kStreamingThreads}};
+}
+
+float moment_correction(double beta, int step_number) {
+    return float(1.0 / (1.0 - std::pow(beta, step_number)));
 }
 
 }  // namespace
 
 struct Adam::Impl {
+    Device& device;
     AdamOptions options;
-    bool per_float;
     SurfelArrays moment1, moment2;
-    Array<float, shared::ScaleBounds> max_log_scale;
-    Kernel<shared::AdamParams> kernel;
-    std::optional<TouchedSurfelList> list;  ///< set if only the rows that have a gradient are updated
-
-    Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, SurfelParameterSet parameter_set)
-        : options(o),
-          per_float(should_coalesce(device)),
-          moment1(device, n_surfels - std::min(o.n_fixed, n_surfels), "first moment", parameter_set),
-          moment2(device, moment1.n, "second moment", parameter_set),
-          max_log_scale(device, 0, "bounds of scales"),
-          kernel(device, "diff/optimizer/adam", adam_constants(per_float)) {
-        if (options.only_touched) list.emplace(device);
-    }
+    bool per_float = should_coalesce(device);
+    Array<float, shared::ScaleBounds> max_log_scale{device, 0, "bounds of scales"};
+    Kernel<shared::AdamParams> kernel{device, "diff/optimizer/adam", adam_constants(per_float)};
+    std::optional<TouchedSurfelList> list = {};  ///< set if only the rows that have a gradient are updated
 };
 
-Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options,
-           SurfelParameterSet parameter_set)
-    : impl_(new Impl(device, n_surfels, options, parameter_set)) {
+Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, SurfelParameterSet used) {
+    const std::uint32_t n = n_surfels - std::min(options.n_fixed, n_surfels);
+    impl_.reset(
+        new Impl{device, options, {device, n, "first moment", used}, {device, n, "second moment", used}});
+    if (options.only_touched) impl_->list.emplace(device);
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
@@ -80,8 +76,6 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_LE(n_rows, a.moment1.n);
     RELIDAR_ASSERT_LE(parameters.n, gradients.n);
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
-    const float correction1 = float(1.0 / (1.0 - std::pow(a.options.beta1, step_number)));
-    const float correction2 = float(1.0 / (1.0 - std::pow(a.options.beta2, step_number)));
     const bool listed = a.list && touched_flags;
     if (listed) a.list->compact(stream, touched_flags->address(first), n_rows);
     const std::uint32_t active_harmonics = std::uint32_t((sh_degree + 1) * (sh_degree + 1));
@@ -113,8 +107,8 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
              .beta1 = float(a.options.beta1),
              .beta2 = float(a.options.beta2),
              .epsilon = float(a.options.epsilon),
-             .correction1 = correction1,
-             .correction2 = correction2,
+             .correction1 = moment_correction(a.options.beta1, step_number),
+             .correction2 = moment_correction(a.options.beta2, step_number),
              .first_scale = float(1.0 / std::max(rest_factor, 1e-12)),
              .block_scale = float(group.harmonics ? learning_rates.intensity_factor : 1.0),
              .n_models = std::uint32_t(by_model ? learning_rates.mean_factors.size() : 0),
@@ -128,20 +122,16 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
 }
 
 struct ArrayAdam::Impl {
+    Device& device;
     AdamOptions options;
-    Array<float, shared::FirstMoments> moment1;
-    Array<float, shared::SecondMoments> moment2;
-    Kernel<shared::AdamParams> kernel;
-
-    Impl(Device& device, std::size_t count, const AdamOptions& o)
-        : options(o),
-          moment1(device, count, "first moment"),
-          moment2(device, count, "second moment"),
-          kernel(device, "diff/optimizer/adam", adam_constants(true)) {}
+    std::size_t count;
+    Array<float, shared::FirstMoments> moment1{device, count, "first moment"};
+    Array<float, shared::SecondMoments> moment2{device, count, "second moment"};
+    Kernel<shared::AdamParams> kernel{device, "diff/optimizer/adam", adam_constants(true)};
 };
 
-ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& options)
-    : impl_(new Impl(device, count, options)) {
+ArrayAdam::ArrayAdam(Device& device, std::size_t count, const AdamOptions& options) {
+    impl_.reset(new Impl{device, options, count});
     Stream stream(device);
     stream.fill(impl_->moment1);
     stream.fill(impl_->moment2);
@@ -171,8 +161,8 @@ void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Ar
          .beta1 = float(a.options.beta1),
          .beta2 = float(a.options.beta2),
          .epsilon = float(a.options.epsilon),
-         .correction1 = float(1.0 / (1.0 - std::pow(a.options.beta1, step_number))),
-         .correction2 = float(1.0 / (1.0 - std::pow(a.options.beta2, step_number))),
+         .correction1 = moment_correction(a.options.beta1, step_number),
+         .correction2 = moment_correction(a.options.beta2, step_number),
          .first_scale = 1.0f,
          .block_scale = 1.0f,
          .n_models = 0,
