@@ -28,51 +28,43 @@ bool uses_hit_records(const Device& device, GradientReduction reduction, ShDirec
     return sh_direction == ShDirection::ray || !device.info().float_atomics;
 }
 
+TraceConstants backward_constants(const Device& device, const ImageModel& model, ProxyShape proxy,
+                                  const TraceOptions& options, const BackwardOptions& backward) {
+    TraceConstants all = trace_constants(device, proxy, options, model);
+    const bool gathered = uses_hit_records(device, backward.reduction, model.sh_direction);
+    all.push_back({GATHER, gathered ? 1u : 0u});
+    // If `exchanged`, the threads of a subgroup collect gradients in shared memory before
+    // the atomics. This reduces memory traffic, but needs
+    // VK_KHR_shader_maximal_reconvergence.
+    const bool exchanged =
+        !gathered && backward.coalesced_atomics.value_or(should_coalesce(device) && lanes_reconverge(device));
+    all.push_back({COALESCED_ATOMICS, exchanged ? 1u : 0u});
+    // The exchange needs subgroup barriers. lavapipe (a CPU driver) executes them as
+    // barriers of the full workgroup. Therefore each workgroup has only one subgroup.
+    if (exchanged) all.push_back({WORKGROUP_SIZE, std::uint32_t(device.info().subgroup_size)});
+    return all;
+}
+
 }  // namespace
 
 struct BackwardPass::Impl {
+    Device& device;
     ImageModel model;
+    ProxyShape proxy;
     TraceOptions options;
-    Kernel<shared::BackwardParams> trace;
-    PoseGradientKernels poses;
-    std::unique_ptr<HitGather> gather;  ///< null if gradients are added with atomics
+    BackwardOptions backward;
+    Kernel<shared::BackwardParams> trace{device, "diff/backward/trace",
+                                         atomic_variant(device, kernel_variant(device)),
+                                         backward_constants(device, model, proxy, options, backward)};
+    PoseGradientKernels poses{device};
+    /// null if gradients are added with atomics
+    std::unique_ptr<HitGather> gather =
+        uses_hit_records(device, backward.reduction, model.sh_direction)
+            ? std::make_unique<HitGather>(device, model, backward.hits_per_ray, options)
+            : nullptr;
     /// Number of truncated rays. The kernel must write this number, but nothing reads it,
     /// because the forward pass has already counted these rays.
-    Array<std::uint32_t, shared::PassCapCount> pass_cap;
-
-    static TraceConstants kernel_constants(const Device& device, const ImageModel& model,
-                                                                ProxyShape proxy,
-                                                                const TraceOptions& trace_options,
-                                                                const BackwardOptions& backward_options) {
-        TraceConstants all = trace_constants(device, proxy, trace_options, model);
-        const bool gathered = uses_hit_records(device, backward_options.reduction, model.sh_direction);
-        all.push_back({GATHER, gathered ? 1u : 0u});
-        // If `exchanged`, the threads of a subgroup collect gradients in shared memory
-        // before the atomics. This reduces memory traffic, but needs
-        // VK_KHR_shader_maximal_reconvergence.
-        const bool exchanged = !gathered && backward_options.coalesced_atomics.value_or(
-                                                should_coalesce(device) && lanes_reconverge(device));
-        all.push_back({COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // If the lanes of a subgroup exchange gradients (`exchanged`), the kernel needs
-        // subgroup barriers. lavapipe (a CPU driver) executes them as barriers of the
-        // full workgroup. Therefore each workgroup has only one subgroup.
-        if (exchanged)
-            all.push_back({WORKGROUP_SIZE,
-                           std::uint32_t(device.info().subgroup_size)});
-        return all;
-    }
-
-    Impl(Device& device, const ImageModel& m, ProxyShape proxy, const TraceOptions& o,
-         const BackwardOptions& backward)
-        : model(m),
-          options(o),
-          trace(device, "diff/backward/trace", atomic_variant(device, kernel_variant(device)),
-                kernel_constants(device, m, proxy, o, backward)),
-          poses(device),
-          gather(uses_hit_records(device, backward.reduction, m.sh_direction)
-                     ? std::make_unique<HitGather>(device, m, backward.hits_per_ray, o)
-                     : nullptr),
-          pass_cap(device, 1, "number of truncated rays") {}
+    Array<std::uint32_t, shared::PassCapCount> pass_cap{device, 1, "number of truncated rays"};
 };
 
 BackwardPass::BackwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
@@ -80,7 +72,7 @@ BackwardPass::BackwardPass(Device& device, const ImageModel& model, ProxyShape p
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
         fail<UsageError>("cannot create the backward pass: found {} hit records per ray, expected 1 to {}",
                          backward.hits_per_ray, kMostHitsPerRay);
-    impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
+    impl_.reset(new Impl{device, model, proxy, options, backward});
 }
 
 BackwardPass::~BackwardPass() = default;

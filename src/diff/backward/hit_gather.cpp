@@ -21,17 +21,13 @@ std::vector<SpecialisationConstant> gather_constants(const ImageModel& model, co
 
 }  // namespace
 
-HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
-                                     const TraceOptions& options)
+HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t n, const TraceOptions& options)
     : device_(device),
-      hits_per_ray_(hits_per_ray),
+      hits_per_ray_(n),
       part_floats_(model.sh_direction == ShDirection::surfel ? 16u : 16u + RELIDAR_SH_FLOATS),
       gather_(device, "diff/backward/gather", atomic_variant(device), gather_constants(model, options)),
       heads_kernel_(device, "diff/backward/gather_heads", atomic_variant(device),
-                    gather_constants(model, options)),
-      most_hits_(device, std::vector<std::uint32_t>{0u}, "largest number of hits in a batch"),
-      n_hits_(device, 1, "hits of a batch"),
-      prefix_sum_(device) {}
+                    gather_constants(model, options)) {}
 
 void HitGather::reserve_records(std::uint64_t n_hits) {
     constexpr std::uint64_t kMaxRecords = 1ull << 31;  // record indices have 32 bits

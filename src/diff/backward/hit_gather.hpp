@@ -15,8 +15,8 @@ namespace relidar {
 
 class HitGather {
 public:
-    HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
-                      const TraceOptions& options);
+    /// @param n number of hits per ray for which memory is allocated
+    HitGather(Device& device, const ImageModel& model, std::uint32_t n, const TraceOptions& options);
     /// Assigns a record index to each rendered hit, in the order of the rays. If the
     /// batch is larger than all earlier batches, waits for the device and allocates
     /// memory.
@@ -34,14 +34,15 @@ private:
     Device& device_;
     std::uint32_t hits_per_ray_, part_floats_;
     Kernel<shared::GatherParams> gather_, heads_kernel_;
-    Array<std::uint32_t, shared::MostHits> most_hits_;
-    Array<std::uint32_t, shared::HitCount> n_hits_;
+    Array<std::uint32_t, shared::MostHits> most_hits_{device_, std::vector<std::uint32_t>{0u},
+                                                      "largest number of hits in a batch"};
+    Array<std::uint32_t, shared::HitCount> n_hits_{device_, 1, "hits of a batch"};
     Array<std::uint32_t, shared::FirstHits> first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float, shared::RowParts> parts_;
     Array<std::uint32_t, shared::HitRows> rows_[2];    ///< sort key of each hit: the row of its gradient
     Array<std::uint32_t, shared::HitSlots> slots_[2];  ///< record index of each hit, in sorted order
-    PrefixSum prefix_sum_;                             ///< counts the hits of earlier rays
+    PrefixSum prefix_sum_{device_};                    ///< counts the hits of earlier rays
     std::unique_ptr<RadixSort> sort_;                  ///< sorts the hits by row
     std::uint32_t n_rays_ = 0;                         ///< number of rays of the current batch
 };

@@ -50,8 +50,7 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
 }
 
 PoseGradientKernels::PoseGradientKernels(Device& device)
-    : blocks_(device, "diff/backward/pose_blocks",
-              {{WORKGROUP_SIZE, kWorkgroupThreads}}),
+    : blocks_(device, "diff/backward/pose_blocks", {{WORKGROUP_SIZE, kWorkgroupThreads}}),
       poses_(device, "diff/backward/poses", {{WORKGROUP_SIZE, kWorkgroupThreads}}),
       sensor_(device, "diff/backward/sensor_pose") {}
 

@@ -13,8 +13,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                         const AccelerationStructure& accel, const RayBatch& batch,
                                         const ImageModel& model, const TraceOptions& options) {
     if (device.backend() != RayTracingBackend::software || is_brute_force(device)) return std::nullopt;
-    TraceConstants constants =
-        trace_constants(device, accel.proxy_shape(), options, model);
+    TraceConstants constants = trace_constants(device, accel.proxy_shape(), options, model);
     constants.push_back({SpecialisationConstantId::COUNT_VISITS, 1u});
     const Kernel<shared::ForwardParams> trace(device, "diff/forward/trace", KernelVariant("@software_bvh"),
                                               constants);
@@ -38,7 +37,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     std::optional<HitListTracer> lists;
     if (uses_hit_lists(device, options)) {
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
-        lists->render(stream, batch, params);
+        lists->render(stream, batch, params, nullptr);
     }
     run(stream, trace, count_threads(batch), params);
     stream.submit_and_wait();

@@ -17,24 +17,17 @@
 namespace relidar {
 
 struct ForwardPass::Impl {
+    Device& device;
     ImageModel model;
     TraceOptions options;
-    Kernel<shared::ForwardParams> trace;
-    Array<std::uint32_t, shared::PassCapCount> pass_cap;
-    Array<std::uint32_t, shared::OverfullCount> n_overfull;
-    std::optional<HitListTracer> lists;  ///< set if rays write their hits to lists
-
-    Impl(Device& device, const ImageModel& m, ProxyShape proxy, const TraceOptions& o)
-        : model(m),
-          options(o),
-          trace(device, "diff/forward/trace", kernel_variant(device), trace_constants(device, proxy, o, m)),
-          pass_cap(device, std::vector<std::uint32_t>{0u}, "number of truncated rays"),
-          n_overfull(device, std::vector<std::uint32_t>{0u},
-                     "number of rays with more hits than are stored") {
-        if (uses_hit_lists(device, o))
-            lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, o, m),
-                          o.initial_list_capacity);
-    }
+    ProxyShape proxy;
+    Kernel<shared::ForwardParams> trace{device, "diff/forward/trace", kernel_variant(device),
+                                        trace_constants(device, proxy, options, model)};
+    Array<std::uint32_t, shared::PassCapCount> pass_cap{device, std::vector<std::uint32_t>{0u},
+                                                        "number of truncated rays"};
+    Array<std::uint32_t, shared::OverfullCount> n_overfull{device, std::vector<std::uint32_t>{0u},
+                                                           "number of rays with more hits than are stored"};
+    std::optional<HitListTracer> lists = {};  ///< set if rays write their hits to lists
 };
 
 ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
@@ -44,7 +37,10 @@ ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape pro
     if (options.initial_list_capacity < 1 || options.initial_list_capacity > RELIDAR_MOST_ROOM)
         fail<UsageError>("TraceOptions::initial_list_capacity: found {}, expected 1 to {}",
                          options.initial_list_capacity, RELIDAR_MOST_ROOM);
-    impl_ = std::make_unique<Impl>(device, model, proxy, options);
+    impl_.reset(new Impl{device, model, options, proxy});
+    if (uses_hit_lists(device, options))
+        impl_->lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, options, model),
+                             options.initial_list_capacity);
 }
 
 ForwardPass::~ForwardPass() = default;
@@ -94,8 +90,7 @@ RenderedRayValues to_ray_values(const std::vector<shared::RenderedRay>& rays,
         r.transmittance.push_back(ray.transmittance);
         r.median_depth.push_back(ray.median_depth);
         r.hits.push_back(ray.n_hits);
-        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1
-                                                                 : std::int32_t(ray.instance));
+        r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1 : std::int32_t(ray.instance));
     }
     for (const shared::RenderedSurface& surface : surfaces) {
         r.normal.push_back(surface.normal);

@@ -21,29 +21,24 @@ Kernel<shared::SortHitsParams> make_sort_kernel(Device& device) {
     const auto lanes = std::uint32_t(device.info().subgroup_size);
     return {device,
             KernelName<shared::SortHitsParams>("diff/forward/sort_hits"),
-            {{LANES, lanes},
-             {WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
+            {{LANES, lanes}, {WORKGROUP_SIZE, RELIDAR_SORTED_TOGETHER * lanes}},
             SubgroupRequirement::full};
 }
 
 }  // namespace
 
 std::uint32_t max_list_hits(const Device& device) {
-    return std::min<std::uint32_t>(
-        RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * std::uint32_t(device.info().subgroup_size));
+    return std::min<std::uint32_t>(RELIDAR_MOST_ROOM,
+                                   RELIDAR_MOST_HELD * std::uint32_t(device.info().subgroup_size));
 }
 
-HitListTracer::HitListTracer(Device& device, const KernelVariant& variant,
-                             const TraceConstants& constants, int initial_hits_per_list)
+HitListTracer::HitListTracer(Device& device, const KernelVariant& variant, const TraceConstants& constants,
+                             int capacity)
     : device_(device),
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
       sort_(make_sort_kernel(device)),
-      max_hits_per_list_(max_list_hits(device)),
-      hits_per_list_(std::min(std::uint32_t(initial_hits_per_list), max_hits_per_list_)),
-      n_overflows_(device, std::vector<std::uint32_t>{0u},
-                   "number of rays with more hits than a hit list can store"),
-      overflows_(device, sizeof(std::uint32_t), "number of rays with more hits than a hit list can store") {}
+      hits_per_list_(std::min(std::uint32_t(capacity), max_hits_per_list_)) {}
 
 /// Allocates hit lists. Halves the capacity of a list until all lists fit into the device
 /// memory. Allocates none if no memory is free.
@@ -52,7 +47,7 @@ void HitListTracer::allocate_lists(std::size_t n_lists) {
     // size is unknown.
     const std::size_t memory_bytes = device_.info().memory_bytes;
     const std::size_t max_list_bytes = (memory_bytes ? memory_bytes : std::size_t(8) << 30) / 8;
-    const std::uint32_t requested_hits_per_list = hits_per_list_;
+    const std::uint32_t n_requested = hits_per_list_;
     hits_ = {};
     for (; hits_per_list_ > 0; hits_per_list_ /= 2) {
         if (n_lists * hits_per_list_ * sizeof(shared::Hit) > max_list_bytes) continue;
@@ -63,14 +58,15 @@ void HitListTracer::allocate_lists(std::size_t n_lists) {
         }
     }
     allocated_hits_per_list_ = hits_per_list_;
-    if (hits_per_list_ < requested_hits_per_list) grows_ = false;
+    if (hits_per_list_ < n_requested) grows_ = false;
 }
 
 /// Returns true if rays had more hits than their lists can hold. Such rays are slow,
 /// because kernel diff/forward/trace must render them again. Reads the count of an
 /// earlier submission that is already finished, so that the host never waits here.
 bool HitListTracer::has_overflowed(Stream& stream) {
-    if (!overflows_.is_pending() || stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kMaxPending)
+    if (!overflows_.is_pending() ||
+        stream.impl().last_ticket + 1 < counted_until_ + Stream::Impl::kMaxPending)
         return false;
     std::uint32_t count = 0;
     std::memcpy(&count, overflows_.wait_for_bytes(stream), sizeof count);
@@ -79,9 +75,9 @@ bool HitListTracer::has_overflowed(Stream& stream) {
 }
 
 /// Returns memory for one hit list per thread. Uses the hit memory of the backward pass
-/// (`kept_hits`) if it is large enough.
+/// (`kept`) if it is large enough.
 shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
-                                              const StoredRayHits* kept_hits) {
+                                              const StoredRayHits* kept) {
     const std::size_t n = StoredRayHits::round_up_threads(n_threads);
     if (n > kMostLists) return {};
     if (has_overflowed(stream)) {
@@ -89,15 +85,14 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
-    const bool uses_stored_hit_memory = kept_hits && kept_hits->per_ray >= std::max(hits_per_list_, 1u) &&
-                                        kept_hits->per_ray <= max_hits_per_list_;
+    const bool uses_kept =
+        kept && kept->per_ray >= std::max(hits_per_list_, 1u) && kept->per_ray <= max_hits_per_list_;
     const bool can_reuse_lists =
         allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n * hits_per_list_;
     // The code below frees old lists. Waits first, because the GPU may still write to
     // them.
-    if ((uses_stored_hit_memory ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n)
-        stream.submit_and_wait();
-    if (uses_stored_hit_memory) hits_ = {};
+    if ((uses_kept ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n) stream.submit_and_wait();
+    if (uses_kept) hits_ = {};
     else if (!can_reuse_lists)
         allocate_lists(
             std::max(n, allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0));
@@ -107,11 +102,10 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
     } catch (const OutOfDeviceMemory&) {  // not enough memory for lists
         return {};
     }
-    const std::uint32_t hits_per_list = uses_stored_hit_memory ? kept_hits->per_ray : hits_per_list_;
-    return {.hits = uses_stored_hit_memory ? kept_hits->hits.address() : hits_.address(),
+    return {.hits = uses_kept ? kept->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
             .n = std::uint32_t(n_threads),
-            .room = hits_per_list};
+            .room = uses_kept ? kept->per_ray : hits_per_list_};
 }
 
 void HitListTracer::record_readback(Stream& stream) {
@@ -121,12 +115,12 @@ void HitListTracer::record_readback(Stream& stream) {
 }
 
 void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
-                           const StoredRayHits* kept_hits) {
+                           const StoredRayHits* kept) {
     const std::size_t n = count_threads(batch);
-    const shared::HitLists lists = reserve_lists(stream, n, kept_hits);
+    const shared::HitLists lists = reserve_lists(stream, n, kept);
     if (lists.room == 0) return;
     params.lists = lists;
-    params.kept_in_lists = kept_hits && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
+    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
     relidar::run(stream, append_, n,
                  {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     record_readback(stream);

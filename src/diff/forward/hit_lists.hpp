@@ -28,18 +28,17 @@ class HitListTracer {
 public:
     /// Creates the kernels that fill, sort and blend hit lists.
     /// @param constants specialisation constants of the tracing kernels
-    /// @param initial_hits_per_list initial capacity of a list in hits, limited to the
-    /// maximum
-    HitListTracer(Device& device, const KernelVariant& variant,
-                  const TraceConstants& constants, int initial_hits_per_list);
+    /// @param capacity initial capacity of a list in hits, limited to the maximum
+    HitListTracer(Device& device, const KernelVariant& variant, const TraceConstants& constants,
+                  int capacity);
 
     /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
     /// diff/forward/trace must run afterwards for the rays whose lists cannot be used.
     /// All calls must use the same stream.
-    /// @param kept_hits memory of the hits for the backward pass. If it is large enough,
+    /// @param kept memory of the hits for the backward pass. If it is large enough,
     /// lists use it, which avoids a copy
     void render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
-                const StoredRayHits* kept_hits = nullptr);
+                const StoredRayHits* kept);
     std::uint32_t capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
 
 private:
@@ -47,18 +46,19 @@ private:
     Kernel<shared::AppendParams> append_;
     Kernel<shared::ForwardParams> blend_;
     Kernel<shared::SortHitsParams> sort_;
-    std::uint32_t max_hits_per_list_, hits_per_list_;
+    std::uint32_t max_hits_per_list_ = max_list_hits(device_), hits_per_list_;
     bool grows_ = true;
     Array<shared::Hit> hits_;                    ///< empty if lists use the memory of stored hits
     std::uint32_t allocated_hits_per_list_ = 0;  ///< capacity of a list in `hits_`
     Array<std::uint32_t, shared::ListLengths> lengths_;
-    Array<std::uint32_t, shared::OverflowCount> n_overflows_;
-    ReadbackBuffer overflows_;
+    Array<std::uint32_t, shared::OverflowCount> n_overflows_{
+        device_, std::vector<std::uint32_t>{0u}, "number of rays with more hits than a hit list can store"};
+    ReadbackBuffer overflows_{device_, sizeof(std::uint32_t), "number of rays with too many hits"};
     std::uint64_t counted_until_ = 0;     ///< number of the submission that reads the count
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
     void allocate_lists(std::size_t n_lists);
-    shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept_hits);
+    shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept);
     bool has_overflowed(Stream& stream);
     void record_readback(Stream& stream);
 };

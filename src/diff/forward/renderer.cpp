@@ -19,12 +19,12 @@ struct Renderer::Impl {
     Device& device;
     RendererOptions options;
     ImageModel model;
-    int highest_sh_degree;
+    int highest_sh_degree = model.sh_degree;
     std::optional<Stream> local_stream;
-    Stream& stream;
+    Stream& stream = options.stream ? *options.stream : local_stream.emplace(device, true);
     DeviceScene scene;
-    std::optional<AccelerationStructure> accel;
-    ForwardPass forward;
+    std::optional<AccelerationStructure> accel{std::in_place, device, scene, options.accel};
+    ForwardPass forward{device, model, accel->proxy_shape(), options.trace};
     bool placed = false;
     glm::vec3 view_origin_m{0.0f};
     Array<DeviceRay> host_rays;  ///< rays that render_rays() uploads
@@ -34,14 +34,7 @@ struct Renderer::Impl {
     RenderedBatch batch;
 
     Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
-        : device(d),
-          options(o),
-          model(m),
-          highest_sh_degree(m.sh_degree),
-          stream(o.stream ? *o.stream : local_stream.emplace(d, true)),
-          scene(d, s),
-          accel(std::in_place, d, scene, o.accel),
-          forward(d, m, accel->proxy_shape(), o.trace) {
+        : device(d), options(o), model(m), scene(d, s) {
         allocate_rays(o.n_rays);
     }
 
@@ -80,9 +73,8 @@ struct Renderer::Impl {
     }
 };
 
-Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model,
-                   const RendererOptions& options)
-    : impl_(std::make_unique<Impl>(device, scene, model, options)) {}
+Renderer::Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& o)
+    : impl_(new Impl(device, scene, model, o)) {}
 Renderer::~Renderer() { wait_for_device(); }
 
 void Renderer::wait_for_device() noexcept {

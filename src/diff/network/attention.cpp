@@ -13,8 +13,7 @@ using enum SpecialisationConstantId;
 constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
 
 std::vector<SpecialisationConstant> attention_constants(std::uint32_t lanes) {
-    return {{LANES, lanes},
-            {WORKGROUP_SIZE, kAttentionThreads}};
+    return {{LANES, lanes}, {WORKGROUP_SIZE, kAttentionThreads}};
 }
 
 /// Describes an image slice as one matrix per attention head. Its shape is [channels,
@@ -30,8 +29,8 @@ shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool
             .unused = 0};
 }
 
-shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid,
-                                      std::uint32_t n_heads, bool transposed) {
+shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid, std::uint32_t n_heads,
+                                      bool transposed) {
     const auto pixels = std::uint32_t(grid.n_image_pixels());
     return {.values = shares.values.address(),
             .first = 0,
@@ -50,8 +49,7 @@ Attention::Attention(Device& device, std::uint32_t heads)
       matmul_(device, "diff/network/matmul", attention_constants(lanes_), SubgroupRequirement::full),
       softmax_(device, "diff/network/softmax", attention_constants(lanes_), SubgroupRequirement::full) {}
 
-AttentionState Attention::allocate_state(Device& device, ImageBatchSize grid,
-                                               bool with_gradients) const {
+AttentionState Attention::allocate_state(Device& device, ImageBatchSize grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.n_image_pixels());
     AttentionState state{Tensor(device, channels, grid, "attention"), {}};
     if (with_gradients) state.d_share = Tensor(device, channels, grid, "gradient of attention");
@@ -89,13 +87,12 @@ void Attention::run_softmax(Stream& stream, AttentionState& state, ImageBatchSiz
          .n = pixels});
 }
 
-void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state,
-                       const Slice& output) {
+void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output) {
     const std::uint32_t channels = output.channels, size = channels / heads_,
                         pixels = std::uint32_t(output.grid.n_image_pixels());
     RELIDAR_ASSERT_EQ(qkv.channels, 3 * channels);
     const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
-                       value = qkv.channel_range(2 * channels, channels);
+                value = qkv.channel_range(2 * channels, channels);
     const ImageBatchSize& grid = output.grid;
     multiply(stream, head_matrices(query, heads_, true), head_matrices(key, heads_, false),
              attention_matrices(state.share, grid, heads_, false), pixels, size,
@@ -105,15 +102,14 @@ void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state,
              head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
 }
 
-void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state,
-                           const Slice& d_out, const Slice& d_qkv) {
+void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
+                           const Slice& d_qkv) {
     const std::uint32_t channels = d_out.channels, size = channels / heads_,
                         pixels = std::uint32_t(d_out.grid.n_image_pixels());
     const Slice query = qkv.channel_range(0, channels), key = qkv.channel_range(channels, channels),
-                       value = qkv.channel_range(2 * channels, channels);
-    const Slice d_query = d_qkv.channel_range(0, channels),
-                       d_key = d_qkv.channel_range(channels, channels),
-                       d_value = d_qkv.channel_range(2 * channels, channels);
+                value = qkv.channel_range(2 * channels, channels);
+    const Slice d_query = d_qkv.channel_range(0, channels), d_key = d_qkv.channel_range(channels, channels),
+                d_value = d_qkv.channel_range(2 * channels, channels);
     const ImageBatchSize& grid = d_out.grid;
     const float scale = 1.0f / std::sqrt(float(size));
     const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,

@@ -18,16 +18,14 @@ class Attention {
 public:
     Attention(Device& device, std::uint32_t heads);
 
-    AttentionState allocate_state(Device& device, ImageBatchSize grid,
-                                        bool with_gradients) const;
+    AttentionState allocate_state(Device& device, ImageBatchSize grid, bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]
     /// @param output [n, channels, rows, columns]
-    void attend(Stream& stream, const Slice& qkv, AttentionState& state,
-                const Slice& output);
-    void attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state,
-                    const Slice& d_out, const Slice& d_qkv);
+    void attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
+    void attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
+                    const Slice& d_qkv);
 
 private:
     std::uint32_t heads_, lanes_;
@@ -37,8 +35,7 @@ private:
     void multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
                   const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
                   ImageBatchSize grid) const;
-    void run_softmax(Stream& stream, AttentionState& state, ImageBatchSize grid,
-                     bool is_backward) const;
+    void run_softmax(Stream& stream, AttentionState& state, ImageBatchSize grid, bool is_backward) const;
 };
 
 }  // namespace relidar::network

@@ -56,9 +56,7 @@ Kernel<shared::ConvParams> make_conv(Device& device, std::uint32_t kernel_taps) 
 Kernel<shared::ConvWeightsParams> make_weight_vjp(Device& device, std::uint32_t kernel_taps) {
     return {device,
             "diff/network/conv_weights",
-            {{TAPS, kernel_taps},
-             {LANES, subgroup_lanes(device)},
-             {WORKGROUP_SIZE, kConvThreads}},
+            {{TAPS, kernel_taps}, {LANES, subgroup_lanes(device)}, {WORKGROUP_SIZE, kConvThreads}},
             SubgroupRequirement::full};
 }
 
@@ -86,8 +84,8 @@ std::size_t Convolution::n_weight_threads(const shared::ConvWeightsParams& param
     return std::size_t(div_ceil(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
-void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice& to,
-                                         Weights weights, Bias bias, bool transposed, bool accumulate) const {
+void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights weights,
+                                  Bias bias, bool transposed, bool accumulate) const {
     RELIDAR_ASSERT_EQ(from.grid.n_pixels_total(), to.grid.n_pixels_total());
     const shared::ConvParams params{.from = from.view,
                                     .to = to.view,
@@ -104,24 +102,21 @@ void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice
     run(stream, conv_, n_conv_threads(params), params);
 }
 
-void Convolution::run_convolution(Stream& stream, const Slice& input, Weights weights,
-                                         Bias bias, const Slice& output, bool accumulate) {
+void Convolution::run_convolution(Stream& stream, const Slice& input, Weights weights, Bias bias,
+                                  const Slice& output, bool accumulate) {
     run_conv_kernel(stream, input, output, weights, bias, false, accumulate);
 }
 
-void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights,
-                                   const Slice& d_in) {
+void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in) {
     run_conv_kernel(stream, d_out, d_in, weights, {}, true, false);
 }
 
-std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in,
-                                               std::uint32_t n_out) const {
+std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in, std::uint32_t n_out) const {
     const std::size_t n = std::size_t(n_in) * n_out * taps_;
     return count_weight_sums(grid, n) * n;
 }
 
-void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d_out,
-                                     Weights d_weights) {
+void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d_out, Weights d_weights) {
     RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_out.grid.n_pixels_total());
     const std::uint32_t n = input.channels * d_out.channels * taps_,
                         n_parts = count_weight_sums(input.grid, n);

@@ -16,9 +16,7 @@ constexpr std::size_t kPixelsOfPart = 2048;
 RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
     : lanes_(std::uint32_t(device.info().subgroup_size)),
       n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
-      kernel_(device, "diff/network/drop_loss",
-              {{LANES, lanes_},
-               {WORKGROUP_SIZE, kLossThreads}},
+      kernel_(device, "diff/network/drop_loss", {{LANES, lanes_}, {WORKGROUP_SIZE, kLossThreads}},
               SubgroupRequirement::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 

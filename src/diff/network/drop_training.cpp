@@ -95,8 +95,8 @@ std::size_t RayDropTraining::images_per_step() const { return impl_->batch; }
 std::size_t RayDropTraining::steps_per_epoch() const { return impl_->n_images / impl_->batch; }
 const KernelTimes& RayDropTraining::times() const { return impl_->stream.times(); }
 
-RayDropScore RayDropTraining::train_on_batch(std::span<const RotatedSample> selection,
-                                             int step, int n_steps) {
+RayDropScore RayDropTraining::train_on_batch(std::span<const RotatedSample> selection, int step,
+                                             int n_steps) {
     Impl& t = *impl_;
     std::size_t n_known_pixels = 0;
     for (const RotatedSample& c : selection) n_known_pixels += t.inputs.count_known(c.sample);

@@ -35,42 +35,48 @@ struct NormState {
 
 class Normalisation {
 public:
-    explicit Normalisation(Device& device);
+    explicit Normalisation(Device& device) : device_(device) {}
 
-    /// Computes output = dropout(relu(gamma x + beta)) for training. x is the input,
+    /// Computes out = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and
     /// variance.
-    void normalise_batch(Stream& stream, const Slice& input, const NormWeights& weights,
-                         NormState& state, const Slice& output);
+    void normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
+                         const Slice& out);
     /// Uses the running mean and variance, and no dropout.
-    void normalise(Stream& stream, const Slice& input, const NormWeights& weights,
-                   NormState& state, const Slice& output);
+    void normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& state, const Slice& out);
     /// Computes the gradients of the input (d_in), beta and gamma from the gradient of
     /// the output (d_out). Requires an earlier normalise_batch().
     /// @param accumulate true: adds the result to `d_in` instead of overwriting it
-    void norm_vjp(Stream& stream, const Slice& input, const NormState& state,
-                  const Slice& d_out, const Slice& d_in,
-                  const NormGradientTarget& gradient, bool accumulate = false);
+    void norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
+                  const Slice& d_in, const NormGradientTarget& gradient, bool accumulate = false);
     /// Computes the gradient of a bias, [channels]: the sum of each channel over the
     /// pixels of all images.
     void bias_vjp(Stream& stream, const Slice& d_out, Address<float, shared::ConvBias> d_bias);
-    void reserve_sums(Device& device, std::uint32_t n_channels, ImageBatchSize grid);
+    void reserve_sums(std::uint32_t n_channels, ImageBatchSize grid);
 
 private:
-    std::uint32_t lanes_;
-    Kernel<shared::ChannelSumsParams> sums_;
-    Kernel<shared::NormFinishParams> finish_;
-    Kernel<shared::NormParams> norm_;
-    Kernel<shared::NormVjpParams> norm_vjp_;
-    Kernel<shared::SumPartsParams> sum_parts_;
+    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
+    static constexpr SpecialisationConstant kWorkgroup{SpecialisationConstantId::WORKGROUP_SIZE, kThreads};
+
+    Device& device_;
+    std::uint32_t lanes_ = std::uint32_t(device_.info().subgroup_size);
+    Kernel<shared::ChannelSumsParams> sums_{device_,
+                                            "diff/network/channel_sums",
+                                            {{SpecialisationConstantId::LANES, lanes_}, kWorkgroup},
+                                            SubgroupRequirement::full};
+    Kernel<shared::NormFinishParams> finish_{device_, "diff/network/norm_finish"};
+    Kernel<shared::NormParams> norm_{device_, "diff/network/norm", {kWorkgroup}};
+    Kernel<shared::NormVjpParams> norm_vjp_{device_, "diff/network/norm_vjp", {kWorkgroup}};
+    Kernel<shared::SumPartsParams> sum_parts_{device_, "diff/network/sum_parts"};
     Array<float, shared::PartSums> partial_;
 
     shared::ChannelSumsParams make_sums_params(const Slice& input, std::uint32_t kind) const;
     void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
-    void apply_scale(Stream& stream, const Slice& input, const NormState& state,
-                     const Slice& output, bool training) const;
-    void compute_scale(Stream& stream, const Slice& input, const NormWeights& weights,
-                       NormState& state, bool training) const;
+    std::size_t count_threads(const Slice& slice) const;
+    void apply_scale(Stream& s, const Slice& in, const NormState& state, const Slice& out,
+                     float dropout) const;
+    void compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
+                       bool training) const;
 };
 
 }  // namespace relidar::network

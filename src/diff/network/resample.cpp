@@ -6,8 +6,8 @@
 namespace relidar::network {
 namespace {
 
-shared::ResampleParams resample_params(const Slice& input, const Slice& output,
-                                       ImageBatchSize large_grid, ImageBatchSize small_grid) {
+shared::ResampleParams resample_params(const Slice& input, const Slice& output, ImageBatchSize large_grid,
+                                       ImageBatchSize small_grid) {
     RELIDAR_ASSERT_EQ(input.channels, output.channels);
     RELIDAR_ASSERT_EQ(large_grid.n, small_grid.n);
     return {.from = input.view,
@@ -41,8 +41,7 @@ void Resampling::max_pool(Stream& stream, const Slice& input, const Slice& outpu
     run(stream, pool_, count_values(output), resample_params(input, output, input.grid, output.grid));
 }
 
-void Resampling::max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out,
-                                     const Slice& d_in) {
+void Resampling::max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out, const Slice& d_in) {
     RELIDAR_ASSERT_EQ(half_size(input.grid) == d_out.grid && input.grid == d_in.grid, true);
     shared::ResampleParams params = resample_params(d_out, d_in, input.grid, d_out.grid);
     params.pooled = input.view;
@@ -53,10 +52,8 @@ void Resampling::upsample(Stream& stream, const Slice& input, const Slice& outpu
     run(stream, upsample_, count_values(output), resample_params(input, output, output.grid, input.grid));
 }
 
-void Resampling::upsample_vjp(Stream& stream, const Slice& d_out,
-                                     const Slice& d_in) {
-    run(stream, upsample_vjp_, count_values(d_in),
-        resample_params(d_out, d_in, d_out.grid, d_in.grid));
+void Resampling::upsample_vjp(Stream& stream, const Slice& d_out, const Slice& d_in) {
+    run(stream, upsample_vjp_, count_values(d_in), resample_params(d_out, d_in, d_out.grid, d_in.grid));
 }
 
 }  // namespace relidar::network

@@ -17,8 +17,7 @@ public:
     /// Maximum of each block of 2 x 2 pixels.
     void max_pool(Stream& stream, const Slice& input, const Slice& output);
     /// Adds to `d_in`.
-    void max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out,
-                      const Slice& d_in);
+    void max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out, const Slice& d_in);
     void upsample(Stream& stream, const Slice& input, const Slice& output);
     void upsample_vjp(Stream& stream, const Slice& d_out, const Slice& d_in);
 

@@ -20,9 +20,8 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The seed depends on
 /// the epoch, so that a resumed training draws the same values.
-std::vector<network::RotatedSample> sample_epoch(std::size_t n_images, int n_columns,
-                                                                bool rotate_images, std::uint64_t seed,
-                                                                int epoch) {
+std::vector<network::RotatedSample> sample_epoch(std::size_t n_images, int n_columns, bool rotate_images,
+                                                 std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<network::RotatedSample> chosen(n_images);
     for (std::size_t i = 0; i < n_images; ++i) {

@@ -28,11 +28,10 @@ Slice Unet::d_skip(std::size_t level) const {
     return levels_[level].d_joined.channel_range(upsampled_channels(widths_, level), widths_[level]);
 }
 
-void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid,
-                          BlockState& state) {
+void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state) {
     state.active = Tensor(device, block.conv.n_in, grid, "activations");
     state.norm = NormState(device, block.conv.n_in);
-    norm_.reserve_sums(device, block.conv.n_in, grid);
+    norm_.reserve_sums(block.conv.n_in, grid);
     if (!with_gradients_) return;
     most_active_ = std::max(most_active_, block.conv.n_in * grid.n_pixels_total());
     Convolution& conv = conv_kernels(block.conv);
@@ -41,8 +40,7 @@ void Unet::allocate_block(Device& device, const BlockOffsets& block, ImageBatchS
 
 void Unet::allocate_level(Device& device, std::size_t level, ImageBatchSize grid) {
     LevelBuffers& l = levels_[level];
-    const auto tensors = [&](Tensor& values, Tensor& gradients, std::uint32_t channels,
-                             ImageBatchSize of) {
+    const auto tensors = [&](Tensor& values, Tensor& gradients, std::uint32_t channels, ImageBatchSize of) {
         values = Tensor(device, channels, of, "activations");
         if (with_gradients_) gradients = Tensor(device, channels, of, "gradients of activations");
     };
@@ -82,8 +80,8 @@ void Unet::allocate(Device& device, ImageBatchSize grid, bool with_gradients) {
         allocate_level(device, level, at);
     for (const ConvOffsets* layer : {&plan_.first_conv, &plan_.last_conv})
         conv1_.reserve_weight_sums(device, conv1_.n_partial_sums(grid, layer->n_in, layer->n_out));
-    norm_.reserve_sums(device, 1, grid);
-    norm_.reserve_sums(device, widths_[0], grid);
+    norm_.reserve_sums(1, grid);
+    norm_.reserve_sums(widths_[0], grid);
     if (attention_) allocate_attention(device);
     if (with_gradients)
         scratch_ = Tensor(device, 1, {1, 1, std::uint32_t(most_active_)}, "gradient of activations");
@@ -104,8 +102,8 @@ void Unet::allocate_attention(Device& device) {
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state,
-                          const Slice& input, const Slice& output, Mode mode) {
+void Unet::run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
+                          const Slice& output, Mode mode) {
     const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
                                    running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
     if (mode == Mode::train) norm_.normalise_batch(stream, input, norm_weights, state.norm, state.active);
@@ -161,17 +159,15 @@ void Unet::forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate
 
 void Unet::run_inference(Stream& stream) { run_all_layers(stream, Mode::evaluate); }
 
-void Unet::conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input,
-                    const Slice& d_out) {
+void Unet::conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input, const Slice& d_out) {
     conv_kernels(layer).weights_vjp(stream, input, d_out,
                                     gradients_.address_as<float, shared::ConvWeights>(layer.weights));
     if (layer.bias)
         norm_.bias_vjp(stream, d_out, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state,
-                     const Slice& input, const Slice& d_out, const Slice& d_in,
-                     bool accumulate) {
+void Unet::block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
+                     const Slice& d_out, const Slice& d_in, bool accumulate) {
     const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
     conv_vjp(stream, block.conv, state.active, d_out);
     conv_kernels(block.conv).input_vjp(stream, d_out, conv_weights(block.conv.weights), d_active);

@@ -38,7 +38,7 @@ struct UnetLayout {
     /// starts with the level of full image size.
     std::vector<BlockOffsets> down, up;
     std::optional<BlockOffsets> query;  ///< attention: query, key, value
-    ConvOffsets project;           ///< attention: projection of the result
+    ConvOffsets project;                ///< attention: projection of the result
     std::size_t n_parameters = 0, n_running = 0;
 
     explicit UnetLayout(const RayDropNetwork& network);
@@ -52,8 +52,7 @@ std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::siz
 
 /// Initialises the parameters with Kaiming's uniform distribution. If the network is
 /// residual, its last convolution starts at 0, so that its first output is 0.
-void init_parameters(RayDropNetwork& network, const UnetLayout& layout,
-                     std::uint64_t seed);
+void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uint64_t seed);
 
 class Unet {
 public:
@@ -119,22 +118,17 @@ private:
     Convolution::Bias conv_bias(std::size_t offset) const {
         return parameters_.address_as<float, shared::ConvBias>(offset);
     }
-    Convolution& conv_kernels(const ConvOffsets& layer) {
-        return layer.taps == 1 ? conv1_ : conv3_;
-    }
+    Convolution& conv_kernels(const ConvOffsets& layer) { return layer.taps == 1 ? conv1_ : conv3_; }
     Slice skip(std::size_t level) const;
     Slice d_skip(std::size_t level) const;
     void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);
     void allocate_attention(Device& device);
-    void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid,
-                        BlockState& state);
-    void run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state,
-                        const Slice& input, const Slice& output, Mode mode);
-    void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state,
-                   const Slice& input, const Slice& d_out, const Slice& d_in,
-                   bool accumulate = false);
-    void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input,
-                  const Slice& d_out);
+    void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state);
+    void run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
+                        const Slice& output, Mode mode);
+    void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
+                   const Slice& d_out, const Slice& d_in, bool accumulate = false);
+    void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input, const Slice& d_out);
     void run_all_layers(Stream& stream, Mode mode);
     void run_attention(Stream& stream, Mode mode);
     void attention_vjp(Stream& stream);

@@ -28,7 +28,7 @@ UnetLayout::UnetLayout(const RayDropNetwork& network) {
     };
     const auto block = [&](std::uint32_t n_in, std::uint32_t n_out, std::uint32_t taps) {
         return BlockOffsets{reserve_floats(n_parameters, 2 * n_in), reserve_floats(n_running, 2 * n_in),
-                                conv(n_in, n_out, taps, false)};
+                            conv(n_in, n_out, taps, false)};
     };
     const std::vector<std::uint32_t>& w = network.widths;
     const std::size_t n_levels = w.size() - 1;
@@ -63,8 +63,7 @@ std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::siz
     return upsampled_channels(widths, level) + widths[level];
 }
 
-void init_parameters(RayDropNetwork& network, const UnetLayout& layout,
-                     std::uint64_t seed) {
+void init_parameters(RayDropNetwork& network, const UnetLayout& layout, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     network.parameters.assign(layout.n_parameters, 0.0f);
     network.running.assign(layout.n_running, 0.0f);

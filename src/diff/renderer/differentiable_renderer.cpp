@@ -75,9 +75,8 @@ struct DifferentiableRenderer::Impl {
 };
 
 DifferentiableRenderer::DifferentiableRenderer(Device& device, const Scene& scene, const ImageModel& model,
-                                               const RendererOptions& options,
-                                               const GradientOptions& gradients)
-    : impl_(std::make_unique<Impl>(device, scene, model, options, gradients)) {}
+                                               const RendererOptions& o, const GradientOptions& gradients)
+    : impl_(new Impl(device, scene, model, o, gradients)) {}
 
 DifferentiableRenderer::~DifferentiableRenderer() { impl_->renderer.wait_for_device(); }
 
@@ -119,8 +118,7 @@ HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& ren
             download_array(g.rays, 6 * n_rays)};
 }
 
-void DifferentiableRenderer::resize(
-    const std::function<void(double other_allocation_bytes)>& change_surfels) {
+void DifferentiableRenderer::resize(const std::function<void(double reserved_bytes)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
     renderer.stream().submit_and_wait();

@@ -67,9 +67,8 @@ RenderedRayValues render_ring(Device& device, const AccelOptions& accel_options,
 
 /// Returns the largest subgroup size that gives correct results. Does not test the
 /// driver's default size again.
-/// @param error_with_default_size text of the wrong result with the default size
-int fallback_subgroup(const DeviceOptions& options, const Device& device,
-                      const std::string& error_with_default_size) {
+/// @param error text of the wrong result with the default size
+int fallback_subgroup(const DeviceOptions& options, const Device& device, const std::string& error) {
     const std::vector<int> sizes = subgroup_sizes(device);
     for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
         if (*lanes == device.info().subgroup_size) continue;
@@ -80,7 +79,7 @@ int fallback_subgroup(const DeviceOptions& options, const Device& device,
     fail<DeviceError>(
         "cannot use the device {} (driver {}): it gives wrong results with subgroups of {} lanes ({}) and "
         "with every other size of subgroups; update the driver or use another device",
-        device.info().name, device.info().driver, device.info().subgroup_size, error_with_default_size);
+        device.info().name, device.info().driver, device.info().subgroup_size, error);
 }
 
 }  // namespace

@@ -6,9 +6,8 @@
 
 namespace relidar {
 
-CollectedHits collect_hits(Device& device, const KernelVariant& variant,
-                           const TraceConstants& constants, shared::TraceScene scene,
-                           const WorldRays& rays, std::uint32_t max_hits) {
+CollectedHits collect_hits(Device& device, const KernelVariant& variant, const TraceConstants& constants,
+                           shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits) {
     const Kernel<shared::CollectHitsParams> kernel(device, "diff/traversal/collect_hits", variant, constants);
     const std::size_t n = rays.size(), n_slots = n * max_hits;
     const Array<DeviceRay> device_rays(device, to_device_rays(rays), "rays");

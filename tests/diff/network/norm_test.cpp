@@ -51,7 +51,7 @@ struct OnePass {
                                                              std::vector<double>(layer.beta.size(), 0.5),
                                                              std::vector<double>(layer.beta.size(), 2.0))),
           stream(device) {
-        norm.reserve_sums(device, std::uint32_t(test_case.channels), test_case.grid);
+        norm.reserve_sums(std::uint32_t(test_case.channels), test_case.grid);
     }
     NormWeights weights() const { return {beta_gamma.address(), running.address()}; }
     test::ImageBatch forward(Device& device, const OnDevice& from, const NormCase& test_case) {

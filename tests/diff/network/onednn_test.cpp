@@ -135,7 +135,7 @@ TEST_P(OneDnnConv, Agrees) {
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
         network::Convolution conv(device(), taps);
         network::Normalisation norm(device());
-        norm.reserve_sums(device(), std::uint32_t(size.n_out), size.grid);
+        norm.reserve_sums(std::uint32_t(size.n_out), size.grid);
         conv.reserve_weight_sums(
             device(), conv.n_partial_sums(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
         Stream stream(device());
@@ -219,7 +219,7 @@ TEST_F(OneDnnNorm, Agrees) {
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
         network::Normalisation norm(device());
-        norm.reserve_sums(device(), channels, grid);
+        norm.reserve_sums(channels, grid);
         network::NormState state(device(), channels);
         const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
         const auto running = test::upload_pairs<shared::RunningMoments>(device(), beta, gamma);
