@@ -12,8 +12,8 @@ SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Plac
             ++model;
         if (model == ranges.size()) {
             ranges.push_back(p);
-            result.scene.models.push_back({"model " + std::to_string(model),
-                                           std::uint32_t(result.original.size()), p.count});
+            result.scene.models.push_back(
+                {"model " + std::to_string(model), std::uint32_t(result.original.size()), p.count});
             for (std::uint32_t i = 0; i < p.count; ++i) result.original.push_back(p.first + i);
         }
         result.scene.instances.push_back({model, ""});

@@ -85,11 +85,9 @@ void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
 
 DevCase make_street_case(const BenchCaseOptions& bench_choice) {
     const std::optional<ImageSize> size = parse_grid_size(bench_choice.rays);
-    const RayTable rays = size ? make_street_rays(int(size->rows),
-                                                  int(size->columns), kTop_deg, kBottom_deg)
+    const RayTable rays = size ? make_street_rays(int(size->rows), int(size->columns), kTop_deg, kBottom_deg)
                                : make_street_rays(bench_choice.rays);
-    DevCase bench{
-        street_case(std::uint32_t(bench_choice.n_surfels), bench_choice.street != "A", rays)};
+    DevCase bench{street_case(std::uint32_t(bench_choice.n_surfels), bench_choice.street != "A", rays)};
     bench.name = "street " + bench_choice.street;
     if (bench_choice.street == "C")
         bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);

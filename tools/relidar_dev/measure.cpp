@@ -300,8 +300,7 @@ TimePercentiles percentiles_of(std::vector<double> samples) {
     std::sort(samples.begin(), samples.end());
     const auto at = [&](double share) {
         const double sample_position = share * double(samples.size() - 1);
-        const auto low = std::size_t(sample_position),
-                   high = std::min(low + 1, samples.size() - 1);
+        const auto low = std::size_t(sample_position), high = std::min(low + 1, samples.size() - 1);
         return std::lerp(samples[low], samples[high], sample_position - double(low));
     };
     return {at(0.1), at(0.5), at(0.9)};
@@ -326,8 +325,7 @@ BenchResult run_benchmark(Device& device, const DevCase& bench_case, const Bench
     for (int i = 0; i < settings.repeat; ++i) {
         check_interrupt();
         repeat();
-        progress.show_step("repetition", std::size_t(i) + 1,
-                           std::size_t(settings.repeat));
+        progress.show_step("repetition", std::size_t(i) + 1, std::size_t(settings.repeat));
     }
     BenchResult result = bench.bench_result();
     result.device_clock = device_clock;

@@ -108,8 +108,7 @@ public:
     /// @param scene is copied to the device. Later changes of parameters affect only the
     /// copy.
     /// @throws DataError if models or instances of the scene are out of range
-    Renderer(Device& device, const Scene& scene, const ImageModel& model,
-             const RendererOptions& options = {});
+    Renderer(Device& device, const Scene& scene, const ImageModel& model, const RendererOptions& o = {});
     ~Renderer();
 
     /// Records GPU commands that set the poses of all instances, compute view-dependent

@@ -94,9 +94,9 @@ public:
 
 /// Creates the losses whose weights are above 0, in the order in which their commands
 /// must be recorded. The first loss is always an ImageLoss.
-/// @param max_rays_per_batch number of rays of the largest batch
+/// @param n_rays number of rays of the largest batch
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
-                                               std::uint32_t max_rays_per_batch);
+                                               std::uint32_t n_rays);
 
 /// Computes depth, intensity and ray-drop losses per pixel. If intensity_ssim > 0, also
 /// computes the structural similarity (SSIM) of the intensities. Dropped and unknown
@@ -106,8 +106,7 @@ public:
     /// @param n_rays number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
-    void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                        const LossTermRow& terms) override;
+    void add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) override;
 
 private:
     struct Impl;
@@ -132,8 +131,7 @@ public:
     /// @param n_rays number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;
-    void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                        const LossTermRow& terms) override;
+    void add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) override;
     /// Returns two arrays of ray indices, which stand for the points of these rays. The
     /// first array has the nearest measured point of each simulated point of the last
     /// batch. The second array has the nearest simulated point of each measured point. ~0
@@ -155,8 +153,7 @@ class LikelihoodLoss final : public Loss {
 public:
     LikelihoodLoss(Device& device, const LossWeights& weights);
     ~LikelihoodLoss() override;
-    void add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
-                        const LossTermRow& terms) override;
+    void add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) override;
 
 private:
     struct Impl;
@@ -175,8 +172,7 @@ class ActorBoxLoss final : public Loss {
 public:
     ActorBoxLoss(Device& device, const LossWeights& weights);
     ~ActorBoxLoss() override;
-    void add_regularisers(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
-                          const LossTermRow& terms) override;
+    void add_regularisers(Stream&, const DeviceScene&, const SurfelGradients&, const LossTermRow&) override;
 
 private:
     struct Impl;

@@ -61,9 +61,9 @@ std::vector<SurfelRange> animated_ranges(const std::vector<SurfelModel>& models)
 
 }  // namespace
 
-AccelerationStructure::AccelerationStructure(Device& device, const DeviceScene& scene,
-                                             const AccelOptions& options)
-    : impl_(std::make_unique<Impl>(device, scene, options)) {}
+AccelerationStructure::AccelerationStructure(Device& d, const DeviceScene& scene, const AccelOptions& o) {
+    impl_ = std::make_unique<Impl>(d, scene, o);
+}
 AccelerationStructure::~AccelerationStructure() = default;
 
 void AccelerationStructure::record_refit(Stream& stream, const DeviceScene& scene, bool force_rebuild) {

@@ -202,9 +202,8 @@ SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
             .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
-void Bvh::Impl::compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
-                              SurfelRange range) {
-    run(stream, proxies, range.count,
+void Bvh::Impl::compute_boxes(Stream& s, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
+    run(s, proxies, range.count,
         {.records = scene.surfel_records().address(),
          .vertices = {},
          .boxes = boxes.address(),
@@ -310,14 +309,14 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     rebuild_top_level(stream, scene);
 }
 
-void Bvh::refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
+void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o,
                       const std::vector<SurfelRange>& ranges) {
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
-        impl_->compute_boxes(stream, scene, options, {first, count});
-        impl_->compute_node_boxes(stream, first, first + count - 1);
+        impl_->compute_boxes(s, scene, o, {first, count});
+        impl_->compute_node_boxes(s, first, first + count - 1);
     }
-    rebuild_top_level(stream, scene);
+    rebuild_top_level(s, scene);
 }
 
 void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {

@@ -9,9 +9,6 @@
 namespace relidar {
 namespace {
 
-using enum SpecialisationConstantId;
-
-constexpr std::uint32_t kWorkgroupThreads = 64;  // threads per workgroup
 // Number of surfels per workgroup. The first kernel sums the gradients of each workgroup,
 // the second kernel sums over the workgroups.
 constexpr std::uint32_t kSurfelsPerBlock = 1024;
@@ -49,18 +46,13 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
     d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
-PoseGradientKernels::PoseGradientKernels(Device& device)
-    : blocks_(device, "diff/backward/pose_blocks", {{WORKGROUP_SIZE, kWorkgroupThreads}}),
-      poses_(device, "diff/backward/poses", {{WORKGROUP_SIZE, kWorkgroupThreads}}),
-      sensor_(device, "diff/backward/sensor_pose") {}
-
 void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
                                  const glm::vec3& view_origin_m, DeviceGradients& gradients) {
     const DeviceGradients::PoseGradientSums& sums = *gradients.pose_sums;
     const auto n_instances = std::uint32_t(scene.layout().instances.size()),
                n_blocks = std::uint32_t(sums.blocks.size());
     RELIDAR_ASSERT_LE(std::size_t(n_instances) + 1, sums.first_block.size());
-    relidar::run(stream, blocks_, kWorkgroupThreads * std::size_t(n_blocks),
+    relidar::run(stream, blocks_, kThreads * std::size_t(n_blocks),
                  {.records = scene.surfel_records().address(),
                   .d_records = gradients.records.address(),
                   .d_view = sums.d_view.address(),
@@ -68,7 +60,7 @@ void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const
                   .sums = sums.sums.address(),
                   .n_blocks = n_blocks,
                   .sh_per_surfel = model.sh_direction == ShDirection::surfel ? 1u : 0u});
-    relidar::run(stream, poses_, kWorkgroupThreads * std::size_t(n_instances),
+    relidar::run(stream, poses_, kThreads * std::size_t(n_instances),
                  {.instances = scene.instance_table().address(),
                   .sums = sums.sums.address(),
                   .first_block = sums.first_block.address(),

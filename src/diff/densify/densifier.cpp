@@ -168,22 +168,21 @@ SurfelStatistics& Densifier::statistics() { return impl_->arrays.statistics; }
 std::vector<double>& Densifier::model_extents_m() { return impl_->extents_m; }
 const std::vector<double>& Densifier::model_extents_m() const { return impl_->extents_m; }
 
-void Densifier::record_statistics(Stream& stream, const DeviceScene& scene,
-                                  const BackpropagatedBatch& batch) {
+void Densifier::record_statistics(Stream& stream, const DeviceScene& scene, const BackpropagatedBatch& b) {
     if (!impl_) return;
     const SurfelStatistics& s = impl_->arrays.statistics;
-    RELIDAR_ASSERT_LE(batch.frame / 32 + 1, s.n_words);
+    RELIDAR_ASSERT_LE(b.frame / 32 + 1, s.n_words);
     RELIDAR_ASSERT_LE(std::size_t(scene.size()) * s.n_words, s.frames.size());
     relidar::run(stream, impl_->observe, scene.size(),
-                 {.d_mean = batch.gradients->mean.address(),
-                  .touched = batch.touched->address(),
+                 {.d_mean = b.gradients->mean.address(),
+                  .touched = b.touched->address(),
                   .gradient_sum = s.gradient_sum.address(),
                   .n_seen = s.n_observing_batches.address(),
                   .frames = s.frames.address(),
                   .n_surfels = scene.size(),
                   .n_words = s.n_words,
-                  .frame = batch.frame,
-                  .is_full_frame = batch.is_full_frame ? 1u : 0u});
+                  .frame = b.frame,
+                  .is_full_frame = b.is_full_frame ? 1u : 0u});
 }
 
 bool Densifier::is_densify_step(int step) const {

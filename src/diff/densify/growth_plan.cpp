@@ -24,17 +24,17 @@ std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> mode
     return models;
 }
 
-GrowthPlan plan_growth(const std::vector<ModelCounters>& counts, const DensifyOptions& options,
-                       std::uint64_t random_number) {
+GrowthPlan plan_growth(const std::vector<ModelCounters>& counts, const DensifyOptions& o,
+                       std::uint64_t random) {
     GrowthPlan plan;
     for (const ModelCounters& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
         plan.total_weight += c[RELIDAR_DENSIFY_WEIGHT];
     }
     if (plan.total_weight == 0) return plan;
-    plan.phase = std::uint32_t(random_number % plan.total_weight);
+    plan.phase = std::uint32_t(random % plan.total_weight);
     plan.n_new = plan.total_weight;  // one new surfel per growing surfel, because each has weight 1
-    return limit_growth(plan, std::uint32_t(options.max_surfels));
+    return limit_growth(plan, std::uint32_t(o.max_surfels));
 }
 
 GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels) {

@@ -9,16 +9,16 @@
 
 namespace relidar {
 
-SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
-                                 SurfelParameterSet parameter_set)
+SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames,
+                                 SurfelParameterSet used)
     : device_(device),
       prefix_sum_(device),
       allot_(device, "diff/densify/allot"),
       move_(device, "diff/densify/move") {
-    scratch_surfels_.primitive = parameter_set.primitive;
-    scratch_surfels_.bends = parameter_set.bends;
+    scratch_surfels_.primitive = used.primitive;
+    scratch_surfels_.bends = used.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);
-    reserve_surfels(n_surfels);
+    reserve_surfels(n);
     Stream stream(device);
     stream.fill(statistics.frames);
     reset_sums(stream);
@@ -51,46 +51,45 @@ std::size_t SurfelReorderer::bytes_per_surfel() const {
     return 4 * (floats_per_surfel(scratch_surfels_.parameters_used()) + 6 + 2 * statistics.n_words);
 }
 
-void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan,
-                                      std::uint32_t n_surfels_before) {
-    RELIDAR_ASSERT_LE(std::max(n_surfels_before, plan.size()), capacity());
-    before_ = n_surfels_before;
+void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before) {
+    RELIDAR_ASSERT_LE(std::max(n_before, plan.size()), capacity());
+    before_ = n_before;
     prefix_sum_.run(stream, {.address = weight.address().cast_tag<shared::ScanCounts>()},
-                    starts.address().cast_tag<shared::ScanPrefix>(), n_surfels_before);
-    run(stream, allot_, n_surfels_before,
+                    starts.address().cast_tag<shared::ScanPrefix>(), n_before);
+    run(stream, allot_, n_before,
         {.weight = weight.address(),
          .cumulative = starts.address().cast_tag<shared::WeightsBefore>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
-         .n_surfels = n_surfels_before,
+         .n_surfels = n_before,
          .n_new = plan.n_new,
          .total_weight = plan.total_weight,
          .phase = plan.phase});
     prefix_sum_.run(stream, {.address = n_rows.address().cast_tag<shared::ScanCounts>()},
-                    starts.address().cast_tag<shared::ScanPrefix>(), n_surfels_before);
+                    starts.address().cast_tag<shared::ScanPrefix>(), n_before);
 }
 
 template <class T>
-void SurfelReorderer::move_rows(Stream& stream, Array<T>& rows, Array<T>& scratch_rows,
-                                std::uint32_t words_per_row, bool zero_new_rows) {
-    run(stream, move_, before_,
+void SurfelReorderer::move_rows(Stream& s, Array<T>& rows, Array<T>& spare, std::uint32_t stride,
+                                bool zero_new) {
+    run(s, move_, before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
-         .to = scratch_rows.template address_as<std::uint32_t, shared::NewRows>(),
+         .to = spare.template address_as<std::uint32_t, shared::NewRows>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .starts = starts.address(),
          .n_surfels = before_,
-         .stride = words_per_row,
-         .fresh = zero_new_rows ? 1u : 0u});
-    std::swap(rows, scratch_rows);
+         .stride = stride,
+         .fresh = zero_new ? 1u : 0u});
+    std::swap(rows, spare);
 }
 
-void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
-                                   std::uint32_t n_surfels_after) {
-    for (const SurfelParameterGroup& group : list_groups(surfel_arrays.parameters_used()))
-        move_rows(stream, group.mutable_device(surfel_arrays), group.mutable_device(scratch_surfels_),
-                  group.count_floats(), zero_new_rows);
-    surfel_arrays.n = n_surfels_after;
+void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new,
+                                   std::uint32_t n_after) {
+    for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used()))
+        move_rows(stream, group.mutable_device(surfels), group.mutable_device(scratch_surfels_),
+                  group.count_floats(), zero_new);
+    surfels.n = n_after;
 }
 
 void SurfelReorderer::move_statistics(Stream& stream) {

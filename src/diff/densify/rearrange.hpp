@@ -14,18 +14,16 @@ namespace relidar {
 
 class SurfelReorderer {
 public:
-    SurfelReorderer(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames,
-                    SurfelParameterSet parameter_set);
+    SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames, SurfelParameterSet used);
     /// The device must be idle. If memory is exhausted, throws DeviceError and keeps the
     /// data.
     void reserve_surfels(std::uint32_t n_surfels);
     std::uint32_t capacity() const;
     std::size_t bytes_per_surfel() const;
     /// Computes the new index of each surfel from `action` and `weight`.
-    void compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_surfels_before);
+    void compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before);
     /// @param zero_new_rows true: values of new and changed surfels are set to zero
-    void move_surfels(Stream& stream, SurfelArrays& surfel_arrays, bool zero_new_rows,
-                      std::uint32_t n_surfels_after);
+    void move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new, std::uint32_t n_after);
     /// Resets all statistics except the frames in which a surfel was visible.
     void move_statistics(Stream& stream);
     void reset_sums(Stream& stream);
@@ -50,8 +48,7 @@ private:
     std::uint32_t before_ = 0;
 
     template <class T>
-    void move_rows(Stream& stream, Array<T>& rows, Array<T>& scratch_rows, std::uint32_t words_per_row,
-                   bool zero_new_rows);
+    void move_rows(Stream& s, Array<T>& rows, Array<T>& spare, std::uint32_t stride, bool zero_new);
 };
 
 }  // namespace relidar

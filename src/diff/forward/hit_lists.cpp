@@ -76,13 +76,12 @@ bool HitListTracer::has_overflowed(Stream& stream) {
 
 /// Returns memory for one hit list per thread. Uses the hit memory of the backward pass
 /// (`kept`) if it is large enough.
-shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_threads,
-                                              const StoredRayHits* kept) {
-    const std::size_t n = StoredRayHits::round_up_threads(n_threads);
+shared::HitLists HitListTracer::reserve_lists(Stream& s, std::size_t n_used, const StoredRayHits* kept) {
+    const std::size_t n = StoredRayHits::round_up_threads(n_used);
     if (n > kMostLists) return {};
-    if (has_overflowed(stream)) {
+    if (has_overflowed(s)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
-        stream.fill(n_overflows_);
+        s.fill(n_overflows_);
         overflows_before_ = 0;
     }
     const bool uses_kept =
@@ -91,7 +90,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
         allocated_hits_per_list_ == hits_per_list_ && hits_.size() >= n * hits_per_list_;
     // The code below frees old lists. Waits first, because the GPU may still write to
     // them.
-    if ((uses_kept ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n) stream.submit_and_wait();
+    if ((uses_kept ? hits_.size() > 0 : !can_reuse_lists) || lengths_.size() < n) s.submit_and_wait();
     if (uses_kept) hits_ = {};
     else if (!can_reuse_lists)
         allocate_lists(
@@ -104,7 +103,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& stream, std::size_t n_thre
     }
     return {.hits = uses_kept ? kept->hits.address() : hits_.address(),
             .lengths = lengths_.address(),
-            .n = std::uint32_t(n_threads),
+            .n = std::uint32_t(n_used),
             .room = uses_kept ? kept->per_ray : hits_per_list_};
 }
 
@@ -114,18 +113,17 @@ void HitListTracer::record_readback(Stream& stream) {
     counted_until_ = stream.impl().last_ticket + 1;
 }
 
-void HitListTracer::render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
+void HitListTracer::render(Stream& s, const RayBatch& batch, shared::ForwardParams& p,
                            const StoredRayHits* kept) {
     const std::size_t n = count_threads(batch);
-    const shared::HitLists lists = reserve_lists(stream, n, kept);
+    const shared::HitLists lists = reserve_lists(s, n, kept);
     if (lists.room == 0) return;
-    params.lists = lists;
-    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
-    relidar::run(stream, append_, n,
-                 {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
-    record_readback(stream);
-    relidar::run(stream, sort_, n * std::size_t(device_.info().subgroup_size), {.lists = lists});
-    relidar::run(stream, blend_, n, params);
+    p.lists = lists;
+    p.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
+    relidar::run(s, append_, n, {.scene = p.scene, .lists = lists, .n_overflows = n_overflows_.address()});
+    record_readback(s);
+    relidar::run(s, sort_, n * std::size_t(device_.info().subgroup_size), {.lists = lists});
+    relidar::run(s, blend_, n, p);
 }
 
 }  // namespace relidar

@@ -29,16 +29,14 @@ public:
     /// Creates the kernels that fill, sort and blend hit lists.
     /// @param constants specialisation constants of the tracing kernels
     /// @param capacity initial capacity of a list in hits, limited to the maximum
-    HitListTracer(Device& device, const KernelVariant& variant, const TraceConstants& constants,
-                  int capacity);
+    HitListTracer(Device& device, const KernelVariant& variant, const TraceConstants& all, int capacity);
 
     /// Renders the rays of a batch with hit lists. Sets `params.lists`. Kernel
     /// diff/forward/trace must run afterwards for the rays whose lists cannot be used.
     /// All calls must use the same stream.
     /// @param kept memory of the hits for the backward pass. If it is large enough,
     /// lists use it, which avoids a copy
-    void render(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
-                const StoredRayHits* kept);
+    void render(Stream& s, const RayBatch& batch, shared::ForwardParams& p, const StoredRayHits* kept);
     std::uint32_t capacity() const { return hits_per_list_; }  ///< capacity of a list in hits
 
 private:
@@ -58,7 +56,7 @@ private:
     std::uint32_t overflows_before_ = 0;  ///< overflow count at the previous check
 
     void allocate_lists(std::size_t n_lists);
-    shared::HitLists reserve_lists(Stream& stream, std::size_t n_threads, const StoredRayHits* kept);
+    shared::HitLists reserve_lists(Stream& s, std::size_t n_used, const StoredRayHits* kept);
     bool has_overflowed(Stream& stream);
     void record_readback(Stream& stream);
 };

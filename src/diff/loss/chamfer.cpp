@@ -118,8 +118,7 @@ struct ChamferLoss::Impl {
     }
 };
 
-ChamferLoss::ChamferLoss(Device& device, const LossWeights& w, std::uint32_t n)
-    : impl_(new Impl{device, w, n}) {}
+ChamferLoss::ChamferLoss(Device& d, const LossWeights& w, std::uint32_t n) : impl_(new Impl{d, w, n}) {}
 ChamferLoss::~ChamferLoss() = default;
 std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
     return std::make_unique<ChamferLoss>(device, weights, n_rays);

@@ -13,19 +13,17 @@
 namespace relidar {
 
 struct ImageLoss::Impl {
+    Device& device;
     LossWeights weights;
-    Kernel<shared::ImageLossParams> kernel;
-    Kernel<shared::SsimParams> ssim, ssim_vjp;
-    Array<float, shared::SsimStatistics> statistics;  ///< statistics of structural similarity
+    std::size_t n_rays;
+    Kernel<shared::ImageLossParams> kernel{device, "diff/loss/image_loss", atomic_variant(device)};
+    Kernel<shared::SsimParams> ssim{device, "diff/loss/ssim", atomic_variant(device)};
+    Kernel<shared::SsimParams> ssim_vjp{device, "diff/loss/ssim_vjp"};
+    Array<float, shared::SsimStatistics> statistics{
+        device, weights.intensity_ssim > 0.0f ? n_rays* RELIDAR_SSIM_FLOATS : 0, "structural similarity"};
 };
 
-ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)
-    : impl_(new Impl{weights,
-                     {device, "diff/loss/image_loss", atomic_variant(device)},
-                     {device, "diff/loss/ssim", atomic_variant(device)},
-                     {device, "diff/loss/ssim_vjp"},
-                     {device, weights.intensity_ssim > 0.0f ? std::size_t(n_rays) * RELIDAR_SSIM_FLOATS : 0,
-                      "structural similarity"}}) {}
+ImageLoss::ImageLoss(Device& d, const LossWeights& w, std::uint32_t n) : impl_(new Impl{d, w, n}) {}
 ImageLoss::~ImageLoss() = default;
 std::unique_ptr<Loss> make_image_loss(Device& device, const LossWeights& weights, std::uint32_t n_rays) {
     return std::make_unique<ImageLoss>(device, weights, n_rays);

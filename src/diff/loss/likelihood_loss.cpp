@@ -13,27 +13,27 @@
 namespace relidar {
 
 struct LikelihoodLoss::Impl {
+    Device& device;
     LossWeights weights;
-    Kernel<shared::LikelihoodLossParams> kernel;
+    Kernel<shared::LikelihoodLossParams> kernel{device, "diff/loss/likelihood_loss", atomic_variant(device)};
 };
 
-LikelihoodLoss::LikelihoodLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/likelihood_loss", atomic_variant(device)}}) {}
+LikelihoodLoss::LikelihoodLoss(Device& d, const LossWeights& w) : impl_(new Impl{d, w}) {}
 LikelihoodLoss::~LikelihoodLoss() = default;
 std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<LikelihoodLoss>(device, weights);
 }
 
-void LikelihoodLoss::add_ray_losses(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch,
-                                    const LossTermRow& terms) {
+void LikelihoodLoss::add_ray_losses(Stream& s, const RenderedBatch& rays, const TargetBatch& batch,
+                                    const LossTermRow& row) {
     const LossWeights& w = impl_->weights;
-    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.upstream->size());
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rays.upstream->size());
     const float per_return = float(1.0 / std::max(batch.n_returned, 1.0));
-    relidar::run(stream, impl_->kernel, batch.n_rays,
-                 {.rendered = rendered.rendered->address(),
+    relidar::run(s, impl_->kernel, batch.n_rays,
+                 {.rendered = rays.rendered->address(),
                   .targets = batch.targets->address(),
-                  .upstream = rendered.upstream->address(),
-                  .terms = terms.row_address(),
+                  .upstream = rays.upstream->address(),
+                  .terms = row.row_address(),
                   .weight = w.likelihood * per_return,
                   .likelihood_floor = w.likelihood_floor,
                   .n_rays = batch.n_rays,

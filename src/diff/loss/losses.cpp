@@ -24,7 +24,7 @@ void Loss::add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, con
 void Loss::add_regularisers(Stream&, const DeviceScene&, const SurfelGradients&, const LossTermRow&) {}
 
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
-                                               std::uint32_t max_rays_per_batch) {
+                                               std::uint32_t n_rays) {
     struct WeightedLossFactory {
         float weight;
         LossFactory* maker;
@@ -42,7 +42,7 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())
             makers.push_back(term.maker);
     std::vector<std::unique_ptr<Loss>> losses;
-    for (LossFactory* make : makers) losses.push_back(make(device, weights, max_rays_per_batch));
+    for (LossFactory* make : makers) losses.push_back(make(device, weights, n_rays));
     return losses;
 }
 

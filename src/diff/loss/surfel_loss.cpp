@@ -12,12 +12,12 @@
 namespace relidar {
 
 struct ActorBoxLoss::Impl {
+    Device& device;
     LossWeights weights;
-    Kernel<shared::SurfelLossParams> kernel;
+    Kernel<shared::SurfelLossParams> kernel{device, "diff/loss/surfel_loss", atomic_variant(device)};
 };
 
-ActorBoxLoss::ActorBoxLoss(Device& device, const LossWeights& weights)
-    : impl_(new Impl{weights, {device, "diff/loss/surfel_loss", atomic_variant(device)}}) {}
+ActorBoxLoss::ActorBoxLoss(Device& d, const LossWeights& w) : impl_(new Impl{d, w}) {}
 ActorBoxLoss::~ActorBoxLoss() = default;
 std::unique_ptr<Loss> make_surfel_loss(Device& device, const LossWeights& weights, std::uint32_t) {
     return std::make_unique<ActorBoxLoss>(device, weights);

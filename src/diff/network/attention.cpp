@@ -29,15 +29,15 @@ shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool
             .unused = 0};
 }
 
-shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid, std::uint32_t n_heads,
-                                      bool transposed) {
+shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid, std::uint32_t heads,
+                                      bool turned) {
     const auto pixels = std::uint32_t(grid.n_image_pixels());
     return {.values = shares.values.address(),
             .first = 0,
-            .batch = n_heads * pixels * pixels,
+            .batch = heads * pixels * pixels,
             .head = pixels * pixels,
-            .row = transposed ? 1 : pixels,
-            .column = transposed ? pixels : 1,
+            .row = turned ? 1 : pixels,
+            .column = turned ? pixels : 1,
             .unused = 0};
 }
 
@@ -76,12 +76,11 @@ void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shar
          .scale = scale});
 }
 
-void Attention::run_softmax(Stream& stream, AttentionState& state, ImageBatchSize grid,
-                            bool is_backward) const {
+void Attention::run_softmax(Stream& stream, AttentionState& attention, ImageBatchSize grid, bool vjp) const {
     const auto pixels = std::uint32_t(grid.n_image_pixels()), rows = grid.n * heads_ * pixels;
     run(stream, softmax_, std::size_t(div_ceil(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
-        {.values = state.share.values.address().cast_tag<shared::SoftmaxValues>(),
-         .d_values = (is_backward ? state.d_share.values.address() : Address<float>())
+        {.values = attention.share.values.address().cast_tag<shared::SoftmaxValues>(),
+         .d_values = (vjp ? attention.d_share.values.address() : Address<float>())
                          .cast_tag<shared::SoftmaxGradients>(),
          .n_rows = rows,
          .n = pixels});
@@ -102,7 +101,7 @@ void Attention::attend(Stream& stream, const Slice& qkv, AttentionState& state, 
              head_matrices(output, heads_, false), size, pixels, 1.0f, grid);
 }
 
-void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
+void Attention::attend_vjp(Stream& s, const Slice& qkv, AttentionState& a, const Slice& d_out,
                            const Slice& d_qkv) {
     const std::uint32_t channels = d_out.channels, size = channels / heads_,
                         pixels = std::uint32_t(d_out.grid.n_image_pixels());
@@ -114,18 +113,18 @@ void Attention::attend_vjp(Stream& stream, const Slice& qkv, AttentionState& sta
     const float scale = 1.0f / std::sqrt(float(size));
     const auto product = [&](const shared::MatrixView& first, const shared::MatrixView& second,
                              const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner,
-                             float factor) { multiply(stream, first, second, c, rows, inner, factor, grid); };
+                             float factor) { multiply(s, first, second, c, rows, inner, factor, grid); };
     // computes d_value = d_out share
-    product(head_matrices(d_out, heads_, false), attention_matrices(state.share, grid, heads_, false),
+    product(head_matrices(d_out, heads_, false), attention_matrices(a.share, grid, heads_, false),
             head_matrices(d_value, heads_, false), size, pixels, 1.0f);
     // Computes d_share, the gradient of the attention weights: transposed d_out times
     // value. Then run_softmax() replaces it by the gradient of the softmax input.
     product(head_matrices(d_out, heads_, true), head_matrices(value, heads_, false),
-            attention_matrices(state.d_share, grid, heads_, false), pixels, size, 1.0f);
-    run_softmax(stream, state, grid, true);
-    product(head_matrices(key, heads_, false), attention_matrices(state.d_share, grid, heads_, true),
+            attention_matrices(a.d_share, grid, heads_, false), pixels, size, 1.0f);
+    run_softmax(s, a, grid, true);
+    product(head_matrices(key, heads_, false), attention_matrices(a.d_share, grid, heads_, true),
             head_matrices(d_query, heads_, false), size, pixels, scale);
-    product(head_matrices(query, heads_, false), attention_matrices(state.d_share, grid, heads_, false),
+    product(head_matrices(query, heads_, false), attention_matrices(a.d_share, grid, heads_, false),
             head_matrices(d_key, heads_, false), size, pixels, scale);
 }
 

@@ -24,8 +24,7 @@ public:
     /// columns]
     /// @param output [n, channels, rows, columns]
     void attend(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& output);
-    void attend_vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_out,
-                    const Slice& d_qkv);
+    void attend_vjp(Stream& s, const Slice& qkv, AttentionState& a, const Slice& d_out, const Slice& d_qkv);
 
 private:
     std::uint32_t heads_, lanes_;
@@ -35,7 +34,7 @@ private:
     void multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
                   const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,
                   ImageBatchSize grid) const;
-    void run_softmax(Stream& stream, AttentionState& state, ImageBatchSize grid, bool is_backward) const;
+    void run_softmax(Stream& stream, AttentionState& attention, ImageBatchSize grid, bool vjp) const;
 };
 
 }  // namespace relidar::network

@@ -84,12 +84,12 @@ std::size_t Convolution::n_weight_threads(const shared::ConvWeightsParams& param
     return std::size_t(div_ceil(subgroups, kConvThreads / lanes_)) * kConvThreads;
 }
 
-void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights weights,
-                                  Bias bias, bool transposed, bool accumulate) const {
+void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights w, Bias bias,
+                                  bool transposed, bool add) const {
     RELIDAR_ASSERT_EQ(from.grid.n_pixels_total(), to.grid.n_pixels_total());
     const shared::ConvParams params{.from = from.view,
                                     .to = to.view,
-                                    .weights = weights,
+                                    .weights = w,
                                     .bias = bias,
                                     .n_images = from.grid.n,
                                     .rows = from.grid.rows,
@@ -97,14 +97,14 @@ void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice
                                     .n_in = from.channels,
                                     .n_out = to.channels,
                                     .transposed = transposed ? 1u : 0u,
-                                    .accumulate = accumulate ? 1u : 0u,
+                                    .accumulate = add ? 1u : 0u,
                                     .circular = from.grid.circular ? 1u : 0u};
     run(stream, conv_, n_conv_threads(params), params);
 }
 
-void Convolution::run_convolution(Stream& stream, const Slice& input, Weights weights, Bias bias,
-                                  const Slice& output, bool accumulate) {
-    run_conv_kernel(stream, input, output, weights, bias, false, accumulate);
+void Convolution::run_convolution(Stream& stream, const Slice& in, Weights w, Bias bias, const Slice& out,
+                                  bool add) {
+    run_conv_kernel(stream, in, out, w, bias, false, add);
 }
 
 void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in) {

@@ -24,8 +24,8 @@ public:
     /// @param weights [output.channels, input.channels, taps]
     /// @param bias [output.channels], or a null address
     /// @param accumulate true: adds the result to `output` instead of overwriting it
-    void run_convolution(Stream& stream, const Slice& input, Weights weights, Bias bias, const Slice& output,
-                         bool accumulate = false);
+    void run_convolution(Stream& stream, const Slice& in, Weights w, Bias bias, const Slice& out,
+                         bool add = false);
     /// Computes the gradient of the input, `d_in`.
     void input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in);
     /// Computes the gradient of the weights, [output channels, input channels, taps].
@@ -43,8 +43,8 @@ private:
     Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
-    void run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights weights, Bias bias,
-                         bool transposed, bool accumulate) const;
+    void run_conv_kernel(Stream& stream, const Slice& from, const Slice& to, Weights w, Bias bias,
+                         bool transposed, bool add) const;
     std::size_t n_conv_threads(const shared::ConvParams& params) const;
     std::size_t n_weight_threads(const shared::ConvWeightsParams& params) const;
 };

@@ -72,45 +72,44 @@ void RayDropInputs::upload_images(Device& device, std::span<const RayDropImage> 
                                                             [](float value) { return value >= 0.0f; })));
 }
 
-void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> selection,
-                               const Tensor& output_images) {
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to) {
     shared::DropInputsParams params{};
     params.samples = samples_.address();
     if (has_measured()) {
-        target_.reserve(stream.device(), output_images.grid.n_pixels_total(), "targets");
+        target_.reserve(stream.device(), to.grid.n_pixels_total(), "targets");
         params.targets = targets_.address();
         params.target = target_.address();
     }
-    fill_batch(stream, selection, params, output_images);
+    fill_batch(stream, chosen, params, to);
 }
 
-void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> selection,
-                               Address<float, shared::DropSamples> samples, const Tensor& output_images) {
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
+                               Address<float, shared::DropSamples> samples, const Tensor& to) {
     shared::DropInputsParams params{};
     params.samples = samples;
-    fill_batch(stream, selection, params, output_images);
+    fill_batch(stream, chosen, params, to);
 }
 
-void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> selection,
-                               shared::DropInputsParams params, const Tensor& output_images) {
+void RayDropInputs::fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
+                               shared::DropInputsParams params, const Tensor& to) {
     std::vector<std::uint32_t> samples, column_shifts;
-    for (const RotatedSample& c : selection) {
+    for (const RotatedSample& c : chosen) {
         samples.push_back(c.sample);
         column_shifts.push_back(c.column_shift);
     }
-    start_.reserve(stream.device(), output_images.grid.n_pixels_total(), "rendered logits");
+    start_.reserve(stream.device(), to.grid.n_pixels_total(), "rendered logits");
     params.chosen = stream.impl().stage_values(samples).cast_tag<shared::ChosenSamples>();
     params.turn = stream.impl().stage_values(column_shifts).cast_tag<shared::SampleTurns>();
     params.scale_shift = scale_shift_.address();
-    params.images = output_images.values.address();
+    params.images = to.values.address();
     params.start = start_.address();
-    params.n_images = output_images.grid.n;
+    params.n_images = to.grid.n;
     params.n_channels = n_channels_;
     params.n_fixed = n_fixed_;
     params.logit_channel = logit_channel_;
-    params.rows = output_images.grid.rows;
-    params.columns = output_images.grid.columns;
-    run(stream, kernel_, output_images.grid.n_pixels_total(), params);
+    params.rows = to.grid.rows;
+    params.columns = to.grid.columns;
+    run(stream, kernel_, to.grid.n_pixels_total(), params);
 }
 
 }  // namespace relidar::network

@@ -28,13 +28,13 @@ public:
 
     void upload_images(Device& device, std::span<const RayDropImage> images);
 
-    void fill_batch(Stream& stream, std::span<const RotatedSample> selection, const Tensor& output_images);
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, const Tensor& to);
     /// Submits the kernel that creates a batch from images that are already on the
     /// device. Does not update measured_drops(), because it is unknown which rays of
     /// these images were dropped (had no return).
     /// @param samples device address of images, [samples, channels, rows, columns]
-    void fill_batch(Stream& stream, std::span<const RotatedSample> selection,
-                    Address<float, shared::DropSamples> samples, const Tensor& output_images);
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen,
+                    Address<float, shared::DropSamples> samples, const Tensor& to);
 
     /// Returns the rendered ray-drop probabilities of the last batch as logits, [n, rows,
     /// columns]. A network with `residual` predicts a correction that is added to these
@@ -56,8 +56,8 @@ private:
     Array<glm::vec2> scale_shift_;
     std::vector<std::size_t> n_known_pixels_;
 
-    void fill_batch(Stream& stream, std::span<const RotatedSample> selection, shared::DropInputsParams params,
-                    const Tensor& output_images);
+    void fill_batch(Stream& stream, std::span<const RotatedSample> chosen, shared::DropInputsParams params,
+                    const Tensor& to);
 };
 
 }  // namespace relidar::network

@@ -20,8 +20,8 @@ RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
               SubgroupRequirement::full),
       partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
-void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
-                              std::size_t n_known_pixels) {
+void RayDropLoss::record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays,
+                              std::size_t n_known) {
     const std::uint32_t of_workgroup = kLossThreads / lanes_;
     relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
                  {.logit = arrays.logit,
@@ -30,9 +30,9 @@ void RayDropLoss::record_loss(Stream& stream, std::size_t n_pixels, const RayDro
                   .d_logit = arrays.d_logit,
                   .probability = arrays.probability,
                   .partial = partial_.address(),
-                  .n = std::uint32_t(n_pixels),
+                  .n = std::uint32_t(n),
                   .n_parts = n_parts_,
-                  .weight = 1.0f / float(std::max<std::size_t>(n_known_pixels, 1))});
+                  .weight = 1.0f / float(std::max<std::size_t>(n_known, 1))});
 }
 
 RayDropScore RayDropLoss::read_loss(std::size_t n_known_pixels) const {

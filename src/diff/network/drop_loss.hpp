@@ -29,8 +29,7 @@ public:
     RayDropLoss(Device& device, std::size_t n_pixels);
 
     /// @param n_known_pixels number of pixels with a known target; divides the derivative
-    void record_loss(Stream& stream, std::size_t n_pixels, const RayDropLossArrays& arrays,
-                     std::size_t n_known_pixels);
+    void record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays, std::size_t n_known);
     /// The last run must be finished.
     RayDropScore read_loss(std::size_t n_known_pixels) const;
 

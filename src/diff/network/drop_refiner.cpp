@@ -57,8 +57,7 @@ struct SizedRayDropNetwork {
     std::optional<network::RayDropLoss> loss = {};
     Array<float, shared::DropProbabilities> probability = {};
 
-    SizedRayDropNetwork(Device& device, const RayDropNetwork& network)
-        : inputs(device, network), unet(device, network) {}
+    SizedRayDropNetwork(Device& d, const RayDropNetwork& n) : inputs(d, n), unet(d, n) {}
 };
 
 }  // namespace
@@ -100,8 +99,7 @@ struct RayDropInference::Impl {
     }
 };
 
-RayDropInference::RayDropInference(Device& device, const RayDropNetwork& network)
-    : impl_(new Impl(device, network)) {}
+RayDropInference::RayDropInference(Device& d, const RayDropNetwork& n) : impl_(new Impl(d, n)) {}
 RayDropInference::~RayDropInference() = default;
 
 const RayDropNetwork& RayDropInference::network() const { return impl_->network; }
@@ -134,14 +132,13 @@ const Array<float, shared::DropProbabilities>& RayDropInference::record_drops(
 struct RayDropRefiner::Impl {
     Device& device;
     RayDropInference pass;
-    Stream stream;
-    Array<float, shared::DropSamples> channels;
+    Stream stream{device, device.info().timestamps};
+    Array<float, shared::DropSamples> channels = {};
 
-    Impl(Device& d, const RayDropNetwork& n) : device(d), pass(d, n), stream(d, d.info().timestamps) {}
+    Impl(Device& d, const RayDropNetwork& n) : device(d), pass(d, n) {}
 };
 
-RayDropRefiner::RayDropRefiner(Device& device, const RayDropNetwork& network)
-    : impl_(new Impl(device, network)) {}
+RayDropRefiner::RayDropRefiner(Device& d, const RayDropNetwork& n) : impl_(new Impl(d, n)) {}
 RayDropRefiner::~RayDropRefiner() = default;
 RayDropRefiner::RayDropRefiner(RayDropRefiner&&) noexcept = default;
 RayDropRefiner& RayDropRefiner::operator=(RayDropRefiner&&) noexcept = default;

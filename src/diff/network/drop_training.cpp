@@ -42,11 +42,11 @@ void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>
             "probably contains only points and no rays without return; use --set refine.enabled=false");
 }
 
-RayDropNetwork initial_network(const std::vector<RayDropImage>& images, const RayDropNetworkOptions& options,
+RayDropNetwork initial_network(const std::vector<RayDropImage>& all, const RayDropNetworkOptions& o,
                                std::uint64_t seed) {
-    RayDropNetwork network = make_network(options);
-    check_images(network, images);
-    network.normalisation = channel_scaling(images, network.inputs.size());
+    RayDropNetwork network = make_network(o);
+    check_images(network, all);
+    network.normalisation = channel_scaling(all, network.inputs.size());
     init_parameters(network, UnetLayout(network), seed);
     return network;
 }

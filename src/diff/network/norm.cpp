@@ -49,14 +49,14 @@ void Normalisation::channel_sums(Stream& stream, shared::ChannelSumsParams param
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kThreads, params);
 }
 
-void Normalisation::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
+void Normalisation::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n,
                                   bool training) const {
     run(s, finish_, in.channels,
         {.partial = partial_.address(),
          .beta_gamma = w.beta_gamma,
          .running = w.running,
-         .moments = state.moments.address(),
-         .scale_shift = state.scale_shift.address(),
+         .moments = n.moments.address(),
+         .scale_shift = n.scale_shift.address(),
          .n_channels = in.channels,
          .n_parts = count_channel_sums(in.grid),
          .n_images = in.grid.n,
@@ -66,31 +66,31 @@ void Normalisation::compute_scale(Stream& s, const Slice& in, const NormWeights&
          .epsilon = kNormEpsilon});
 }
 
-void Normalisation::apply_scale(Stream& s, const Slice& in, const NormState& state, const Slice& out,
+void Normalisation::apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out,
                                 float dropout) const {
     RELIDAR_ASSERT_EQ(in.channels * in.grid.n_pixels_total(), out.channels * out.grid.n_pixels_total());
     run(s, norm_, count_threads(in),
         {.from = in.view,
          .to = out.view,
-         .scale_shift = state.scale_shift.address(),
+         .scale_shift = n.scale_shift.address(),
          .n_images = in.grid.n,
          .n_pixels = std::uint32_t(in.grid.n_image_pixels()),
          .n_channels = in.channels,
-         .dropout_key = state.dropout_key,
+         .dropout_key = n.dropout_key,
          .dropout = dropout});
 }
 
-void Normalisation::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
+void Normalisation::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n,
                                     const Slice& out) {
     channel_sums(s, make_sums_params(in, shared::kMomentSums));
-    compute_scale(s, in, w, state, true);
-    apply_scale(s, in, state, out, state.dropout);
+    compute_scale(s, in, w, n, true);
+    apply_scale(s, in, n, out, n.dropout);
 }
 
-void Normalisation::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
+void Normalisation::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& n,
                               const Slice& out) {
-    compute_scale(s, in, w, state, false);
-    apply_scale(s, in, state, out, 0.0f);
+    compute_scale(s, in, w, n, false);
+    apply_scale(s, in, n, out, 0.0f);
 }
 
 void Normalisation::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,

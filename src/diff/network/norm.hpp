@@ -40,10 +40,9 @@ public:
     /// Computes out = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and
     /// variance.
-    void normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
-                         const Slice& out);
+    void normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out);
     /// Uses the running mean and variance, and no dropout.
-    void normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& state, const Slice& out);
+    void normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out);
     /// Computes the gradients of the input (d_in), beta and gamma from the gradient of
     /// the output (d_out). Requires an earlier normalise_batch().
     /// @param accumulate true: adds the result to `d_in` instead of overwriting it
@@ -73,10 +72,8 @@ private:
     shared::ChannelSumsParams make_sums_params(const Slice& input, std::uint32_t kind) const;
     void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
     std::size_t count_threads(const Slice& slice) const;
-    void apply_scale(Stream& s, const Slice& in, const NormState& state, const Slice& out,
-                     float dropout) const;
-    void compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& state,
-                       bool training) const;
+    void apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out, float dropout) const;
+    void compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n, bool training) const;
 };
 
 }  // namespace relidar::network

@@ -6,20 +6,20 @@
 namespace relidar::network {
 namespace {
 
-shared::ResampleParams resample_params(const Slice& input, const Slice& output, ImageBatchSize large_grid,
-                                       ImageBatchSize small_grid) {
-    RELIDAR_ASSERT_EQ(input.channels, output.channels);
-    RELIDAR_ASSERT_EQ(large_grid.n, small_grid.n);
-    return {.from = input.view,
-            .to = output.view,
-            .pooled = input.view,
-            .n_images = large_grid.n,
-            .n_channels = input.channels,
-            .rows = large_grid.rows,
-            .columns = large_grid.columns,
-            .small_rows = small_grid.rows,
-            .small_columns = small_grid.columns,
-            .circular = large_grid.circular ? 1u : 0u};
+shared::ResampleParams resample_params(const Slice& in, const Slice& out, ImageBatchSize large,
+                                       ImageBatchSize small) {
+    RELIDAR_ASSERT_EQ(in.channels, out.channels);
+    RELIDAR_ASSERT_EQ(large.n, small.n);
+    return {.from = in.view,
+            .to = out.view,
+            .pooled = in.view,
+            .n_images = large.n,
+            .n_channels = in.channels,
+            .rows = large.rows,
+            .columns = large.columns,
+            .small_rows = small.rows,
+            .small_columns = small.columns,
+            .circular = large.circular ? 1u : 0u};
 }
 
 std::size_t count_values(const Slice& slice) { return slice.channels * slice.grid.n_pixels_total(); }
@@ -30,21 +30,15 @@ ImageBatchSize half_size(ImageBatchSize grid) {
     return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
-Resampling::Resampling(Device& device)
-    : pool_(device, "diff/network/pool"),
-      pool_vjp_(device, "diff/network/pool_vjp"),
-      upsample_(device, "diff/network/upsample"),
-      upsample_vjp_(device, "diff/network/upsample_vjp") {}
-
 void Resampling::max_pool(Stream& stream, const Slice& input, const Slice& output) {
     RELIDAR_ASSERT_EQ(half_size(input.grid) == output.grid, true);
     run(stream, pool_, count_values(output), resample_params(input, output, input.grid, output.grid));
 }
 
-void Resampling::max_pool_vjp(Stream& stream, const Slice& input, const Slice& d_out, const Slice& d_in) {
-    RELIDAR_ASSERT_EQ(half_size(input.grid) == d_out.grid && input.grid == d_in.grid, true);
-    shared::ResampleParams params = resample_params(d_out, d_in, input.grid, d_out.grid);
-    params.pooled = input.view;
+void Resampling::max_pool_vjp(Stream& stream, const Slice& in, const Slice& d_out, const Slice& d_in) {
+    RELIDAR_ASSERT_EQ(half_size(in.grid) == d_out.grid && in.grid == d_in.grid, true);
+    shared::ResampleParams params = resample_params(d_out, d_in, in.grid, d_out.grid);
+    params.pooled = in.view;
     run(stream, pool_vjp_, count_values(d_out), params);
 }
 

@@ -20,17 +20,17 @@ namespace {
 
 /// Draws the order of the images and their rotations for one epoch. The seed depends on
 /// the epoch, so that a resumed training draws the same values.
-std::vector<network::RotatedSample> sample_epoch(std::size_t n_images, int n_columns, bool rotate_images,
+std::vector<network::RotatedSample> sample_epoch(std::size_t n, int n_columns, bool rotate,
                                                  std::uint64_t seed, int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
-    std::vector<network::RotatedSample> chosen(n_images);
-    for (std::size_t i = 0; i < n_images; ++i) {
+    std::vector<network::RotatedSample> chosen(n);
+    for (std::size_t i = 0; i < n; ++i) {
         const std::size_t j = random() % (i + 1);  // inside-out variant of the Fisher-Yates shuffle
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
     for (network::RotatedSample& c : chosen)
-        c.column_shift = rotate_images ? std::uint32_t(random() % std::uint64_t(n_columns)) : 0;
+        c.column_shift = rotate ? std::uint32_t(random() % std::uint64_t(n_columns)) : 0;
     return chosen;
 }
 

@@ -102,14 +102,13 @@ void Unet::allocate_attention(Device& device) {
     d_mixed_ = Tensor(device, channels, smallest, "gradient of attention added");
 }
 
-void Unet::run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
-                          const Slice& output, Mode mode) {
-    const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(block.beta_gamma),
-                                   running_.address_as<glm::vec2, shared::RunningMoments>(block.running)};
-    if (mode == Mode::train) norm_.normalise_batch(stream, input, norm_weights, state.norm, state.active);
-    else norm_.normalise(stream, input, norm_weights, state.norm, state.active);
-    conv_kernels(block.conv)
-        .run_convolution(stream, state.active, conv_weights(block.conv.weights), {}, output);
+void Unet::run_conv_block(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& out,
+                          Mode mode) {
+    const NormWeights norm_weights{parameters_.address_as<glm::vec2, shared::BetaGamma>(b.beta_gamma),
+                                   running_.address_as<glm::vec2, shared::RunningMoments>(b.running)};
+    if (mode == Mode::train) norm_.normalise_batch(s, in, norm_weights, a.norm, a.active);
+    else norm_.normalise(s, in, norm_weights, a.norm, a.active);
+    conv_kernels(b.conv).run_convolution(s, a.active, conv_weights(b.conv.weights), {}, out);
 }
 
 void Unet::run_attention(Stream& stream, Mode mode) {
@@ -166,12 +165,12 @@ void Unet::conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input
         norm_.bias_vjp(stream, d_out, gradients_.address_as<float, shared::ConvBias>(*layer.bias));
 }
 
-void Unet::block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
-                     const Slice& d_out, const Slice& d_in, bool accumulate) {
-    const Slice d_active{{scratch_.values.address(), block.conv.n_in, 0}, block.conv.n_in, input.grid};
-    conv_vjp(stream, block.conv, state.active, d_out);
-    conv_kernels(block.conv).input_vjp(stream, d_out, conv_weights(block.conv.weights), d_active);
-    norm_.norm_vjp(stream, input, state.norm, d_active, d_in, {gradients_, block.beta_gamma}, accumulate);
+void Unet::block_vjp(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& d_out,
+                     const Slice& d_in, bool add) {
+    const Slice d_active{{scratch_.values.address(), b.conv.n_in, 0}, b.conv.n_in, in.grid};
+    conv_vjp(s, b.conv, a.active, d_out);
+    conv_kernels(b.conv).input_vjp(s, d_out, conv_weights(b.conv.weights), d_active);
+    norm_.norm_vjp(s, in, a.norm, d_active, d_in, {gradients_, b.beta_gamma}, add);
 }
 
 void Unet::attention_vjp(Stream& stream) {

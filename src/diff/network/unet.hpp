@@ -124,10 +124,10 @@ private:
     void allocate_level(Device& device, std::size_t level, ImageBatchSize grid);
     void allocate_attention(Device& device);
     void allocate_block(Device& device, const BlockOffsets& block, ImageBatchSize grid, BlockState& state);
-    void run_conv_block(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
-                        const Slice& output, Mode mode);
-    void block_vjp(Stream& stream, const BlockOffsets& block, BlockState& state, const Slice& input,
-                   const Slice& d_out, const Slice& d_in, bool accumulate = false);
+    void run_conv_block(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& out,
+                        Mode mode);
+    void block_vjp(Stream& s, const BlockOffsets& b, BlockState& a, const Slice& in, const Slice& d_out,
+                   const Slice& d_in, bool add = false);
     void conv_vjp(Stream& stream, const ConvOffsets& layer, const Slice& input, const Slice& d_out);
     void run_all_layers(Stream& stream, Mode mode);
     void run_attention(Stream& stream, Mode mode);

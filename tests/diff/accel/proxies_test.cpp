@@ -46,8 +46,7 @@ WorldRays make_rim_rays(float opacity, double factor, double alpha_min = 1.0 / 2
     WorldRays rays;
     for (int i = 0; i < 360; ++i) {
         const double angle = i * kPi / 180.0;
-        rays.origin.push_back({0.0f, float(0.25 * k * std::sin(angle)),
-                               float(0.5 * k * std::cos(angle))});
+        rays.origin.push_back({0.0f, float(0.25 * k * std::sin(angle)), float(0.5 * k * std::cos(angle))});
         rays.direction.push_back({1.0f, 0.0f, 0.0f});
     }
     return rays;

@@ -88,7 +88,7 @@ struct Placed {
                             trace_constants(device, accel.proxy_shape(), {}, model), capacity);
         shared::ForwardParams params = make_params(rendered, pass_cap);
         stream.fill(rendered, kUntouched);
-        lists.render(stream, batch(), params);
+        lists.render(stream, batch(), params, nullptr);
         stream.submit_and_wait();
         return rendered.download();
     }

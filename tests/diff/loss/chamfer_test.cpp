@@ -89,11 +89,9 @@ FoundChamfer compute_device_chamfer(Device& device, const Clouds& clouds, const 
     const Array<DeviceTarget> t(device, targets, "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
     stream.fill(upstream);
-    loss.add_ray_losses(stream,
-                        {{&device_rays, 0, setting.stride, std::uint32_t(n)}, &r, &upstream},
-                        {&t, 0, setting.stride, std::uint32_t(n), 0, 0,
-                         setting.image ? clouds.image : ImageShape{}},
-                        terms);
+    loss.add_ray_losses(
+        stream, {{&device_rays, 0, setting.stride, std::uint32_t(n)}, &r, &upstream},
+        {&t, 0, setting.stride, std::uint32_t(n), 0, 0, setting.image ? clouds.image : ImageShape{}}, terms);
     stream.submit_and_wait();
     return {loss.nearest_points(), terms.download()[loss_term::chamfer],
             test::to_floats(upstream.download())};

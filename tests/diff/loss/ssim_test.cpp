@@ -60,11 +60,9 @@ Result compute_device_ssim(Device& device, const Image& image, float share, std:
     const Array<float> terms(device, std::vector<float>(kLossTerms, 0.0f), "terms");
     const Array<DeviceTarget> t(device, targets, "targets");
     Array<shared::RayGradient> upstream(device, n, "upstream");
-    const ImageShape shape{std::uint32_t(image.rows), std::uint32_t(image.columns),
-                           image.circular};
+    const ImageShape shape{std::uint32_t(image.rows), std::uint32_t(image.columns), image.circular};
     loss.add_ray_losses(stream, {{}, &r, &upstream},
-                        {&t, 0, stride, std::uint32_t(n), n_known_pixels, double(n), shape},
-                        terms);
+                        {&t, 0, stride, std::uint32_t(n), n_known_pixels, double(n), shape}, terms);
     stream.submit_and_wait();
     Result result{terms.download()[loss_term::ssim], terms.download()[loss_term::intensity], {}};
     for (const shared::RayGradient& g : upstream.download()) result.d_x.push_back(g.intensity);

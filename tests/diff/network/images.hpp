@@ -86,9 +86,7 @@ public:
         return OnDevice(device, images, before, after);
     }
 
-    network::Slice slice() const {
-        return tensor_.channel_range(before_, std::uint32_t(shape_.channels));
-    }
+    network::Slice slice() const { return tensor_.channel_range(before_, std::uint32_t(shape_.channels)); }
     ImageBatch read() const {
         std::vector<float> values = tensor_.values.download();
         ImageBatch images = shape_;

@@ -13,8 +13,8 @@
 namespace relidar {
 namespace {
 
-using network::ConvOffsets;
 using network::BlockOffsets;
+using network::ConvOffsets;
 using network::UnetLayout;
 using reference::ImageBatch;
 
