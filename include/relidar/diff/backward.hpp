@@ -30,9 +30,8 @@ struct GradientSelection {
 /// pose of the sensor.
 struct DeviceGradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
-    /// Gradients with respect to the surfel records,
-    /// [DeviceScene::count_rows(),16]. A surfel record is the 16 floats that
-    /// tracing kernels read for one surfel.
+    /// Gradients with respect to the surfel records, [DeviceScene::count_rows(),16]. A
+    /// surfel record is the 16 floats that tracing kernels read for one surfel.
     Array<float, shared::RecordGradients> records;
     /// Flags, [n]: 1 for each surfel that gets a gradient from this batch, otherwise 0.
     Array<std::uint32_t, shared::TouchedSurfels> touched;
@@ -48,10 +47,9 @@ struct DeviceGradients {
     /// becomes (exp([w]x) R, T + v). Row 0 (the background) is never refined. A row is
     /// exactly 0 if no ray with a gradient hits the instance. With ShDirection::surfel,
     /// SH directions contribute only to the first instance of a model. Empty if
-    /// GradientSelection::poses is false.
-    /// For an instance that moves during the sweep, P(t) becomes P(t) * (exp([R^T w]x),
-    /// R^T v), with the rotation R of the pose that was set. The gradient does not
-    /// describe a change of velocity.
+    /// GradientSelection::poses is false. For an instance that moves during the sweep,
+    /// P(t) becomes P(t) * (exp([R^T w]x), R^T v), with the rotation R of the pose that
+    /// was set. The gradient does not describe a change of velocity.
     Array<float, shared::InstancePoseGradients> poses;
     /// Pose gradient of the sensor, [6]: dL/d(v, w) at 0. All rays of the batch move as
     /// one rigid body: origin' = c + exp([w]x) (origin - c) + v, direction' = exp([w]x)

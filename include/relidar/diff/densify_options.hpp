@@ -34,8 +34,7 @@ struct DensifyOptions {
     /// cloned if it is smaller than the limit, and split if it is larger.
     double clone_extent_share = 2e-4;
     /// Minimum opacity. Surfels with a lower opacity are removed. Rays ignore surfels
-    /// below the opacity ImageModel::alpha_min, so the larger of the two limits
-    /// is used.
+    /// below the opacity ImageModel::alpha_min, so the larger of the two limits is used.
     double min_opacity = 0.003;
     /// Maximum scale of a surfel, relative to the extent of the model. After step
     /// `large_from`, larger surfels are removed.

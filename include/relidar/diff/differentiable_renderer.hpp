@@ -79,8 +79,7 @@ public:
 
     /// Calls `change_surfels`, which adds or removes surfels. Waits until the stream is
     /// idle, frees all memory that depends on the number of surfels, and allocates it
-    /// again afterwards. The caller must call Renderer::update()
-    /// next.
+    /// again afterwards. The caller must call Renderer::update() next.
     /// @param change_surfels receives the bytes per surfel that will be allocated again
     void resize(const std::function<void(double reserved_bytes_per_surfel)>& change_surfels);
 

@@ -98,10 +98,9 @@ struct RendererOptions {
 };
 
 /// Renders one scene on one device. Contains the parameters, the acceleration structure
-/// and the rendered rays. Call update() first, then render_rays()
-/// or record_forward() any number of times. The device must outlive the renderer.
-/// Only one thread at a time may use a renderer. Several renderers on one device are
-/// independent.
+/// and the rendered rays. Call update() first, then render_rays() or record_forward() any
+/// number of times. The device must outlive the renderer. Only one thread at a time may
+/// use a renderer. Several renderers on one device are independent.
 class Renderer {
 public:
     /// Creates a renderer.
@@ -126,10 +125,9 @@ public:
     /// instances are at the origin.
     void update(const glm::vec3& view_origin_m) { update(scene().poses(), view_origin_m); }
     /// Records GPU commands that set the sensor position and the poses of all instances.
-    /// Faster than update(), because it does not update the
-    /// ray-tracing trees of rigid models. Must not be used if a surfel parameter has
-    /// changed since the last call of one of the two functions. If neither was called
-    /// before, does the same as update().
+    /// Faster than update(), because it does not update the ray-tracing trees of rigid
+    /// models. Must not be used if a surfel parameter has changed since the last call of
+    /// one of the two functions. If neither was called before, does the same as update().
     void record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m);
 
     /// Renders rays and waits for the result.
@@ -138,8 +136,7 @@ public:
     /// @throws DeviceError if a ray has too many hits to be traced completely
     RenderedRayValues render_rays(const WorldRays& rays);
     /// Records GPU commands that render rays on the device. The ray array must stay valid
-    /// until the stream has finished. After that, last_batch() contains the
-    /// results.
+    /// until the stream has finished. After that, last_batch() contains the results.
     void record_forward(const RayBatch& rays);
     /// Returns the last rendered batch. Its pointer to the rays is null before the first
     /// batch is rendered. Its pointer to gradients (`upstream`) is always null.
@@ -161,8 +158,7 @@ public:
     void set_stored_hits(std::uint32_t hits_per_ray);
 
     /// Sets the degree of the spherical harmonics (SH). The degree cannot exceed the
-    /// degree of the image model. The caller must call update()
-    /// next.
+    /// degree of the image model. The caller must call update() next.
     void set_sh_degree(int degree);
     const ImageModel& model() const;  ///< Image model with the active SH degree.
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
@@ -181,8 +177,7 @@ public:
     const glm::vec3& view_origin_m() const;
 
     /// Releases the acceleration structure. Must be called before surfels are added or
-    /// removed. create_accel() creates a new acceleration structure
-    /// afterwards.
+    /// removed. create_accel() creates a new acceleration structure afterwards.
     void release_accel();
     void create_accel();
 

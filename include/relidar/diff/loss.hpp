@@ -73,8 +73,7 @@ struct SurfelGradients {
 };
 
 /// Base class of a loss. A loss computes one or several terms. A custom loss overrides
-/// add_ray_losses() or add_regularisers() and is added to the list of
-/// losses.
+/// add_ray_losses() or add_regularisers() and is added to the list of losses.
 class Loss {
 public:
     virtual ~Loss() = default;

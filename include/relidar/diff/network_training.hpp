@@ -33,8 +33,7 @@ public:
     /// RayDropImage::channels
     /// @return drop probabilities, [rows, columns]. The object keeps one result array for
     /// each of the last two image sizes. A third image size invalidates the older array.
-    /// @throws DataError if the image is smaller than
-    /// network().min_image_size()
+    /// @throws DataError if the image is smaller than network().min_image_size()
     const Array<float, shared::DropProbabilities>& record_drops(
         Stream& stream, int rows, int columns, bool circular,
         const Array<float, shared::DropSamples>& input_channels);

@@ -4,9 +4,8 @@
 //
 // Eight lanes of a subgroup process one node, one child per lane (in subgroups of four
 // lanes, two children). Nodes without inner children are processed first. The group that
-// finishes the last child of a parent continues with the parent.
-// Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes,
-// wide.boxes.
+// finishes the last child of a parent continues with the parent. Input: boxes, topology
+// of wide. Output: origin, exponents and child boxes of the nodes, wide.boxes.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

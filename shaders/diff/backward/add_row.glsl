@@ -25,9 +25,8 @@ bool exchanges_rows() {
 
 uint shared_row() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds `amount` atomically to array[16 row + index]. If exchanges_rows()
-/// is true, only stores it in shared memory. The caller must then call
-/// add_rows() to add it.
+/// Adds `amount` atomically to array[16 row + index]. If exchanges_rows() is true, only
+/// stores it in shared memory. The caller must then call add_rows() to add it.
 void add_to_row(Floats array, uint row, uint index, float amount) {
     if (exchanges_rows()) shared_rows[shared_row() * kRowPitch + index] = amount;
     else atomic_add(array, 16u * row + index, amount);

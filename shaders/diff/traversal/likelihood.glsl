@@ -27,8 +27,7 @@ float range_likelihood(float surface_t) {
     return 1.0 / (1.0 + d * d);
 }
 
-/// Returns the derivative of range_likelihood() with respect to
-/// `surface_t`.
+/// Returns the derivative of range_likelihood() with respect to `surface_t`.
 float range_likelihood_vjp(float surface_t) {
     float k = range_likelihood(surface_t);
     return -2.0 * (surface_t - measured_range) * measured_per_scale * measured_per_scale * k * k;

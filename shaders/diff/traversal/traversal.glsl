@@ -5,10 +5,9 @@
 // surfel), each surfel at most once. In kernels with RELIDAR_APPENDS_HITS,
 // find_next_hits() writes all hits that can contribute to the ray's hit list, unordered.
 //
-// A traversal method only calls test_instance_surfel() with the
-// surfels that a ray may hit. This file and hit_buffer.glsl or hit_list.glsl intersect
-// the surfels, sort the hits and remove duplicates. Therefore all methods give the same
-// hits.
+// A traversal method only calls test_instance_surfel() with the surfels that a ray may
+// hit. This file and hit_buffer.glsl or hit_list.glsl intersect the surfels, sort the
+// hits and remove duplicates. Therefore all methods give the same hits.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #include "keys.glsl"

@@ -63,8 +63,7 @@ public:
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout_rate);
     /// Uses the running mean and variance, and no dropout.
     void run_inference(Stream& stream);
-    /// Follows forward(). The caller writes d_logits()
-    /// before.
+    /// Follows forward(). The caller writes d_logits() before.
     void backward(Stream& stream);
 
     /// No pending command on the device may use the old values.
