@@ -24,7 +24,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr int kImageRows = 64, kImageColumns = 1024;
 
-Scene make_actor_scene(int n_actors, bool one_model_per_actor) {
+Scene make_actor_scene(int n_actors, bool copies) {
     // A test actor is the benchmark street, scaled down to a length of about 4 m.
     constexpr float kHalfLength_m = 2.0f;
     Surfels actor = make_street_surfels(kActorSurfels);
@@ -35,7 +35,7 @@ Scene make_actor_scene(int n_actors, bool one_model_per_actor) {
     scene.models.push_back({"actor", 0, kActorSurfels});
     scene.surfels = actor.reorder(kd_tree_order(actor.mean));
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
-    return one_model_per_actor ? relidar::unshare_models(std::move(scene)) : scene;
+    return copies ? relidar::unshare_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The other
@@ -52,27 +52,26 @@ std::vector<InstancePose> spiral_poses(int n_actors, int n_centimetres_moved) {
     return placed;
 }
 
-DevCase make_actor_case(int n_actors, bool one_model_per_actor) {
+DevCase make_actor_case(int n_actors, bool copies) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
     const RayTable table = make_street_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};
-    bench.scene = make_actor_scene(n_actors, one_model_per_actor);
+    bench.scene = make_actor_scene(n_actors, copies);
     bench.config = make_preset("paper");
-    bench.config.image.sh_direction = one_model_per_actor ? ShDirection::surfel : ShDirection::ray;
+    bench.config.image.sh_direction = copies ? ShDirection::surfel : ShDirection::ray;
     bench.placed = spiral_poses(n_actors, 0);
     return bench;
 }
 
-void measure_updates(Device& device, const DevCase& bench_case, int n_repetitions,
-                     ActorBenchTimes& actor_times) {
+void measure_updates(Device& device, const DevCase& setup, int n_repetitions, ActorBenchTimes& actor_times) {
     constexpr int kWarmUp = 3;
-    DeviceScene on_device(device, bench_case.scene);
-    AccelerationStructure accel(device, on_device, accel_options(bench_case));
+    DeviceScene on_device(device, setup.scene);
+    AccelerationStructure accel(device, on_device, accel_options(setup));
     Stream stream(device, false);
-    on_device.activate(stream, bench_case.config.image, glm::vec3(0.0f));
+    on_device.activate(stream, setup.config.image, glm::vec3(0.0f));
     stream.submit_and_wait();
     Clock::time_point start = Clock::now();
     accel.record_refit(stream, on_device);
@@ -111,10 +110,9 @@ std::uint64_t ActorBenchTimes::n_surfels() const {
     return std::uint64_t(copy_shared_models ? n_actors : 1) * kActorSurfels;
 }
 
-ActorBenchTimes measure_actors(Device& device, int n_actors, bool one_model_per_actor,
-                               const BenchSettings& settings) {
-    const DevCase bench = make_actor_case(n_actors, one_model_per_actor);
-    ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = one_model_per_actor};
+ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const BenchSettings& settings) {
+    const DevCase bench = make_actor_case(n_actors, copies);
+    ActorBenchTimes times{.n_actors = n_actors, .copy_shared_models = copies};
     measure_updates(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;

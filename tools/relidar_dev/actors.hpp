@@ -38,8 +38,7 @@ inline constexpr std::uint32_t kActorSurfels = 1000;
 /// Measures build, rendering and training times of a scene with many actors.
 /// @throws DeviceError if a ray needs more search passes than allowed, or if the device
 /// has no timestamps
-ActorBenchTimes measure_actors(Device& device, int n_actors, bool one_model_per_actor,
-                               const BenchSettings& settings);
+ActorBenchTimes measure_actors(Device& device, int n_actors, bool copies, const BenchSettings& settings);
 
 std::string format_actors(const std::vector<ActorBenchTimes>& times);
 std::string actors_json(const std::vector<ActorBenchTimes>& times, const Device& device,

@@ -61,28 +61,28 @@ std::vector<int> parse_counts(const std::string& list) {
 
 /// Measures actors, scans or training steps. Returns the results as text and as JSON.
 std::pair<std::string, std::string> run_other_benchmark(const BenchOptions& options, Device& device,
-                                                        const std::string& command_line) {
+                                                        const std::string& args) {
     if (!options.actors.empty()) {
         std::vector<ActorBenchTimes> times;
         for (const int n : parse_counts(options.actors))
             for (const bool copy_shared_models : {false, true})
                 times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
         end_progress();
-        return {format_actors(times), actors_json(times, device, command_line)};
+        return {format_actors(times), actors_json(times, device, args)};
     }
     if (options.scans.n_scans != 0) {
         ScanBenchOptions bench = options.scans;
         bench.run = options.choice.run;
         bench.sensor = options.service.sensor;
         const ScanBenchTimes times = measure_scans(device, bench);
-        return {format_scans(times), scans_json(times, device, command_line)};
+        return {format_scans(times), scans_json(times, device, args)};
     }
     const TrainingStepTimes times =
         measure_steps(device, options.choice.run, options.n_steps, options.settings.quiet);
-    return {format_steps(times, device), steps_json(times, device, command_line)};
+    return {format_steps(times, device), steps_json(times, device, args)};
 }
 
-void run_bench(const BenchOptions& options, const std::string& command_line) {
+void run_bench(const BenchOptions& options, const std::string& args) {
     if (!options.service.address.empty()) return bench_service(options.service);
     check_options(options.choice);
     if (!options.choice.run.empty() && options.describes_street)
@@ -112,7 +112,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     install_handlers();
     std::string text, json_text;
     if (!options.actors.empty() || options.scans.n_scans != 0 || options.n_steps != 0) {
-        std::tie(text, json_text) = run_other_benchmark(options, device, command_line);
+        std::tie(text, json_text) = run_other_benchmark(options, device, args);
     } else {
         const DevCase bench = make_case(options.choice);
         BenchResult result = run_benchmark(device, bench, settings);
@@ -120,7 +120,7 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
         result.copy_bytes_per_s = measure_bandwidth(device);
         end_progress();
         text = format_result(bench, result, device);
-        json_text = result_json(bench, settings, result, device, command_line);
+        json_text = result_json(bench, settings, result, device, args);
     }
     if (!json.empty()) write_text_file(json, json_text);
     if (!settings.quiet) print(text);

@@ -56,12 +56,12 @@ std::optional<ImageSize> parse_grid_size(const std::string& text) {
     return size;
 }
 
-void apply_options(const BenchCaseOptions& bench_choice, Config& config) {
-    if (!bench_choice.chunk.empty()) set_value(config, "trace.chunk", bench_choice.chunk);
-    if (!bench_choice.keep_hits.empty()) set_value(config, "trace.keep_hits", bench_choice.keep_hits);
-    if (!bench_choice.likelihood.empty()) set_value(config, "loss.likelihood", bench_choice.likelihood);
-    if (bench_choice.deterministic) config.train.deterministic = true;
-    if (!bench_choice.sh.empty()) set_value(config, "image.sh_direction", bench_choice.sh);
+void apply_options(const BenchCaseOptions& choice, Config& config) {
+    if (!choice.chunk.empty()) set_value(config, "trace.chunk", choice.chunk);
+    if (!choice.keep_hits.empty()) set_value(config, "trace.keep_hits", choice.keep_hits);
+    if (!choice.likelihood.empty()) set_value(config, "loss.likelihood", choice.likelihood);
+    if (choice.deterministic) config.train.deterministic = true;
+    if (!choice.sh.empty()) set_value(config, "image.sh_direction", choice.sh);
 }
 
 /// Converts a word of the command line to a value of an enumeration. `words` are in the
@@ -83,43 +83,43 @@ void apply_tracing_options(const BenchCaseOptions& choice, DevCase& bench) {
     bench.keeps_more_hits = choice.keep_hits.empty();
 }
 
-DevCase make_street_case(const BenchCaseOptions& bench_choice) {
-    const std::optional<ImageSize> size = parse_grid_size(bench_choice.rays);
+DevCase make_street_case(const BenchCaseOptions& choice) {
+    const std::optional<ImageSize> size = parse_grid_size(choice.rays);
     const RayTable rays = size ? make_street_rays(int(size->rows), int(size->columns), kTop_deg, kBottom_deg)
-                               : make_street_rays(bench_choice.rays);
-    DevCase bench{street_case(std::uint32_t(bench_choice.n_surfels), bench_choice.street != "A", rays)};
-    bench.name = "street " + bench_choice.street;
-    if (bench_choice.street == "C")
+                               : make_street_rays(choice.rays);
+    DevCase bench{street_case(std::uint32_t(choice.n_surfels), choice.street != "A", rays)};
+    bench.name = "street " + choice.street;
+    if (choice.street == "C")
         bench.scene.surfels.opacity_logit.assign(bench.scene.surfels.size(), kFaintLogit);
     return bench;
 }
 
 }  // namespace
 
-void check_options(const BenchCaseOptions& bench_choice) {
-    if (bench_choice.street != "A" && bench_choice.street != "B" && bench_choice.street != "C")
-        fail<UsageError>("--scene: found \"{}\", expected A, B or C", bench_choice.street);
-    if (bench_choice.n_surfels < 1 || bench_choice.n_surfels > kMaxSurfels)
-        fail<UsageError>("--surfels: found {}, expected a number from 1 to {}", bench_choice.n_surfels,
+void check_options(const BenchCaseOptions& choice) {
+    if (choice.street != "A" && choice.street != "B" && choice.street != "C")
+        fail<UsageError>("--scene: found \"{}\", expected A, B or C", choice.street);
+    if (choice.n_surfels < 1 || choice.n_surfels > kMaxSurfels)
+        fail<UsageError>("--surfels: found {}, expected a number from 1 to {}", choice.n_surfels,
                          kMaxSurfels);
-    parse_grid_size(bench_choice.rays);
+    parse_grid_size(choice.rays);
     DevCase unused;
-    apply_tracing_options(bench_choice, unused);
+    apply_tracing_options(choice, unused);
 }
 
-DevCase make_case(const BenchCaseOptions& bench_choice) {
-    DevCase bench = bench_choice.run.empty() ? make_street_case(bench_choice)
-                                             : DevCase{case_of_run(load_run(bench_choice.run))};
-    apply_tracing_options(bench_choice, bench);
+DevCase make_case(const BenchCaseOptions& choice) {
+    DevCase bench =
+        choice.run.empty() ? make_street_case(choice) : DevCase{case_of_run(load_run(choice.run))};
+    apply_tracing_options(choice, bench);
     return bench;
 }
 
-AccelOptions accel_options(const DevCase& bench_case) { return {.proxy = bench_case.proxy}; }
+AccelOptions accel_options(const DevCase& setup) { return {.proxy = setup.proxy}; }
 
-TraceOptions trace_options(const DevCase& bench_case) {
-    TraceOptions options = common_options(bench_case.config);
-    options.traversal_mode = bench_case.traversal_mode;
-    options.order = bench_case.order;
+TraceOptions trace_options(const DevCase& setup) {
+    TraceOptions options = common_options(setup.config);
+    options.traversal_mode = setup.traversal_mode;
+    options.order = setup.order;
     return options;
 }
 

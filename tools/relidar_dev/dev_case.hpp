@@ -38,11 +38,11 @@ struct DevCase : BenchCase {
     bool keeps_more_hits = true;
 };
 
-AccelOptions accel_options(const DevCase& bench_case);
-TraceOptions trace_options(const DevCase& bench_case);
+AccelOptions accel_options(const DevCase& setup);
+TraceOptions trace_options(const DevCase& setup);
 
-void check_options(const BenchCaseOptions& bench_choice);
+void check_options(const BenchCaseOptions& choice);
 
-DevCase make_case(const BenchCaseOptions& bench_choice);
+DevCase make_case(const BenchCaseOptions& choice);
 
 }  // namespace relidar::cli

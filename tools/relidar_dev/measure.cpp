@@ -59,20 +59,19 @@ std::string row_name(const std::string& kernel_name, const std::string& phase_na
     return kernel_name;
 }
 
-RendererOptions forward_options(const DevCase& bench_case) {
-    return {.accel = accel_options(bench_case),
-            .trace = trace_options(bench_case),
-            .n_rays = std::uint32_t(bench_case.rays.size())};
+RendererOptions forward_options(const DevCase& setup) {
+    return {.accel = accel_options(setup),
+            .trace = trace_options(setup),
+            .n_rays = std::uint32_t(setup.rays.size())};
 }
 
 /// Returns how many hits per ray would be stored at the end of a training. Training
 /// increases this number until only few rays have more hits.
-std::uint32_t predict_hits(const DevCase& bench_case,
-                           const std::vector<std::uint32_t>& measured_hits_per_ray) {
-    auto keep = std::uint32_t(bench_case.config.trace.keep_hits);
-    while (bench_case.keeps_more_hits) {
-        const auto n_overfull = std::count_if(measured_hits_per_ray.begin(), measured_hits_per_ray.end(),
-                                              [&](std::uint32_t count) { return count > keep; });
+std::uint32_t predict_hits(const DevCase& setup, const std::vector<std::uint32_t>& hits) {
+    auto keep = std::uint32_t(setup.config.trace.keep_hits);
+    while (setup.keeps_more_hits) {
+        const auto n_overfull =
+            std::count_if(hits.begin(), hits.end(), [&](std::uint32_t count) { return count > keep; });
         const std::uint32_t more = grow_stored_hits(keep, std::uint64_t(n_overfull));
         if (more == keep) break;
         keep = more;
@@ -80,14 +79,14 @@ std::uint32_t predict_hits(const DevCase& bench_case,
     return keep;
 }
 
-BenchMemory measure_memory(Device& device, const DevCase& bench_case, bool includes_training) {
+BenchMemory measure_memory(Device& device, const DevCase& setup, bool includes_training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
     };
     BenchMemory memory;
-    const DeviceScene scene(device, bench_case.scene);
+    const DeviceScene scene(device, setup.scene);
     memory.scene = since_last();
-    const AccelerationStructure accel(device, scene, accel_options(bench_case));
+    const AccelerationStructure accel(device, scene, accel_options(setup));
     memory.accel = since_last();
     if (!includes_training) return memory;
     const DeviceGradients gradients(device, scene);
@@ -98,11 +97,11 @@ BenchMemory measure_memory(Device& device, const DevCase& bench_case, bool inclu
 
 class BenchRunner {
 public:
-    BenchRunner(Device& device, const DevCase& bench_case)
+    BenchRunner(Device& device, const DevCase& setup)
         : device_(device),
-          case_(bench_case),
+          case_(setup),
           allocated_before_(device.allocated_bytes()),
-          rays_(device, to_device_rays(bench_case.rays), "rays") {}
+          rays_(device, to_device_rays(setup.rays), "rays") {}
 
     /// Renders an image to count its hits. If `includes_training` is true, also creates
     /// the training step and its target values.
@@ -217,15 +216,12 @@ private:
     }
 };
 
-std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples,
-                                             std::vector<std::string> preferred_row_order) {
+std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::vector<std::string> order) {
     for (const auto& [name, unused] : samples) {
-        if (std::find(preferred_row_order.begin(), preferred_row_order.end(), name) ==
-            preferred_row_order.end())
-            preferred_row_order.push_back(name);
+        if (std::find(order.begin(), order.end(), name) == order.end()) order.push_back(name);
     }
     std::vector<KernelBenchTime> rows;
-    for (const std::string& name : preferred_row_order) {
+    for (const std::string& name : order) {
         if (const auto it = samples.find(name); it != samples.end())
             rows.push_back({name, percentiles_of(it->second)});
     }
@@ -306,10 +302,10 @@ TimePercentiles percentiles_of(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
-BenchResult run_benchmark(Device& device, const DevCase& bench_case, const BenchSettings& settings) {
+BenchResult run_benchmark(Device& device, const DevCase& setup, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
     TerminalProgress(settings.quiet).show_text("running repetitions that are not measured");
-    BenchRunner bench(device, bench_case);
+    BenchRunner bench(device, setup);
     const auto repeat = [&] { device_clock ? bench.run_repetition() : bench.measure_forward(); };
     bench.create_renderers(settings.backward && device_clock);
     // Warms up, because the first launches compile kernels, and because a GPU raises its

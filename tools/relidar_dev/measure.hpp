@@ -79,6 +79,6 @@ struct BenchSettings {
 /// Warms up the device and then measures all kernels. The learning rates are 0, so that
 /// the scene is the same in every repetition.
 /// @throws DeviceError if a ray needs more search passes than allowed
-BenchResult run_benchmark(Device& device, const DevCase& bench_case, const BenchSettings& settings);
+BenchResult run_benchmark(Device& device, const DevCase& setup, const BenchSettings& settings);
 
 }  // namespace relidar::cli

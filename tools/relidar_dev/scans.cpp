@@ -76,32 +76,31 @@ double thread_cpu_ms() {
 
 }  // namespace
 
-ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& bench_options) {
+ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
     using Send = ScanRenderer::SubmissionTiming;
-    if (bench_options.n_scans < 1 || bench_options.n_scans > kMostInOneGo)
-        fail<UsageError>("--scans: found {}, expected a number from 1 to {}", bench_options.n_scans,
-                         kMostInOneGo);
-    if (bench_options.together < 0 || bench_options.together > kMostTogether)
-        fail<UsageError>("--together: found {}, expected a number from 1 to {}", bench_options.together,
+    if (options.n_scans < 1 || options.n_scans > kMostInOneGo)
+        fail<UsageError>("--scans: found {}, expected a number from 1 to {}", options.n_scans, kMostInOneGo);
+    if (options.together < 0 || options.together > kMostTogether)
+        fail<UsageError>("--together: found {}, expected a number from 1 to {}", options.together,
                          kMostTogether);
-    const Run run = load_run(bench_options.run);
+    const Run run = load_run(options.run);
     ScanRenderer renderer(device, run);
-    const LogPathRequests drive(run, bench_options);
-    const int together = std::min(bench_options.together ? bench_options.together : drive.n_sensors(),
-                                  std::min(kMostTogether, bench_options.n_scans));
+    const LogPathRequests drive(run, options);
+    const int together = std::min(options.together ? options.together : drive.n_sensors(),
+                                  std::min(kMostTogether, options.n_scans));
     const auto ask = [&](int first) {
-        const int end = std::min(first + together, bench_options.n_scans);
+        const int end = std::min(first + together, options.n_scans);
         for (int scan = first; scan < end; ++scan) {
             const ScanRequest request = drive.make_request(scan);
             renderer.submit_points(drive.sensor_of(scan), request, request.time_s,
-                                   bench_options.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
+                                   options.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
                                    scan + 1 < end ? Send::with_next : Send::now);
         }
         return end - first;
     };
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
-    ScanBenchTimes result{.sensor = drive.n_sensors() > 1 ? bench_options.sensor : drive.sensor_of(0).name,
-                          .n_scans = bench_options.n_scans,
+    ScanBenchTimes result{.sensor = drive.n_sensors() > 1 ? options.sensor : drive.sensor_of(0).name,
+                          .n_scans = options.n_scans,
                           .together = together,
                           .side_by_side = std::min(together, renderer.max_parallel())};
     const double kernels_before_ms = sum_kernel_ms(renderer.times());
@@ -116,18 +115,18 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& bench_optio
         first += n_scans;
         // Submits the next scans before it reads the finished scans, so that the device
         // always has work.
-        n_requested = first < bench_options.n_scans ? ask(first) : 0;
+        n_requested = first < options.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_scans; ++i) {
             scan = renderer.wait_for_points(std::move(scan.points));
-            result.points += double(scan.points.size()) / bench_options.n_scans;
-            result.rays += double(scan.n_rays) / bench_options.n_scans;
+            result.points += double(scan.points.size()) / options.n_scans;
+            result.rays += double(scan.n_rays) / options.n_scans;
         }
         scan_ms.push_back(ms_since(begun) / n_scans);
     }
-    result.host_ms = (thread_cpu_ms() - thread_begun_ms) / bench_options.n_scans;
-    result.scans_per_s = 1e3 * bench_options.n_scans / ms_since(start);
+    result.host_ms = (thread_cpu_ms() - thread_begun_ms) / options.n_scans;
+    result.scans_per_s = 1e3 * options.n_scans / ms_since(start);
     result.scan_ms = percentiles_of(scan_ms).median;
-    result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / bench_options.n_scans;
+    result.device_ms = (sum_kernel_ms(renderer.times()) - kernels_before_ms) / options.n_scans;
     return result;
 }
 

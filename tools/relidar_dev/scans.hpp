@@ -45,7 +45,7 @@ struct ScanBenchTimes {
 /// log. The scan times are evenly spaced between the first and the last sweep.
 /// @throws UsageError if a number is out of range
 /// @throws DataError if the run or the rig cannot be read
-ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& bench_options);
+ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options);
 
 std::string format_scans(const ScanBenchTimes& times);
 std::string scans_json(const ScanBenchTimes& times, const Device& device, const std::string& args);

@@ -17,6 +17,6 @@ struct ServeBenchOptions {
 /// Measures a service and prints the latencies and the scans per second.
 /// @throws UsageError if this program was built without gRPC
 /// @throws DataError if no server answers
-void bench_service(const ServeBenchOptions& bench_options);
+void bench_service(const ServeBenchOptions& options);
 
 }  // namespace relidar::cli

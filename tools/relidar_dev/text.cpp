@@ -32,15 +32,15 @@ std::string phase_title(const std::string& phase_id, bool includes_training) {
     return phase_id == "rebuild" ? "rebuild of the tree" : "move of one instance";
 }
 
-std::string mode_name(const DevCase& bench_case) {
-    return std::array{"automatic", "lane", "subgroup"}[std::size_t(bench_case.traversal_mode)];
+std::string mode_name(const DevCase& setup) {
+    return std::array{"automatic", "lane", "subgroup"}[std::size_t(setup.traversal_mode)];
 }
 
 std::string backend_name(const Device& device) {
     return device.backend() == RayTracingBackend::software ? "software" : "ray_query";
 }
-std::string sh_direction_name(const DevCase& bench_case) {
-    return bench_case.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
+std::string sh_direction_name(const DevCase& setup) {
+    return setup.config.image.sh_direction == ShDirection::ray ? "ray" : "surfel";
 }
 std::string summation_method(const BenchResult& result) {
     if (!result.sizes.training) return "none";
@@ -135,16 +135,15 @@ Json memory_json(const BenchMemory& memory, std::size_t n_surfels, std::size_t n
 
 }  // namespace
 
-std::string format_result(const DevCase& bench_case, const BenchResult& result, const Device& device) {
-    std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", bench_case.name,
-                                   bench_case.scene.surfels.size(), bench_case.rays.size(), bench_case.rows,
-                                   bench_case.columns);
+std::string format_result(const DevCase& setup, const BenchResult& result, const Device& device) {
+    std::string text = fmt::format("case      {}: {} surfels, {} rays ({} x {})\n", setup.name,
+                                   setup.scene.surfels.size(), setup.rays.size(), setup.rows, setup.columns);
     const std::string traversal_variant = device.backend() == RayTracingBackend::software
-                                              ? "walk " + mode_name(bench_case)
+                                              ? "walk " + mode_name(setup)
                                               : "proxy " + result.proxy;
     text += fmt::format("device    {}\nsettings  traversal {}, {}, chunk {}, harmonics along the {}",
-                        device.info().name, backend_name(device), traversal_variant,
-                        bench_case.config.trace.chunk, sh_direction_name(bench_case));
+                        device.info().name, backend_name(device), traversal_variant, setup.config.trace.chunk,
+                        sh_direction_name(setup));
     text += result.sizes.training ? fmt::format(", {} hits stored per ray, gradients by {}\n",
                                                 result.stored_hits_per_ray, summation_method(result))
                                   : "\n";
@@ -174,49 +173,48 @@ std::string format_result(const DevCase& bench_case, const BenchResult& result, 
     if (result.backward_mrays_per_s)
         text += fmt::format("backward  {:.3f} Mrays/s\n", *result.backward_mrays_per_s);
     return text + format_bounds(result) +
-           format_memory(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size());
+           format_memory(result.memory, setup.scene.surfels.size(), setup.rays.size());
 }
 
-std::string result_json(const DevCase& bench_case, const BenchSettings& settings, const BenchResult& result,
+std::string result_json(const DevCase& setup, const BenchSettings& settings, const BenchResult& result,
                         const Device& device, const std::string& args) {
     const DeviceInfo& info = device.info();
-    Json json = {
-        {"format", "relidar-dev bench"},
-        {"version", 1},
-        {"relidar", RELIDAR_VERSION},
-        {"command", args},
-        {"device",
-         {{"name", info.name},
-          {"type", info.type},
-          {"driver", info.driver},
-          {"float_atomics", info.float_atomics},
-          {"traversal", backend_name(device)}}},
-        {"case",
-         {{"name", bench_case.name},
-          {"surfels", bench_case.scene.surfels.size()},
-          {"instances", bench_case.scene.instances.size()},
-          {"rays", bench_case.rays.size()},
-          {"rows", bench_case.rows},
-          {"columns", bench_case.columns},
-          {"chunk", bench_case.config.trace.chunk},
-          {"proxy", result.proxy},
-          {"walk", mode_name(bench_case)},
-          {"sh", sh_direction_name(bench_case)},
-          {"sh_degree", bench_case.config.image.sh_degree},
-          {"keep_hits", result.stored_hits_per_ray},
-          {"reduction", summation_method(result)}}},
-        {"repetitions", settings.repeat},
-        {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"
-                                      : "wall time of the forward pass, waits included"},
-        {"kernels_ms", percentiles_json(result.kernels, lower_bounds_ms(result))},
-        {"phases_ms", percentiles_json(result.phases, lower_bounds_ms(result))},
-        {"floor", bounds_json(result)},
-        {"forward_mrays_per_s", result.forward_mrays_per_s},
-        {"backward_mrays_per_s", nullptr},
-        {"hits_per_ray", result.hits_per_ray},
-        {"nodes_per_ray", nullptr},
-        {"surfels_tested_per_ray", nullptr},
-        {"memory", memory_json(result.memory, bench_case.scene.surfels.size(), bench_case.rays.size())}};
+    Json json = {{"format", "relidar-dev bench"},
+                 {"version", 1},
+                 {"relidar", RELIDAR_VERSION},
+                 {"command", args},
+                 {"device",
+                  {{"name", info.name},
+                   {"type", info.type},
+                   {"driver", info.driver},
+                   {"float_atomics", info.float_atomics},
+                   {"traversal", backend_name(device)}}},
+                 {"case",
+                  {{"name", setup.name},
+                   {"surfels", setup.scene.surfels.size()},
+                   {"instances", setup.scene.instances.size()},
+                   {"rays", setup.rays.size()},
+                   {"rows", setup.rows},
+                   {"columns", setup.columns},
+                   {"chunk", setup.config.trace.chunk},
+                   {"proxy", result.proxy},
+                   {"walk", mode_name(setup)},
+                   {"sh", sh_direction_name(setup)},
+                   {"sh_degree", setup.config.image.sh_degree},
+                   {"keep_hits", result.stored_hits_per_ray},
+                   {"reduction", summation_method(result)}}},
+                 {"repetitions", settings.repeat},
+                 {"clock", result.device_clock ? "device timestamps, all launches of a kernel in a repetition"
+                                               : "wall time of the forward pass, waits included"},
+                 {"kernels_ms", percentiles_json(result.kernels, lower_bounds_ms(result))},
+                 {"phases_ms", percentiles_json(result.phases, lower_bounds_ms(result))},
+                 {"floor", bounds_json(result)},
+                 {"forward_mrays_per_s", result.forward_mrays_per_s},
+                 {"backward_mrays_per_s", nullptr},
+                 {"hits_per_ray", result.hits_per_ray},
+                 {"nodes_per_ray", nullptr},
+                 {"surfels_tested_per_ray", nullptr},
+                 {"memory", memory_json(result.memory, setup.scene.surfels.size(), setup.rays.size())}};
     if (result.backward_mrays_per_s) json["backward_mrays_per_s"] = *result.backward_mrays_per_s;
     if (result.visits) {
         json["nodes_per_ray"] = result.visits->nodes;

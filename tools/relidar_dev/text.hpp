@@ -14,9 +14,9 @@ struct DevCase;
 struct BenchResult;
 struct BenchSettings;
 
-std::string format_result(const DevCase& bench_case, const BenchResult& result, const Device& device);
+std::string format_result(const DevCase& setup, const BenchResult& result, const Device& device);
 
-std::string result_json(const DevCase& bench_case, const BenchSettings& settings, const BenchResult& result,
+std::string result_json(const DevCase& setup, const BenchSettings& settings, const BenchResult& result,
                         const Device& device, const std::string& args);
 
 }  // namespace relidar::cli

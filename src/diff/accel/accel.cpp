@@ -30,17 +30,17 @@ struct AccelerationStructure::Impl {
     double cost_when_built = 0.0;  ///< cost after the last build, or 0 if it was not measured yet
     std::uint64_t n_updates = 0;
 
-    Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
-        : options(o), proxy(resolve_proxy(o.proxy, device)) {
-        if (device.backend() == RayTracingBackend::software) software = std::make_unique<Bvh>(device, scene);
-        else hardware = std::make_unique<RayQueryAccel>(device, scene, proxy);
+    Impl(Device& d, const DeviceScene& s, const AccelOptions& o)
+        : options(o), proxy(resolve_proxy(o.proxy, d)) {
+        if (d.backend() == RayTracingBackend::software) software = std::make_unique<Bvh>(d, s);
+        else hardware = std::make_unique<RayQueryAccel>(d, s, proxy);
     }
 
     void build_tree(Stream& stream, const DeviceScene& scene) {
         if (hardware) hardware->record_build(stream, scene, options, {{0, scene.size()}}, false);
         else software->build_trees(stream, scene, options);
     }
-    void refit_tree(Stream& stream, const DeviceScene& scene, const std::vector<SurfelRange>& ranges) {
+    void refit_tree(Stream& stream, const DeviceScene& scene, const SurfelRanges& ranges) {
         if (hardware) hardware->record_build(stream, scene, options, ranges, true);
         else software->refit_trees(stream, scene, options, ranges);
     }
@@ -48,8 +48,8 @@ struct AccelerationStructure::Impl {
 
 namespace {
 
-std::vector<SurfelRange> animated_ranges(const std::vector<SurfelModel>& models) {
-    std::vector<SurfelRange> ranges;
+SurfelRanges animated_ranges(const std::vector<SurfelModel>& models) {
+    SurfelRanges ranges;
     for (const SurfelModel& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
         if (!ranges.empty() && ranges.back().first + ranges.back().count == model.first)

@@ -167,9 +167,27 @@ struct Bvh::Impl {
     std::uint32_t n_key_bits() const {
         return 3 * RELIDAR_BVH_MORTON_BITS + std::uint32_t(std::bit_width(std::max(n_models, 1u) - 1));
     }
-    void compute_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range);
+    void compute_boxes(Stream& s, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
+        run(s, proxies, range.count,
+            {.records = scene.surfel_records().address(),
+             .vertices = {},
+             .boxes = boxes.address(),
+             .reach = {},
+             .alpha_min = scene.alpha_min(),
+             .margin_m = o.margin_m,
+             .margin_scale = o.margin_scale,
+             .first_surfel = range.first,
+             .n_surfels = range.count});
+    }
     SortBuffers sort_surfels(Stream& stream, const DeviceScene& scene);
-    void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel);
+    void compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
+        run(stream, refit_kernel, n_refitting,
+            {.wide = wide_bvh(),
+             .boxes = boxes.address(),
+             .bound = bound,
+             .first_surfel = first_surfel,
+             .last_surfel = last_surfel});
+    }
 };
 
 /// Returns an upper bound of the number of tree levels: the levels of a full tree with
@@ -200,19 +218,6 @@ shared::BvhWide Bvh::Impl::wide_bvh() const {
 SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
     return {.keys = scratch_at<std::uint32_t, shared::SortKeys>(keys_offset(set_index)),
             .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
-}
-
-void Bvh::Impl::compute_boxes(Stream& s, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
-    run(s, proxies, range.count,
-        {.records = scene.surfel_records().address(),
-         .vertices = {},
-         .boxes = boxes.address(),
-         .reach = {},
-         .alpha_min = scene.alpha_min(),
-         .margin_m = o.margin_m,
-         .margin_scale = o.margin_scale,
-         .first_surfel = range.first,
-         .n_surfels = range.count});
 }
 
 SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
@@ -267,15 +272,6 @@ void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     run(stream, wide_emit, bound, params);
 }
 
-void Bvh::Impl::compute_node_boxes(Stream& stream, std::uint32_t first_surfel, std::uint32_t last_surfel) {
-    run(stream, refit_kernel, n_refitting,
-        {.wide = wide_bvh(),
-         .boxes = boxes.address(),
-         .bound = bound,
-         .first_surfel = first_surfel,
-         .last_surfel = last_surfel});
-}
-
 Bvh::Bvh(Device& device, const DeviceScene& scene) {
     impl_ = std::make_unique<Impl>(device, scene);
     Stream stream(device);
@@ -310,7 +306,7 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
 }
 
 void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o,
-                      const std::vector<SurfelRange>& ranges) {
+                      const SurfelRanges& ranges) {
     for (const auto& [first, count] : ranges) {
         if (count == 0) continue;
         impl_->compute_boxes(s, scene, o, {first, count});

@@ -45,8 +45,7 @@ public:
     /// top-level tree. Keeps the structure of the models' trees. Requires an earlier
     /// build_trees().
     /// @param ranges models to update. The surfels of other models must not have changed
-    void refit_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
-                     const std::vector<SurfelRange>& ranges);
+    void refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& ranges);
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
 
     shared::BvhPointers bvh_addresses() const;

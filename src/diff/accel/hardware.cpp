@@ -24,8 +24,9 @@ struct VulkanAccelStructure {
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    VulkanAccelStructure(Device& d, VkAccelerationStructureTypeKHR type, VkDeviceSize size, std::string text)
-        : device(&d.impl()) {
+    VulkanAccelStructure(Device& d, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
+                         std::string text) {
+        device = &d.impl();
         storage = std::make_unique<Buffer>(d, size, text);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
@@ -153,8 +154,30 @@ struct RayQueryAccel::Impl {
     }
 
     void append_blas(const SurfelModel& model);
-    void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range);
-    void compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range);
+    void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
+        run(stream, proxies, range.count,
+            {.records = scene.surfel_records().address(),
+             .vertices = geometry.address_as<float, shared::ProxyVertices>(),
+             .boxes = geometry.address_as<float, shared::SurfelBoxes>(),
+             .reach = reach.address(),
+             .alpha_min = scene.alpha_min(),
+             .margin_m = o.margin_m,
+             .margin_scale = o.margin_scale,
+             .first_surfel = range.first,
+             .n_surfels = range.count});
+    }
+    void compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
+        run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
+            {.records = scene.surfel_records().address(),
+             .models = scene.model_table().address(),
+             .radii = radii.address(),
+             .alpha_min = scene.alpha_min(),
+             .margin_m = o.margin_m,
+             .margin_scale = o.margin_scale,
+             .n_models = std::uint32_t(scene.layout().models.size()),
+             .first_surfel = range.first,
+             .n_surfels = range.count});
+    }
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
@@ -270,36 +293,8 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
 
 RayQueryAccel::~RayQueryAccel() = default;
 
-void RayQueryAccel::Impl::compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
-                                          SurfelRange range) {
-    run(stream, proxies, range.count,
-        {.records = scene.surfel_records().address(),
-         .vertices = geometry.address_as<float, shared::ProxyVertices>(),
-         .boxes = geometry.address_as<float, shared::SurfelBoxes>(),
-         .reach = reach.address(),
-         .alpha_min = scene.alpha_min(),
-         .margin_m = o.margin_m,
-         .margin_scale = o.margin_scale,
-         .first_surfel = range.first,
-         .n_surfels = range.count});
-}
-
-void RayQueryAccel::Impl::compute_radii(Stream& stream, const DeviceScene& scene, const AccelOptions& o,
-                                        SurfelRange range) {
-    run(stream, model_radii, (range.count + RELIDAR_RADIUS_STRETCH - 1) / RELIDAR_RADIUS_STRETCH,
-        {.records = scene.surfel_records().address(),
-         .models = scene.model_table().address(),
-         .radii = radii.address(),
-         .alpha_min = scene.alpha_min(),
-         .margin_m = o.margin_m,
-         .margin_scale = o.margin_scale,
-         .n_models = std::uint32_t(scene.layout().models.size()),
-         .first_surfel = range.first,
-         .n_surfels = range.count});
-}
-
 void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                                 const std::vector<SurfelRange>& ranges, bool refit_only) {
+                                 const SurfelRanges& ranges, bool refit_only) {
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;

@@ -24,7 +24,7 @@ public:
     /// models, and then build the top-level structure. A refit requires an earlier build.
     /// @param ranges surfels of the models to update. Other surfels must be unchanged
     void record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
-                      const std::vector<SurfelRange>& ranges, bool refit_only);
+                      const SurfelRanges& ranges, bool refit_only);
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
 
     void write_addresses(AccelAddresses& addresses) const;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 namespace relidar {
 
@@ -13,5 +14,6 @@ struct SurfelRange {
 
     bool contains_surfel(std::uint32_t surfel) const { return surfel - first < count; }
 };
+using SurfelRanges = std::vector<SurfelRange>;
 
 }  // namespace relidar

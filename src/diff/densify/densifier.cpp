@@ -80,13 +80,12 @@ struct Densifier::Impl {
     std::uint64_t random_key(RandomPurpose purpose, int step) const {
         return hash_pair(hash_pair(seed, std::uint64_t(purpose)), std::uint64_t(step));
     }
-    std::vector<ModelCounters> choose_actions(Stream& stream, const DeviceScene& scene, int step);
+    ModelCounts choose_actions(Stream& stream, const DeviceScene& scene, int step);
     std::uint32_t allocate_surfels(DeviceScene& scene, Adam& adam, std::uint32_t n_requested,
                                    double reserved_bytes_per_surfel, std::string& error);
 };
 
-std::vector<ModelCounters> Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene,
-                                                           int step) {
+ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene, int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
     stream.fill(counters);
@@ -109,7 +108,7 @@ std::vector<ModelCounters> Densifier::Impl::choose_actions(Stream& stream, const
                   .key = std::uint32_t(random_key(RandomPurpose::classify, step))});
     stream.submit_and_wait();
     const std::vector<std::uint32_t> values = counters.download();
-    std::vector<ModelCounters> result(extents.size());
+    ModelCounts result(extents.size());
     for (std::size_t i = 0; i < values.size(); ++i)
         result[i / RELIDAR_DENSIFY_COUNTERS][i % RELIDAR_DENSIFY_COUNTERS] = values[i];
     return result;
@@ -195,7 +194,7 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
                                          double reserved_bytes_per_surfel) {
     Impl& d = *impl_;
     const std::uint32_t before = scene.size();
-    const std::vector<ModelCounters> counted = d.choose_actions(stream, scene, step);
+    const ModelCounts counted = d.choose_actions(stream, scene, step);
     GrowthPlan plan = limit_growth(plan_growth(counted, d.options, d.random_key(RandomPurpose::phase, step)),
                                    d.memory_limit);
     std::string error;

@@ -10,7 +10,7 @@ std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) con
 }
 
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
-                                                   const std::vector<ModelCounters>& counts) const {
+                                                   const ModelCounts& counts) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;
     for (std::size_t i = 0; i < models.size(); ++i) {
@@ -24,8 +24,7 @@ std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> mode
     return models;
 }
 
-GrowthPlan plan_growth(const std::vector<ModelCounters>& counts, const DensifyOptions& o,
-                       std::uint64_t random) {
+GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::uint64_t random) {
     GrowthPlan plan;
     for (const ModelCounters& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
@@ -42,7 +41,7 @@ GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels) {
     return plan;
 }
 
-DensifyReport densify_report(const std::vector<ModelCounters>& counts, const GrowthPlan& plan) {
+DensifyReport densify_report(const ModelCounts& counts, const GrowthPlan& plan) {
     DensifyReport r;
     for (const ModelCounters& c : counts) {
         r.invalid += c[RELIDAR_DENSIFY_INVALID];

@@ -18,6 +18,7 @@ namespace relidar {
 /// each reason, cloned and split. RELIDAR_DENSIFY_KEPT and the following constants are
 /// the indices.
 using ModelCounters = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
+using ModelCounts = std::vector<ModelCounters>;  ///< one row per model
 
 struct GrowthPlan {
     std::uint32_t survivors = 0;
@@ -31,19 +32,17 @@ struct GrowthPlan {
     /// below total_weight. Kernel diff/densify/allot must use the same formula.
     /// @param cumulative_weight sum of the weights of the first k surfels
     std::uint32_t cumulative_copies(std::uint64_t cumulative_weight) const;
-    std::vector<SurfelModel> assign_ranges(std::vector<SurfelModel> models,
-                                           const std::vector<ModelCounters>& counts) const;
+    std::vector<SurfelModel> assign_ranges(std::vector<SurfelModel> models, const ModelCounts& counts) const;
 };
 
 /// Plans how many surfels densification adds: one copy of each surfel that is marked for
 /// growth, until the total reaches DensifyOptions::max_surfels.
 /// @param random_number selects which surfels are copied if max_surfels is reached
-GrowthPlan plan_growth(const std::vector<ModelCounters>& counts, const DensifyOptions& o,
-                       std::uint64_t random);
+GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::uint64_t random);
 /// Reduces the number of added surfels until the total is at most `max_surfels`. Does not
 /// remove existing surfels.
 GrowthPlan limit_growth(GrowthPlan plan, std::uint32_t max_surfels);
 
-DensifyReport densify_report(const std::vector<ModelCounters>& counts, const GrowthPlan& plan);
+DensifyReport densify_report(const ModelCounts& counts, const GrowthPlan& plan);
 
 }  // namespace relidar

@@ -42,9 +42,9 @@ private:
     Device& device_;
     SurfelArrays scratch_surfels_;
     Array<std::uint32_t> scratch_frames_;
-    PrefixSum prefix_sum_;
-    Kernel<shared::AllotParams> allot_;
-    Kernel<shared::MoveParams> move_;
+    PrefixSum prefix_sum_{device_};
+    Kernel<shared::AllotParams> allot_{device_, "diff/densify/allot"};
+    Kernel<shared::MoveParams> move_{device_, "diff/densify/move"};
     std::uint32_t before_ = 0;
 
     template <class T>

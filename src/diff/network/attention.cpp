@@ -8,14 +8,6 @@
 namespace relidar::network {
 namespace {
 
-using enum SpecialisationConstantId;
-
-constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
-
-std::vector<SpecialisationConstant> attention_constants(std::uint32_t lanes) {
-    return {{LANES, lanes}, {WORKGROUP_SIZE, kAttentionThreads}};
-}
-
 /// Describes an image slice as one matrix per attention head. Its shape is [channels,
 /// pixels], or [pixels, channels] if `transposed` is true.
 shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool transposed) {
@@ -43,16 +35,10 @@ shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid,
 
 }  // namespace
 
-Attention::Attention(Device& device, std::uint32_t heads)
-    : heads_(heads),
-      lanes_(std::uint32_t(device.info().subgroup_size)),
-      matmul_(device, "diff/network/matmul", attention_constants(lanes_), SubgroupRequirement::full),
-      softmax_(device, "diff/network/softmax", attention_constants(lanes_), SubgroupRequirement::full) {}
-
-AttentionState Attention::allocate_state(Device& device, ImageBatchSize grid, bool with_gradients) const {
+AttentionState Attention::allocate_state(ImageBatchSize grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.n_image_pixels());
-    AttentionState state{Tensor(device, channels, grid, "attention"), {}};
-    if (with_gradients) state.d_share = Tensor(device, channels, grid, "gradient of attention");
+    AttentionState state{Tensor(device_, channels, grid, "attention"), {}};
+    if (with_gradients) state.d_share = Tensor(device_, channels, grid, "gradient of attention");
     return state;
 }
 
@@ -64,7 +50,7 @@ void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shar
     const auto columns = std::uint32_t(grid.n_image_pixels());
     const std::uint32_t jobs =
         grid.n * heads_ * div_ceil(columns, lanes_) * div_ceil(rows, RELIDAR_MATMUL_ROWS);
-    run(stream, matmul_, std::size_t(div_ceil(jobs, kAttentionThreads / lanes_)) * kAttentionThreads,
+    run(stream, matmul_, std::size_t(div_ceil(jobs, kThreads / lanes_)) * kThreads,
         {.a = a,
          .b = b,
          .c = c,
@@ -78,7 +64,7 @@ void Attention::multiply(Stream& stream, const shared::MatrixView& a, const shar
 
 void Attention::run_softmax(Stream& stream, AttentionState& attention, ImageBatchSize grid, bool vjp) const {
     const auto pixels = std::uint32_t(grid.n_image_pixels()), rows = grid.n * heads_ * pixels;
-    run(stream, softmax_, std::size_t(div_ceil(rows, kAttentionThreads / lanes_)) * kAttentionThreads,
+    run(stream, softmax_, std::size_t(div_ceil(rows, kThreads / lanes_)) * kThreads,
         {.values = attention.share.values.address().cast_tag<shared::SoftmaxValues>(),
          .d_values = (vjp ? attention.d_share.values.address() : Address<float>())
                          .cast_tag<shared::SoftmaxGradients>(),

@@ -16,9 +16,9 @@ struct AttentionState {
 
 class Attention {
 public:
-    Attention(Device& device, std::uint32_t heads);
+    Attention(Device& device, std::uint32_t heads) : device_(device), heads_(heads) {}
 
-    AttentionState allocate_state(Device& device, ImageBatchSize grid, bool with_gradients) const;
+    AttentionState allocate_state(ImageBatchSize grid, bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
     /// @param qkv query Q, key K and value V of each pixel, [n, 3 channels, rows,
     /// columns]
@@ -27,9 +27,16 @@ public:
     void attend_vjp(Stream& s, const Slice& qkv, AttentionState& a, const Slice& d_out, const Slice& d_qkv);
 
 private:
-    std::uint32_t heads_, lanes_;
-    Kernel<shared::MatmulParams> matmul_;
-    Kernel<shared::SoftmaxParams> softmax_;
+    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
+
+    Device& device_;
+    std::uint32_t heads_, lanes_ = std::uint32_t(device_.info().subgroup_size);
+    std::vector<SpecialisationConstant> constants_{{SpecialisationConstantId::LANES, lanes_},
+                                                   {SpecialisationConstantId::WORKGROUP_SIZE, kThreads}};
+    Kernel<shared::MatmulParams> matmul_{device_, "diff/network/matmul", constants_,
+                                         SubgroupRequirement::full};
+    Kernel<shared::SoftmaxParams> softmax_{device_, "diff/network/softmax", constants_,
+                                           SubgroupRequirement::full};
 
     void multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
                   const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,

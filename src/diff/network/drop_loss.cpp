@@ -4,26 +4,11 @@
 #include <algorithm>
 
 namespace relidar::network {
-namespace {
-
-using enum SpecialisationConstantId;
-
-constexpr std::uint32_t kLossThreads = 64;  // threads per workgroup
-constexpr std::size_t kPixelsOfPart = 2048;
-
-}  // namespace
-
-RayDropLoss::RayDropLoss(Device& device, std::size_t n_pixels)
-    : lanes_(std::uint32_t(device.info().subgroup_size)),
-      n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))),
-      kernel_(device, "diff/network/drop_loss", {{LANES, lanes_}, {WORKGROUP_SIZE, kLossThreads}},
-              SubgroupRequirement::full),
-      partial_(device, 2 * n_parts_, "sums of cross-entropies") {}
 
 void RayDropLoss::record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays,
                               std::size_t n_known) {
-    const std::uint32_t of_workgroup = kLossThreads / lanes_;
-    relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kLossThreads,
+    const std::uint32_t of_workgroup = kThreads / lanes_;
+    relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
                  {.logit = arrays.logit,
                   .start = arrays.start,
                   .target = arrays.target,

@@ -3,6 +3,8 @@
 // Also computes the cross-entropy loss and its derivative.
 #pragma once
 
+#include <algorithm>
+
 #include "diff/network/tensor.hpp"
 #include "gpu/stream.hpp"
 
@@ -26,7 +28,8 @@ struct RayDropLossArrays {
 
 class RayDropLoss {
 public:
-    RayDropLoss(Device& device, std::size_t n_pixels);
+    RayDropLoss(Device& device, std::size_t n_pixels)
+        : device_(device), n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))) {}
 
     /// @param n_known_pixels number of pixels with a known target; divides the derivative
     void record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays, std::size_t n_known);
@@ -34,9 +37,17 @@ public:
     RayDropScore read_loss(std::size_t n_known_pixels) const;
 
 private:
-    std::uint32_t lanes_, n_parts_;
-    Kernel<shared::DropLossParams> kernel_;
-    Array<float, shared::PartSums> partial_;
+    static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
+    static constexpr std::size_t kPixelsOfPart = 2048;
+
+    Device& device_;
+    std::uint32_t n_parts_, lanes_ = std::uint32_t(device_.info().subgroup_size);
+    Kernel<shared::DropLossParams> kernel_{
+        device_,
+        "diff/network/drop_loss",
+        {{SpecialisationConstantId::LANES, lanes_}, {SpecialisationConstantId::WORKGROUP_SIZE, kThreads}},
+        SubgroupRequirement::full};
+    Array<float, shared::PartSums> partial_{device_, 2 * n_parts_, "sums of cross-entropies"};
 };
 
 }  // namespace relidar::network

@@ -94,7 +94,7 @@ void Unet::allocate_attention(Device& device) {
     qkv_ = Tensor(device, 3 * channels, smallest, "queries, keys and values");
     attended_ = Tensor(device, channels, smallest, "attention");
     mixed_ = Tensor(device, channels, smallest, "attention added");
-    attention_state_ = attention_->allocate_state(device, smallest, with_gradients_);
+    attention_state_ = attention_->allocate_state(smallest, with_gradients_);
     conv1_.reserve_weight_sums(device, conv1_.n_partial_sums(smallest, channels, channels));
     if (!with_gradients_) return;
     d_qkv_ = Tensor(device, 3 * channels, smallest, "gradient of queries");

@@ -35,7 +35,7 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
     const test::ImageBatch values = test::make_random_images(c.grid, 3 * c.channels, 1),
                            upstream = test::make_random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
-    AttentionState state = attention.allocate_state(device(), c.grid, true);
+    AttentionState state = attention.allocate_state(c.grid, true);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), c.grid, c.channels),
                                           d_to(device(), upstream),
@@ -61,7 +61,7 @@ TEST_F(AttentionTest, LargeScores) {
     const ImageBatchSize grid{1, 3, 7};
     const test::ImageBatch values = test::make_random_images(grid, 12, 1, 30.0);
     Attention attention(device(), 1);
-    AttentionState state = attention.allocate_state(device(), grid, false);
+    AttentionState state = attention.allocate_state(grid, false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), grid, 4);
     attention.attend(stream, qkv.slice(), state, to.slice());
@@ -82,7 +82,7 @@ TEST_F(AttentionTest, TakesWhatItAsksFor) {
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }
     Attention attention(device(), 1);
-    AttentionState state = attention.allocate_state(device(), test::get_grid(values), false);
+    AttentionState state = attention.allocate_state(test::get_grid(values), false);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::make_unwritten(device(), test::get_grid(values), n);
     attention.attend(stream, qkv.slice(), state, to.slice());
