@@ -94,8 +94,7 @@ public:
 /// Creates the losses whose weights are above 0, in the order in which their commands
 /// must be recorded. The first loss is always an ImageLoss.
 /// @param n_rays number of rays of the largest batch
-std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
-                                               std::uint32_t n_rays);
+std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& w, std::uint32_t n_rays);
 
 /// Computes depth, intensity and ray-drop losses per pixel. If intensity_ssim > 0, also
 /// computes the structural similarity (SSIM) of the intensities. Dropped and unknown

@@ -305,9 +305,8 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     rebuild_top_level(stream, scene);
 }
 
-void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o,
-                      const SurfelRanges& ranges) {
-    for (const auto& [first, count] : ranges) {
+void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& r) {
+    for (const auto& [first, count] : r) {
         if (count == 0) continue;
         impl_->compute_boxes(s, scene, o, {first, count});
         impl_->compute_node_boxes(s, first, first + count - 1);

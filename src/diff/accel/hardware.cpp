@@ -24,14 +24,13 @@ struct VulkanAccelStructure {
     VkAccelerationStructureKHR handle = VK_NULL_HANDLE;
     std::uint64_t address = 0;
 
-    VulkanAccelStructure(Device& d, VkAccelerationStructureTypeKHR type, VkDeviceSize size,
-                         std::string text) {
+    VulkanAccelStructure(Device& d, VkAccelerationStructureTypeKHR type, VkDeviceSize n, std::string text) {
         device = &d.impl();
-        storage = std::make_unique<Buffer>(d, size, text);
+        storage = std::make_unique<Buffer>(d, n, text);
         if (device->compile_only) return;
         VkAccelerationStructureCreateInfoKHR info{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_CREATE_INFO_KHR};
         info.buffer = storage->impl().handle;
-        info.size = size;
+        info.size = n;
         info.type = type;
         gpu::vk_check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
                       "vkCreateAccelerationStructureKHR");

@@ -9,19 +9,17 @@ std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) con
     return total_weight == 0 ? 0u : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }
 
-std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> models,
-                                                   const ModelCounts& counts) const {
+std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> m, const ModelCounts& c) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;
-    for (std::size_t i = 0; i < models.size(); ++i) {
-        const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
-        models[i].first = next;
-        models[i].count =
-            counts[i][RELIDAR_DENSIFY_KEPT] + cumulative_copies(above) - cumulative_copies(weight);
-        next += models[i].count;
+    for (std::size_t i = 0; i < m.size(); ++i) {
+        const std::uint64_t above = weight + c[i][RELIDAR_DENSIFY_WEIGHT];
+        m[i].first = next;
+        m[i].count = c[i][RELIDAR_DENSIFY_KEPT] + cumulative_copies(above) - cumulative_copies(weight);
+        next += m[i].count;
         weight = above;
     }
-    return models;
+    return m;
 }
 
 GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::uint64_t random) {

@@ -67,24 +67,22 @@ void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, st
 }
 
 template <class T>
-void SurfelReorderer::move_rows(Stream& s, Array<T>& rows, Array<T>& spare, std::uint32_t stride,
-                                bool zero_new) {
+void SurfelReorderer::move_rows(Stream& s, Array<T>& rows, Array<T>& to, std::uint32_t stride, bool zero) {
     run(s, move_, before_,
         {.from = rows.template address_as<std::uint32_t, shared::OldRows>(),
-         .to = spare.template address_as<std::uint32_t, shared::NewRows>(),
+         .to = to.template address_as<std::uint32_t, shared::NewRows>(),
          .action = action.address(),
          .n_rows = n_rows.address(),
          .starts = starts.address(),
          .n_surfels = before_,
          .stride = stride,
-         .fresh = zero_new ? 1u : 0u});
-    std::swap(rows, spare);
+         .fresh = zero ? 1u : 0u});
+    std::swap(rows, to);
 }
 
-void SurfelReorderer::move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new,
-                                   std::uint32_t n_after) {
+void SurfelReorderer::move_surfels(Stream& s, SurfelArrays& surfels, bool zero_new, std::uint32_t n_after) {
     for (const SurfelParameterGroup& group : list_groups(surfels.parameters_used()))
-        move_rows(stream, group.mutable_device(surfels), group.mutable_device(scratch_surfels_),
+        move_rows(s, group.mutable_device(surfels), group.mutable_device(scratch_surfels_),
                   group.count_floats(), zero_new);
     surfels.n = n_after;
 }

@@ -30,17 +30,16 @@ struct ForwardPass::Impl {
     std::optional<HitListTracer> lists = {};  ///< set if rays write their hits to lists
 };
 
-ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy,
-                         const TraceOptions& options) {
-    if (options.chunk < 1 || options.chunk > 64)
-        fail<UsageError>("setting trace.chunk: found {}, expected 1 to 64", options.chunk);
-    if (options.initial_list_capacity < 1 || options.initial_list_capacity > RELIDAR_MOST_ROOM)
+ForwardPass::ForwardPass(Device& device, const ImageModel& model, ProxyShape proxy, const TraceOptions& o) {
+    if (o.chunk < 1 || o.chunk > 64)
+        fail<UsageError>("setting trace.chunk: found {}, expected 1 to 64", o.chunk);
+    if (o.initial_list_capacity < 1 || o.initial_list_capacity > RELIDAR_MOST_ROOM)
         fail<UsageError>("TraceOptions::initial_list_capacity: found {}, expected 1 to {}",
-                         options.initial_list_capacity, RELIDAR_MOST_ROOM);
-    impl_.reset(new Impl{device, model, options, proxy});
-    if (uses_hit_lists(device, options))
-        impl_->lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, options, model),
-                             options.initial_list_capacity);
+                         o.initial_list_capacity, RELIDAR_MOST_ROOM);
+    impl_.reset(new Impl{device, model, o, proxy});
+    if (uses_hit_lists(device, o))
+        impl_->lists.emplace(device, kernel_variant(device), trace_constants(device, proxy, o, model),
+                             o.initial_list_capacity);
 }
 
 ForwardPass::~ForwardPass() = default;

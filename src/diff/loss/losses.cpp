@@ -23,15 +23,14 @@ static_assert(are_terms_sorted(),
 void Loss::add_ray_losses(Stream&, const RenderedBatch&, const TargetBatch&, const LossTermRow&) {}
 void Loss::add_regularisers(Stream&, const DeviceScene&, const SurfelGradients&, const LossTermRow&) {}
 
-std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
-                                               std::uint32_t n_rays) {
+std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& w, std::uint32_t n_rays) {
     struct WeightedLossFactory {
         float weight;
         LossFactory* maker;
     };
     const WeightedLossFactory terms[] = {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
-    {weights.setting, make_##maker##_loss},
+    {w.setting, make_##maker##_loss},
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
@@ -42,7 +41,7 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())
             makers.push_back(term.maker);
     std::vector<std::unique_ptr<Loss>> losses;
-    for (LossFactory* make : makers) losses.push_back(make(device, weights, n_rays));
+    for (LossFactory* make : makers) losses.push_back(make(device, w, n_rays));
     return losses;
 }
 

@@ -21,10 +21,9 @@ shared::MatrixView head_matrices(const Slice& slice, std::uint32_t n_heads, bool
             .unused = 0};
 }
 
-shared::MatrixView attention_matrices(const Tensor& shares, ImageBatchSize grid, std::uint32_t heads,
-                                      bool turned) {
-    const auto pixels = std::uint32_t(grid.n_image_pixels());
-    return {.values = shares.values.address(),
+shared::MatrixView attention_matrices(const Tensor& w, ImageBatchSize g, std::uint32_t heads, bool turned) {
+    const auto pixels = std::uint32_t(g.n_image_pixels());
+    return {.values = w.values.address(),
             .first = 0,
             .batch = heads * pixels * pixels,
             .head = pixels * pixels,

@@ -102,9 +102,8 @@ void Convolution::run_conv_kernel(Stream& stream, const Slice& from, const Slice
     run(stream, conv_, n_conv_threads(params), params);
 }
 
-void Convolution::run_convolution(Stream& stream, const Slice& in, Weights w, Bias bias, const Slice& out,
-                                  bool add) {
-    run_conv_kernel(stream, in, out, w, bias, false, add);
+void Convolution::run_convolution(Stream& s, const Slice& in, Weights w, Bias b, const Slice& out, bool add) {
+    run_conv_kernel(s, in, out, w, b, false, add);
 }
 
 void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in) {

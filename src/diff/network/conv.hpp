@@ -24,8 +24,7 @@ public:
     /// @param weights [output.channels, input.channels, taps]
     /// @param bias [output.channels], or a null address
     /// @param accumulate true: adds the result to `output` instead of overwriting it
-    void run_convolution(Stream& stream, const Slice& in, Weights w, Bias bias, const Slice& out,
-                         bool add = false);
+    void run_convolution(Stream& s, const Slice& in, Weights w, Bias b, const Slice& out, bool add = false);
     /// Computes the gradient of the input, `d_in`.
     void input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in);
     /// Computes the gradient of the weights, [output channels, input channels, taps].

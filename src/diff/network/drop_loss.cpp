@@ -5,15 +5,14 @@
 
 namespace relidar::network {
 
-void RayDropLoss::record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays,
-                              std::size_t n_known) {
+void RayDropLoss::record_loss(Stream& s, std::size_t n, const RayDropLossArrays& a, std::size_t n_known) {
     const std::uint32_t of_workgroup = kThreads / lanes_;
-    relidar::run(stream, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
-                 {.logit = arrays.logit,
-                  .start = arrays.start,
-                  .target = arrays.target,
-                  .d_logit = arrays.d_logit,
-                  .probability = arrays.probability,
+    relidar::run(s, kernel_, std::size_t((n_parts_ + of_workgroup - 1) / of_workgroup) * kThreads,
+                 {.logit = a.logit,
+                  .start = a.start,
+                  .target = a.target,
+                  .d_logit = a.d_logit,
+                  .probability = a.probability,
                   .partial = partial_.address(),
                   .n = std::uint32_t(n),
                   .n_parts = n_parts_,

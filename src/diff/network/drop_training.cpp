@@ -95,12 +95,11 @@ std::size_t RayDropTraining::images_per_step() const { return impl_->batch; }
 std::size_t RayDropTraining::steps_per_epoch() const { return impl_->n_images / impl_->batch; }
 const KernelTimes& RayDropTraining::times() const { return impl_->stream.times(); }
 
-RayDropScore RayDropTraining::train_on_batch(std::span<const RotatedSample> selection, int step,
-                                             int n_steps) {
+RayDropScore RayDropTraining::train_on_batch(std::span<const RotatedSample> samples, int step, int n_steps) {
     Impl& t = *impl_;
     std::size_t n_known_pixels = 0;
-    for (const RotatedSample& c : selection) n_known_pixels += t.inputs.count_known(c.sample);
-    t.inputs.fill_batch(t.stream, selection, t.unet.input_images());
+    for (const RotatedSample& c : samples) n_known_pixels += t.inputs.count_known(c.sample);
+    t.inputs.fill_batch(t.stream, samples, t.unet.input_images());
     t.unet.forward(t.stream, std::uint32_t(step) * kKeysOfStep, float(regularisation_of(t.options).dropout));
     t.loss.record_loss(t.stream, t.grid.n_pixels_total(),
                        {.logit = t.unet.logits().values.address().cast_tag<shared::DropLogits>(),

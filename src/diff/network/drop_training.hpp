@@ -29,7 +29,7 @@ public:
     /// Trains the network on one batch.
     /// @param step number of the step, starting at 1
     /// @return loss and accuracy of the network before this step
-    RayDropScore train_on_batch(std::span<const RotatedSample> selection, int step, int n_steps);
+    RayDropScore train_on_batch(std::span<const RotatedSample> samples, int step, int n_steps);
     RayDropNetwork download_network() const;
     /// Returns the trained parameters and their Adam moments. The caller must set the
     /// remaining fields of the state.

@@ -17,18 +17,18 @@ std::uint32_t count_channel_sums(ImageBatchSize grid) {
 }
 }  // namespace
 
-std::size_t Normalisation::count_threads(const Slice& slice) const {
+std::size_t Norm::count_threads(const Slice& slice) const {
     constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels *
            ((slice.grid.n_image_pixels() + kPixelsPerWorkgroup - 1) / kPixelsPerWorkgroup) * kThreads;
 }
 
-void Normalisation::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
+void Norm::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
     partial_.reserve(device_, 2 * std::size_t(n_channels) * count_channel_sums(grid),
                      "partial sums of channels");
 }
 
-shared::ChannelSumsParams Normalisation::make_sums_params(const Slice& input, std::uint32_t kind) const {
+shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32_t kind) const {
     return {.from = input.view,
             .d_to = input.view,
             .partial = partial_.address(),
@@ -43,14 +43,13 @@ shared::ChannelSumsParams Normalisation::make_sums_params(const Slice& input, st
             .dropout = 0.0f};
 }
 
-void Normalisation::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
+void Norm::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
     RELIDAR_ASSERT_LE(2 * std::size_t(params.n_channels) * params.n_parts, partial_.size());
     const std::uint32_t of_workgroup = kThreads / lanes_, jobs = params.n_channels * params.n_parts;
     run(stream, sums_, std::size_t((jobs + of_workgroup - 1) / of_workgroup) * kThreads, params);
 }
 
-void Normalisation::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n,
-                                  bool training) const {
+void Norm::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n, bool train) const {
     run(s, finish_, in.channels,
         {.partial = partial_.address(),
          .beta_gamma = w.beta_gamma,
@@ -61,13 +60,13 @@ void Normalisation::compute_scale(Stream& s, const Slice& in, const NormWeights&
          .n_parts = count_channel_sums(in.grid),
          .n_images = in.grid.n,
          .n_pixels = std::uint32_t(in.grid.n_image_pixels()),
-         .training = training ? 1u : 0u,
+         .training = train ? 1u : 0u,
          .momentum = kNormMomentum,
          .epsilon = kNormEpsilon});
 }
 
-void Normalisation::apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out,
-                                float dropout) const {
+void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out,
+                       float dropout) const {
     RELIDAR_ASSERT_EQ(in.channels * in.grid.n_pixels_total(), out.channels * out.grid.n_pixels_total());
     run(s, norm_, count_threads(in),
         {.from = in.view,
@@ -80,21 +79,19 @@ void Normalisation::apply_scale(Stream& s, const Slice& in, const NormState& n, 
          .dropout = dropout});
 }
 
-void Normalisation::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n,
-                                    const Slice& out) {
+void Norm::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out) {
     channel_sums(s, make_sums_params(in, shared::kMomentSums));
     compute_scale(s, in, w, n, true);
     apply_scale(s, in, n, out, n.dropout);
 }
 
-void Normalisation::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& n,
-                              const Slice& out) {
+void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out) {
     compute_scale(s, in, w, n, false);
     apply_scale(s, in, n, out, 0.0f);
 }
 
-void Normalisation::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
-                             const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
+void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
+                    const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(in, shared::kNormVjpSums);
     sums.d_to = d_out.view;
     sums.scale_shift = state.scale_shift.address();
@@ -122,7 +119,7 @@ void Normalisation::norm_vjp(Stream& stream, const Slice& in, const NormState& s
          .accumulate = accumulate ? 1u : 0u});
 }
 
-void Normalisation::bias_vjp(Stream& stream, const Slice& d_out, Address<float, shared::ConvBias> d_bias) {
+void Norm::bias_vjp(Stream& stream, const Slice& d_out, Address<float, shared::ConvBias> d_bias) {
     const shared::ChannelSumsParams sums = make_sums_params(d_out, shared::kPlainSums);
     channel_sums(stream, sums);
     run(stream, sum_parts_, d_out.channels,

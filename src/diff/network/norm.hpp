@@ -33,9 +33,9 @@ struct NormState {
         : moments(device, channels, "moments"), scale_shift(device, channels, "scale and shift") {}
 };
 
-class Normalisation {
+class Norm {
 public:
-    explicit Normalisation(Device& device) : device_(device) {}
+    explicit Norm(Device& device) : device_(device) {}
 
     /// Computes out = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and

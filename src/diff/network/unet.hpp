@@ -98,7 +98,7 @@ private:
     std::vector<std::uint32_t> widths_;
     bool with_gradients_ = false;
     Convolution conv1_, conv3_;
-    Normalisation norm_;
+    Norm norm_;
     Resampling resample_;
     std::optional<Attention> attention_;
     Array<float> parameters_, gradients_, running_;

@@ -17,17 +17,16 @@ using TraceConstants = std::vector<SpecialisationConstant>;
 
 /// Returns the parameters that tracing kernels need for a scene, except the rays. The
 /// caller must add the rays.
-inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelAddresses& a,
-                                       const ImageModel& m) {
+inline shared::TraceScene trace_params(const DeviceScene& s, const AccelAddresses& a, const ImageModel& m) {
     return {.tlas = a.tlas,
             .proxy_reach = a.proxy_reach,
             .moving = a.moving,
             .model_radii = a.model_radii,
             .bvh = a.bvh,
             .rays = {},
-            .records = scene.surfel_records().address(),
-            .instances = scene.instance_table().address(),
-            .sh = scene.surfel_parameters().sh.address(),
+            .records = s.surfel_records().address(),
+            .instances = s.instance_table().address(),
+            .sh = s.surfel_parameters().sh.address(),
             .pass_cap_count = {},
             .visits = {},
             .targets = {},
@@ -36,7 +35,7 @@ inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelAddr
             .alpha_max = m.alpha_max,
             .transmittance_min = m.transmittance_min,
             .likelihood_scale_m = 1.0f,
-            .n_instances = std::uint32_t(scene.instance_table().size()),
+            .n_instances = std::uint32_t(s.instance_table().size()),
             .n_moving = a.n_moving,
             .sh_degree = std::uint32_t(m.sh_degree),
             .n_rays = 0,

@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-using network::ImageBatchSize, network::Normalisation, network::NormState, network::NormWeights;
+using network::ImageBatchSize, network::Norm, network::NormState, network::NormWeights;
 using test::OnDevice, test::compute_worst_error;
 
 struct NormCase {
@@ -32,7 +32,7 @@ INSTANTIATE_TEST_SUITE_P(Refine, NormSizes,
                                          NormCase{{1, 2, 1}, 3}, NormCase{{4, 33, 65}, 9}));
 
 struct OnePass {
-    Normalisation norm;
+    Norm norm;
     NormState state;
     reference::NormLayer layer;
     Array<glm::vec2, shared::BetaGamma> beta_gamma;

@@ -134,7 +134,7 @@ TEST_P(OneDnnConv, Agrees) {
                                   bias = test::make_random_floats(std::size_t(size.n_out), 4);
         const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
         network::Convolution conv(device(), taps);
-        network::Normalisation norm(device());
+        network::Norm norm(device());
         norm.reserve_sums(std::uint32_t(size.n_out), size.grid);
         conv.reserve_weight_sums(
             device(), conv.n_partial_sums(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
@@ -218,7 +218,7 @@ TEST_F(OneDnnNorm, Agrees) {
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
         const NormAnswers expected = ask(values, gamma_beta, d_output);
-        network::Normalisation norm(device());
+        network::Norm norm(device());
         norm.reserve_sums(channels, grid);
         network::NormState state(device(), channels);
         const auto parameters = test::upload_pairs<shared::BetaGamma>(device(), beta, gamma);
