@@ -35,9 +35,9 @@ const uint kTileOutChannels = RELIDAR_CONV_OUT, kTileInChannels = RELIDAR_CONV_I
 const uint kLoadsPerRow = TAPS == 1u ? PIXELS : PIXELS + 1u;
 shared float tile[kTileInChannels * 9 * kTileOutChannels];  // weights of a tile, indexed [in, tap, out]
 
-/// Copies the weights of kTileInChannels input channels (from first_in) and kTileOutChannels output channels
-/// (from first_out) to shared memory. If fewer channels remain, weights of the last
-/// channel fill the other entries, which are not used.
+/// Copies the weights of kTileInChannels input channels (from first_in_channel) and
+/// kTileOutChannels output channels to shared memory. If fewer channels remain, weights
+/// of the last channel fill the other entries, which are not used.
 void load_weights(uint first_out_channel, uint first_in_channel) {
     for (uint k = gl_LocalInvocationIndex; k < kTileInChannels * TAPS * kTileOutChannels;
          k += gl_WorkGroupSize.x) {

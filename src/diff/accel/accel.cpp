@@ -30,8 +30,8 @@ struct AccelerationStructure::Impl {
     double cost_when_built = 0.0;  ///< cost after the last build, or 0 if it was not measured yet
     std::uint64_t n_updates = 0;
 
-    Impl(Device& d, const DeviceScene& s, const AccelOptions& o)
-        : options(o), proxy(resolve_proxy(o.proxy, d)) {
+    Impl(Device& d, const DeviceScene& s, const AccelOptions& o) : options(o) {
+        proxy = resolve_proxy(o.proxy, d);
         if (d.backend() == RayTracingBackend::software) software = std::make_unique<Bvh>(d, s);
         else hardware = std::make_unique<RayQueryAccel>(d, s, proxy);
     }

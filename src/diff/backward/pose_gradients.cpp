@@ -46,6 +46,11 @@ DeviceGradients::PoseGradientSums::PoseGradientSums(Device& device, const Device
     d_view = {device, 3 * std::size_t(scene.size()), "view gradient"};
 }
 
+PoseGradientKernels::PoseGradientKernels(Device& device)
+    : blocks_(device, "diff/backward/pose_blocks", {kWorkgroup}),
+      poses_(device, "diff/backward/poses", {kWorkgroup}),
+      sensor_(device, "diff/backward/sensor_pose") {}
+
 void PoseGradientKernels::reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
                                  const glm::vec3& view_origin_m, DeviceGradients& gradients) {
     const DeviceGradients::PoseGradientSums& sums = *gradients.pose_sums;

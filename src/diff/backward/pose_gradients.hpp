@@ -23,7 +23,7 @@ struct DeviceGradients::PoseGradientSums {
 
 class PoseGradientKernels {
 public:
-    explicit PoseGradientKernels(Device& device) : device_(device) {}
+    explicit PoseGradientKernels(Device& device);
     void reduce(Stream& stream, const DeviceScene& scene, const ImageModel& model,
                 const glm::vec3& view_origin_m, DeviceGradients& gradients);
 
@@ -31,10 +31,9 @@ private:
     static constexpr std::uint32_t kThreads = 64;  ///< threads per workgroup
     static constexpr SpecialisationConstant kWorkgroup{SpecialisationConstantId::WORKGROUP_SIZE, kThreads};
 
-    Device& device_;
-    Kernel<shared::PoseBlocksParams> blocks_{device_, "diff/backward/pose_blocks", {kWorkgroup}};
-    Kernel<shared::PosesParams> poses_{device_, "diff/backward/poses", {kWorkgroup}};
-    Kernel<shared::SensorPoseParams> sensor_{device_, "diff/backward/sensor_pose"};
+    Kernel<shared::PoseBlocksParams> blocks_;
+    Kernel<shared::PosesParams> poses_;
+    Kernel<shared::SensorPoseParams> sensor_;
 };
 
 }  // namespace relidar

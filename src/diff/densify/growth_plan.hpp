@@ -37,7 +37,7 @@ struct GrowthPlan {
 
 /// Plans how many surfels densification adds: one copy of each surfel that is marked for
 /// growth, until the total reaches DensifyOptions::max_surfels.
-/// @param random_number selects which surfels are copied if max_surfels is reached
+/// @param random selects which surfels are copied if max_surfels is reached
 GrowthPlan plan_growth(const ModelCounts& counts, const DensifyOptions& o, std::uint64_t random);
 /// Reduces the number of added surfels until the total is at most `max_surfels`. Does not
 /// remove existing surfels.

@@ -11,7 +11,7 @@ namespace relidar {
 
 SurfelReorderer::SurfelReorderer(Device& device, std::uint32_t n, std::uint32_t n_frames,
                                  SurfelParameterSet used)
-    : device_(device) {
+    : device_(device), allot_(device, "diff/densify/allot"), move_(device, "diff/densify/move") {
     scratch_surfels_.primitive = used.primitive;
     scratch_surfels_.bends = used.bends;
     statistics.n_words = std::max(1u, (n_frames + 31) / 32);

@@ -22,7 +22,7 @@ public:
     std::size_t bytes_per_surfel() const;
     /// Computes the new index of each surfel from `action` and `weight`.
     void compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before);
-    /// @param zero_new_rows true: values of new and changed surfels are set to zero
+    /// @param zero_new true: values of new and changed surfels are set to zero
     void move_surfels(Stream& stream, SurfelArrays& surfels, bool zero_new, std::uint32_t n_after);
     /// Resets all statistics except the frames in which a surfel was visible.
     void move_statistics(Stream& stream);
@@ -43,8 +43,8 @@ private:
     SurfelArrays scratch_surfels_;
     Array<std::uint32_t> scratch_frames_;
     PrefixSum prefix_sum_{device_};
-    Kernel<shared::AllotParams> allot_{device_, "diff/densify/allot"};
-    Kernel<shared::MoveParams> move_{device_, "diff/densify/move"};
+    Kernel<shared::AllotParams> allot_;
+    Kernel<shared::MoveParams> move_;
     std::uint32_t before_ = 0;
 
     template <class T>

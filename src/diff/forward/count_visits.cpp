@@ -25,15 +25,10 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
     shared::TraceScene traced = trace_params(scene, accel, batch, model, options, pass_cap.address());
     traced.visits = visits.address();
     Stream stream(device);
-    shared::ForwardParams params = {.scene = traced,
-                                    .lists = {},
-                                    .rendered = rendered.address(),
-                                    .kept = {},
-                                    .n_overfull = {},
-                                    .surfaces = {},
-                                    .n_kept = 0,
-                                    .kept_in_lists = 0,
-                                    .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
+    shared::ForwardParams params{};
+    params.scene = traced;
+    params.rendered = rendered.address();
+    params.surface_gap_m = options.mode_gap_m.value_or(0.0f);
     std::optional<HitListTracer> lists;
     if (uses_hit_lists(device, options)) {
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);

@@ -34,6 +34,12 @@ shared::MatrixView attention_matrices(const Tensor& w, ImageBatchSize g, std::ui
 
 }  // namespace
 
+Attention::Attention(Device& device, std::uint32_t heads)
+    : device_(device),
+      heads_(heads),
+      matmul_(device, "diff/network/matmul", constants_, SubgroupRequirement::full),
+      softmax_(device, "diff/network/softmax", constants_, SubgroupRequirement::full) {}
+
 AttentionState Attention::allocate_state(ImageBatchSize grid, bool with_gradients) const {
     const auto channels = std::uint32_t(heads_ * grid.n_image_pixels());
     AttentionState state{Tensor(device_, channels, grid, "attention"), {}};

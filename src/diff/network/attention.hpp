@@ -16,7 +16,7 @@ struct AttentionState {
 
 class Attention {
 public:
-    Attention(Device& device, std::uint32_t heads) : device_(device), heads_(heads) {}
+    Attention(Device& device, std::uint32_t heads);
 
     AttentionState allocate_state(ImageBatchSize grid, bool with_gradients) const;
     /// Computes output[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
@@ -33,10 +33,8 @@ private:
     std::uint32_t heads_, lanes_ = std::uint32_t(device_.info().subgroup_size);
     std::vector<SpecialisationConstant> constants_{{SpecialisationConstantId::LANES, lanes_},
                                                    {SpecialisationConstantId::WORKGROUP_SIZE, kThreads}};
-    Kernel<shared::MatmulParams> matmul_{device_, "diff/network/matmul", constants_,
-                                         SubgroupRequirement::full};
-    Kernel<shared::SoftmaxParams> softmax_{device_, "diff/network/softmax", constants_,
-                                           SubgroupRequirement::full};
+    Kernel<shared::MatmulParams> matmul_;
+    Kernel<shared::SoftmaxParams> softmax_;
 
     void multiply(Stream& stream, const shared::MatrixView& a, const shared::MatrixView& b,
                   const shared::MatrixView& c, std::uint32_t rows, std::uint32_t inner, float scale,

@@ -20,10 +20,10 @@ public:
     /// @throws DeviceError with the name of a missing device feature
     Convolution(Device& device, std::uint32_t taps);
 
-    /// Computes the convolution output = bias + weights * input.
-    /// @param weights [output.channels, input.channels, taps]
+    /// Computes the convolution out = bias + w * in.
+    /// @param w [output.channels, input.channels, taps]
     /// @param bias [output.channels], or a null address
-    /// @param accumulate true: adds the result to `output` instead of overwriting it
+    /// @param add true: adds the result to `out` instead of overwriting it
     void run_convolution(Stream& s, const Slice& in, Weights w, Bias b, const Slice& out, bool add = false);
     /// Computes the gradient of the input, `d_in`.
     void input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in);

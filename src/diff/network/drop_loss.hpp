@@ -31,7 +31,7 @@ public:
     RayDropLoss(Device& device, std::size_t n_pixels)
         : device_(device), n_parts_(std::uint32_t(std::max<std::size_t>(1, n_pixels / kPixelsOfPart))) {}
 
-    /// @param n_known_pixels number of pixels with a known target; divides the derivative
+    /// @param n_known number of pixels with a known target; divides the derivative
     void record_loss(Stream& stream, std::size_t n, const RayDropLossArrays& arrays, std::size_t n_known);
     /// The last run must be finished.
     RayDropScore read_loss(std::size_t n_known_pixels) const;

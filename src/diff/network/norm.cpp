@@ -15,7 +15,17 @@ constexpr float kNormMomentum = 0.1f, kNormEpsilon = 1e-5f;
 std::uint32_t count_channel_sums(ImageBatchSize grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.n_image_pixels() / 4096, 1, 64));
 }
+
 }  // namespace
+
+Norm::Norm(Device& device)
+    : device_(device),
+      sums_(device, "diff/network/channel_sums", {{SpecialisationConstantId::LANES, lanes_}, kWorkgroup},
+            SubgroupRequirement::full),
+      finish_(device, "diff/network/norm_finish"),
+      norm_(device, "diff/network/norm", {kWorkgroup}),
+      norm_vjp_(device, "diff/network/norm_vjp", {kWorkgroup}),
+      sum_parts_(device, "diff/network/sum_parts") {}
 
 std::size_t Norm::count_threads(const Slice& slice) const {
     constexpr std::size_t kPixelsPerWorkgroup = std::size_t(kThreads) * RELIDAR_NORM_PIXELS;
@@ -29,18 +39,15 @@ void Norm::reserve_sums(std::uint32_t n_channels, ImageBatchSize grid) {
 }
 
 shared::ChannelSumsParams Norm::make_sums_params(const Slice& input, std::uint32_t kind) const {
-    return {.from = input.view,
-            .d_to = input.view,
-            .partial = partial_.address(),
-            .scale_shift = {},
-            .moments = {},
-            .kind = kind,
-            .n_images = input.grid.n,
-            .n_pixels = std::uint32_t(input.grid.n_image_pixels()),
-            .n_channels = input.channels,
-            .n_parts = count_channel_sums(input.grid),
-            .dropout_key = 0,
-            .dropout = 0.0f};
+    shared::ChannelSumsParams params{};
+    params.from = params.d_to = input.view;
+    params.partial = partial_.address();
+    params.kind = kind;
+    params.n_images = input.grid.n;
+    params.n_pixels = std::uint32_t(input.grid.n_image_pixels());
+    params.n_channels = input.channels;
+    params.n_parts = count_channel_sums(input.grid);
+    return params;
 }
 
 void Norm::channel_sums(Stream& stream, shared::ChannelSumsParams params) const {
@@ -65,8 +72,7 @@ void Norm::compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormS
          .epsilon = kNormEpsilon});
 }
 
-void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out,
-                       float dropout) const {
+void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out, float drop) const {
     RELIDAR_ASSERT_EQ(in.channels * in.grid.n_pixels_total(), out.channels * out.grid.n_pixels_total());
     run(s, norm_, count_threads(in),
         {.from = in.view,
@@ -76,7 +82,7 @@ void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Sli
          .n_pixels = std::uint32_t(in.grid.n_image_pixels()),
          .n_channels = in.channels,
          .dropout_key = n.dropout_key,
-         .dropout = dropout});
+         .dropout = drop});
 }
 
 void Norm::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out) {

@@ -35,7 +35,7 @@ struct NormState {
 
 class Norm {
 public:
-    explicit Norm(Device& device) : device_(device) {}
+    explicit Norm(Device& device);
 
     /// Computes out = dropout(relu(gamma x + beta)) for training. x is the input,
     /// normalised with the mean and variance of the batch. Updates the running mean and
@@ -59,20 +59,17 @@ private:
 
     Device& device_;
     std::uint32_t lanes_ = std::uint32_t(device_.info().subgroup_size);
-    Kernel<shared::ChannelSumsParams> sums_{device_,
-                                            "diff/network/channel_sums",
-                                            {{SpecialisationConstantId::LANES, lanes_}, kWorkgroup},
-                                            SubgroupRequirement::full};
-    Kernel<shared::NormFinishParams> finish_{device_, "diff/network/norm_finish"};
-    Kernel<shared::NormParams> norm_{device_, "diff/network/norm", {kWorkgroup}};
-    Kernel<shared::NormVjpParams> norm_vjp_{device_, "diff/network/norm_vjp", {kWorkgroup}};
-    Kernel<shared::SumPartsParams> sum_parts_{device_, "diff/network/sum_parts"};
+    Kernel<shared::ChannelSumsParams> sums_;
+    Kernel<shared::NormFinishParams> finish_;
+    Kernel<shared::NormParams> norm_;
+    Kernel<shared::NormVjpParams> norm_vjp_;
+    Kernel<shared::SumPartsParams> sum_parts_;
     Array<float, shared::PartSums> partial_;
 
     shared::ChannelSumsParams make_sums_params(const Slice& input, std::uint32_t kind) const;
     void channel_sums(Stream& stream, shared::ChannelSumsParams params) const;
     std::size_t count_threads(const Slice& slice) const;
-    void apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out, float dropout) const;
+    void apply_scale(Stream& s, const Slice& in, const NormState& n, const Slice& out, float drop) const;
     void compute_scale(Stream& s, const Slice& in, const NormWeights& w, NormState& n, bool training) const;
 };
 

@@ -30,6 +30,12 @@ ImageBatchSize half_size(ImageBatchSize grid) {
     return {grid.n, grid.rows / 2, grid.columns / 2, grid.circular};
 }
 
+Resampling::Resampling(Device& device)
+    : pool_(device, "diff/network/pool"),
+      pool_vjp_(device, "diff/network/pool_vjp"),
+      upsample_(device, "diff/network/upsample"),
+      upsample_vjp_(device, "diff/network/upsample_vjp") {}
+
 void Resampling::max_pool(Stream& stream, const Slice& input, const Slice& output) {
     RELIDAR_ASSERT_EQ(half_size(input.grid) == output.grid, true);
     run(stream, pool_, count_values(output), resample_params(input, output, input.grid, output.grid));

@@ -12,7 +12,7 @@ ImageBatchSize half_size(ImageBatchSize grid);
 
 class Resampling {
 public:
-    explicit Resampling(Device& device) : device_(device) {}
+    explicit Resampling(Device& device);
 
     /// Maximum of each block of 2 x 2 pixels.
     void max_pool(Stream& stream, const Slice& input, const Slice& output);
@@ -22,11 +22,7 @@ public:
     void upsample_vjp(Stream& stream, const Slice& d_out, const Slice& d_in);
 
 private:
-    Device& device_;
-    Kernel<shared::ResampleParams> pool_{device_, "diff/network/pool"};
-    Kernel<shared::ResampleParams> pool_vjp_{device_, "diff/network/pool_vjp"};
-    Kernel<shared::ResampleParams> upsample_{device_, "diff/network/upsample"};
-    Kernel<shared::ResampleParams> upsample_vjp_{device_, "diff/network/upsample_vjp"};
+    Kernel<shared::ResampleParams> pool_, pool_vjp_, upsample_, upsample_vjp_;
 };
 
 }  // namespace relidar::network

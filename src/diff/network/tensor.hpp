@@ -48,7 +48,7 @@ struct Tensor {
     /// Returns all channels.
     operator Slice() const { return {{values.address(), channels, 0}, channels, grid}; }
     Slice channel_range(std::uint32_t first_channel, std::uint32_t n_channels) const {
-        return {{values.address(), channels, first_channel}, n_channels, grid};
+        return Slice(*this).channel_range(first_channel, n_channels);
     }
 };
 

@@ -146,32 +146,21 @@ void ArrayAdam::record_step(Stream& stream, const Array<float>& values, const Ar
     Impl& a = *impl_;
     RELIDAR_ASSERT_LE(a.moment1.size(), values.size());
     RELIDAR_ASSERT_LE(a.moment1.size(), gradients.size());
-    run(stream, a.kernel, a.moment1.size(),
-        {.values = values.address_as<float, shared::AdamValues>(),
-         .gradients = gradients.address_as<float, shared::AdamGradients>(),
-         .moment1 = a.moment1.address(),
-         .moment2 = a.moment2.address(),
-         .touched = {},
-         .rows = {},
-         .n_listed = {},
-         .bounds = {},
-         .model_scale = {},
-         .models = {},
-         .learning_rate = float(learning_rate),
-         .beta1 = float(a.options.beta1),
-         .beta2 = float(a.options.beta2),
-         .epsilon = float(a.options.epsilon),
-         .correction1 = moment_correction(a.options.beta1, step_number),
-         .correction2 = moment_correction(a.options.beta2, step_number),
-         .first_scale = 1.0f,
-         .block_scale = 1.0f,
-         .n_models = 0,
-         .first_row = 0,
-         .n_rows = std::uint32_t(a.moment1.size()),
-         .stride = 1,
-         .block = 1,
-         .n_blocks = 1,
-         .n_active = 1});
+    shared::AdamParams params{};
+    params.values = values.address_as<float, shared::AdamValues>();
+    params.gradients = gradients.address_as<float, shared::AdamGradients>();
+    params.moment1 = a.moment1.address();
+    params.moment2 = a.moment2.address();
+    params.learning_rate = float(learning_rate);
+    params.beta1 = float(a.options.beta1);
+    params.beta2 = float(a.options.beta2);
+    params.epsilon = float(a.options.epsilon);
+    params.correction1 = moment_correction(a.options.beta1, step_number);
+    params.correction2 = moment_correction(a.options.beta2, step_number);
+    params.first_scale = params.block_scale = 1.0f;
+    params.n_rows = std::uint32_t(a.moment1.size());
+    params.stride = params.block = params.n_blocks = params.n_active = 1;
+    run(stream, a.kernel, a.moment1.size(), params);
 }
 
 }  // namespace relidar

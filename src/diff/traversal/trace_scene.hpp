@@ -18,30 +18,25 @@ using TraceConstants = std::vector<SpecialisationConstant>;
 /// Returns the parameters that tracing kernels need for a scene, except the rays. The
 /// caller must add the rays.
 inline shared::TraceScene trace_params(const DeviceScene& s, const AccelAddresses& a, const ImageModel& m) {
-    return {.tlas = a.tlas,
-            .proxy_reach = a.proxy_reach,
-            .moving = a.moving,
-            .model_radii = a.model_radii,
-            .bvh = a.bvh,
-            .rays = {},
-            .records = s.surfel_records().address(),
-            .instances = s.instance_table().address(),
-            .sh = s.surfel_parameters().sh.address(),
-            .pass_cap_count = {},
-            .visits = {},
-            .targets = {},
-            .near_m = m.near_m,
-            .alpha_min = m.alpha_min,
-            .alpha_max = m.alpha_max,
-            .transmittance_min = m.transmittance_min,
-            .likelihood_scale_m = 1.0f,
-            .n_instances = std::uint32_t(s.instance_table().size()),
-            .n_moving = a.n_moving,
-            .sh_degree = std::uint32_t(m.sh_degree),
-            .n_rays = 0,
-            .first_ray = 0,
-            .ray_stride = 1,
-            .columns = 0};
+    shared::TraceScene t{};
+    t.tlas = a.tlas;
+    t.proxy_reach = a.proxy_reach;
+    t.moving = a.moving;
+    t.model_radii = a.model_radii;
+    t.bvh = a.bvh;
+    t.records = s.surfel_records().address();
+    t.instances = s.instance_table().address();
+    t.sh = s.surfel_parameters().sh.address();
+    t.near_m = m.near_m;
+    t.alpha_min = m.alpha_min;
+    t.alpha_max = m.alpha_max;
+    t.transmittance_min = m.transmittance_min;
+    t.likelihood_scale_m = 1.0f;
+    t.n_instances = std::uint32_t(s.instance_table().size());
+    t.n_moving = a.n_moving;
+    t.sh_degree = std::uint32_t(m.sh_degree);
+    t.ray_stride = 1;
+    return t;
 }
 
 inline shared::TraceScene trace_params(const DeviceScene& scene, const AccelerationStructure& accel,

@@ -268,7 +268,7 @@ TEST_F(Lists, Grow) {
     for (int i = 0; i < 30; ++i) {
         const Array<shared::RenderedRay> rendered(device(), c.rays.size(), "rendered rays");
         shared::ForwardParams params = placed.make_params(rendered, pass_cap);
-        lists.render(placed.stream, placed.batch(), params);
+        lists.render(placed.stream, placed.batch(), params, nullptr);
         run(placed.stream, trace, count_threads(placed.batch()), params);
         placed.stream.submit_and_wait();
         EXPECT_EQ(count_differences(rendered.download(), expected), 0u) << "room " << lists.capacity();
