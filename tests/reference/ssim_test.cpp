@@ -3,8 +3,6 @@
 // central differences, and cases computed by hand.
 #include <gtest/gtest.h>
 
-#include <random>
-
 #include "../support/gradient_check.hpp"
 #include "ssim.hpp"
 

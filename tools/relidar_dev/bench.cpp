@@ -6,7 +6,6 @@
 #include <tuple>
 #include <utility>
 
-#include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/base/files.hpp>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "floor.hpp"
 
-#include <algorithm>
 #include <bit>
 #include <cmath>
 

@@ -5,7 +5,6 @@
 // data fit into the caches.
 #pragma once
 
-#include <cstdint>
 #include <map>
 #include <string>
 

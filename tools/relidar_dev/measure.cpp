@@ -7,11 +7,7 @@
 #include <map>
 #include <memory>
 #include <numeric>
-#include <optional>
-#include <random>
 #include <utility>
-
-#include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/diff/differentiable_renderer.hpp>

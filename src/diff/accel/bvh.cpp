@@ -6,8 +6,6 @@
 #include <limits>
 #include <numeric>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"

@@ -2,12 +2,7 @@
 #include "diff/accel/hardware.hpp"
 
 #include <algorithm>
-#include <cstring>
 #include <utility>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "diff/shared/accel.h"
 #include "gpu/stream.hpp"

@@ -5,7 +5,6 @@
 // queries.
 #pragma once
 
-#include <cstdint>
 #include <memory>
 
 #include <relidar/diff/accel.hpp>

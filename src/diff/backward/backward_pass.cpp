@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/diff/backward.hpp>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
 

@@ -4,8 +4,6 @@
 // renders rays whose lists cannot be used.
 #include <relidar/diff/forward.hpp>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 
 #include "base/assert.hpp"

@@ -5,7 +5,6 @@
 #include <cstring>
 #include <utility>
 
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 
 namespace relidar {

@@ -3,8 +3,6 @@
 // sort and blend the lists. Used only by the forward pass.
 #pragma once
 
-#include <memory>
-
 #include <relidar/diff/traversal.hpp>
 
 #include "diff/traversal/trace_scene.hpp"

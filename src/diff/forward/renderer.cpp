@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <utility>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 

@@ -2,9 +2,6 @@
 #include "diff/network/conv.hpp"
 
 #include <algorithm>
-#include <vector>
-
-#include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 

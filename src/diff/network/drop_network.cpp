@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"

@@ -3,9 +3,6 @@
 #include <list>
 #include <optional>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/diff/network_training.hpp>
 
 #include "base/assert.hpp"

@@ -4,12 +4,7 @@
 // columns.
 #include <chrono>
 #include <cmath>
-#include <numeric>
 #include <random>
-
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "diff/network/drop_network.hpp"

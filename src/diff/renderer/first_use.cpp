@@ -5,8 +5,6 @@
 #include <cmath>
 #include <random>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
 

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks walking actors, whose limbs move (kernels diff/accel/proxies,
 // diff/accel/bvh_refit).
-#include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <random>
 #include <vector>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the gradients of the device (kernels diff/backward/trace and
 // scene/activate_vjp) with the backward pass of the double reference (Eq. 9; M7, M8).
-#include <cmath>
 #include <span>
 
 #include "gpu/forced.hpp"

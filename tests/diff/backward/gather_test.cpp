@@ -2,7 +2,6 @@
 // Checks the kernels that sum gradients per surfel (diff/backward/gather and
 // gather_heads).
 #include <algorithm>
-#include <cmath>
 
 #include <relidar/base/error.hpp>
 

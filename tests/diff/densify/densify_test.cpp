@@ -2,7 +2,6 @@
 // Compares a complete densification (diff/densify/classify, allot, move, spawn) with the
 // reference in double.
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <random>
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Checks the limits of growth. The capacity must grow in steps. If the device runs out of
 // memory, the scene must stop growing and remain valid.
-#include <relidar/base/error.hpp>
 #include <relidar/diff/densify.hpp>
 #include <relidar/diff/optimizer.hpp>
 #include <relidar/scene/device_scene.hpp>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares the original scene with a scene whose actors are baked into the background by
 // freeze_scene().
-#include <algorithm>
 #include <cmath>
 #include <random>
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Compares diff/loss/surfel_loss, the penalty for surfels outside their box, with the
 // double reference.
-#include <cmath>
 #include <random>
 
 #include <relidar/diff/loss.hpp>

@@ -3,8 +3,6 @@
 // probabilities and derivatives.
 #include "diff/network/drop_loss.hpp"
 
-#include <algorithm>
-
 #include "../../support/device.hpp"
 #include "gpu/stream.hpp"
 #include "images.hpp"

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <cstddef>
 #include <random>
-#include <span>
 #include <vector>
 
 #include <gtest/gtest.h>
