@@ -18,7 +18,7 @@ inline RayDropNetwork make_network_of_rays(std::uint64_t seed = 1) {
     RayDropNetworkOptions options;
     options.network = "pixel";
     RayDropNetwork network = network::make_network(options);
-    const network::UnetParameterLayout plan(network);
+    const network::UnetLayout plan(network);
     network.residual = false;
     network::init_parameters(network, plan, seed);
     network.residual = true;
@@ -33,7 +33,7 @@ inline RayDropNetwork make_network_that_never_drops() {
     std::fill(network.normalisation.begin(), network.normalisation.end(), 0.0f);
     // a bias of -40 dominates the output, because rendered logits are between -9.3 and
     // 9.3
-    network.parameters[*network::UnetParameterLayout(network).last_conv.bias] = -40.0f;
+    network.parameters[*network::UnetLayout(network).last_conv.bias] = -40.0f;
     return network;
 }
 
