@@ -62,7 +62,7 @@ double convolution_error(Device& device, int n_kernel_taps) {
     const auto weights_there = upload_floats<shared::ConvWeights>(device, weights),
                d_weights = upload_floats<shared::ConvWeights>(device, weights);
     const auto bias_there = upload_floats<shared::ConvBias>(device, bias);
-    network::ConvolutionKernels conv(device, std::uint32_t(n_kernel_taps));
+    network::Convolution conv(device, std::uint32_t(n_kernel_taps));
     conv.reserve_weight_sums(device, conv.n_partial_sums(inputs.grid, n_in, n_out));
     Stream stream(device);
     conv.run_convolution(stream, inputs, weights_there.address(), bias_there.address(), outputs);
