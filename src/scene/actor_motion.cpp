@@ -27,9 +27,9 @@ struct TimeSpan {
 };
 
 /// Returns the time interval in which a LiDAR fires the rays of a sweep.
-TimeSpan sweep_span(const Log& sequence, const SweepTiming& sweep) {
-    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
-    if (!sequence.rolling_shutter) return {sweep.time_s, sweep.time_s};
+TimeSpan sweep_span(const Log& log, const SweepTiming& sweep) {
+    const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
+    if (!log.rolling_shutter) return {sweep.time_s, sweep.time_s};
     const double period_s = lidar.sweep_period_s();
     if (period_s > 0.0) {
         const double first_s = sweep.time_s + (sweep.start ? sweep.start->time_s : -0.5 * period_s);
@@ -68,19 +68,19 @@ double half_width_rad(const Pose& sensor_from_box, const glm::dvec3& half_size_m
 
 /// Returns the time interval in which the head faces a box. Returns the time of the full
 /// sweep if the interval is unknown or extends beyond the sweep.
-TimeSpan facing_span(const Log& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
+TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
                      const SweepTiming& sweep) {
-    const TimeSpan all = sweep_span(sequence, sweep);
-    const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
+    const TimeSpan all = sweep_span(log, sweep);
+    const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
     const double s_per_rad = seconds_per_rad(lidar);
     if (all.last_s <= all.first_s || s_per_rad <= 0.0 || half_size_m == glm::dvec3(0.0)) return all;
     const auto sensor_from_box = [&](double t_s) {
-        return inverse(sequence.world_from_vehicle.mounted_pose_at(t_s, lidar.vehicle_from_sensor)) *
+        return inverse(log.world_from_vehicle.mounted_pose_at(t_s, lidar.vehicle_from_sensor)) *
                world_from_box.pose_at(t_s);
     };
     double faced_s = sweep.time_s;
     for (int step = 0; step < 3; ++step)
-        faced_s = facing_time_s(sequence, sensor_from_box(faced_s).translation, sweep);
+        faced_s = facing_time_s(log, sensor_from_box(faced_s).translation, sweep);
     const double angle = half_width_rad(sensor_from_box(faced_s), half_size_m);
     const double half_s = ((1.0 + kWideningShare) * angle + kMaxBeamOffset_rad) * s_per_rad;
     const TimeSpan span{faced_s - half_s, faced_s + half_s};
@@ -89,9 +89,9 @@ TimeSpan facing_span(const Log& sequence, const PoseTrack& world_from_box, const
 
 }  // namespace
 
-InstancePose box_pose_in_sweep(const Log& sequence, const PoseTrack& world_from_box,
-                               const glm::dvec3& half_size_m, const SweepTiming& sweep) {
-    const TimeSpan span = facing_span(sequence, world_from_box, half_size_m, sweep);
+InstancePose box_pose_in_sweep(const Log& log, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
+                               const SweepTiming& sweep) {
+    const TimeSpan span = facing_span(log, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
     // If all rays fire at the same time, the pose of the actor is constant.
     const bool moves = half_s > 0.0;

@@ -28,40 +28,38 @@ constexpr double kGroundHeight_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
 /// Adds the returns of one scan that lie inside boxes, in the frames of the boxes.
-void append_returns(const Log& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
-                    bool include_second_returns, const std::vector<WalkedDistanceTrack>& walked_distances,
+void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
+                    bool second_returns, const std::vector<WalkedDistanceTrack>& walked,
                     std::vector<std::vector<LidarSample>>& samples_per_box) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].is_observed(frame.time_s)) present.push_back(b);
     if (present.empty()) return;
-    for_each_return(sequence, frame, include_second_returns, [&](const WorldReturn& world_return) {
+    for_each_return(log, frame, second_returns, [&](const WorldReturn& hit) {
         for (const std::size_t b : present) {
-            if (!boxes[b].contains_point(world_return.point_m, world_return.time_s, kPointMargin_m)) continue;
-            const Pose box_from_world = inverse(boxes[b].world_from_box.pose_at(world_return.time_s));
-            const glm::dvec3 local = box_from_world * world_return.point_m;
+            if (!boxes[b].contains_point(hit.point_m, hit.time_s, kPointMargin_m)) continue;
+            const Pose box_from_world = inverse(boxes[b].world_from_box.pose_at(hit.time_s));
+            const glm::dvec3 local = box_from_world * hit.point_m;
             if (local.z < -0.5 * boxes[b].size_m.z + kGroundHeight_m) continue;
-            samples_per_box[b].push_back(
-                {glm::vec3(local), world_return.intensity,
-                 glm::vec3(box_from_world.rotation * world_return.direction),
-                 static_cast<float>(walked_distances[b].walked_m(world_return.time_s)), frame.index});
+            samples_per_box[b].push_back({glm::vec3(local), hit.intensity,
+                                          glm::vec3(box_from_world.rotation * hit.direction),
+                                          static_cast<float>(walked[b].walked_m(hit.time_s)), frame.index});
         }
     });
 }
 
 /// Collects the returns of the training frames that lie inside boxes, [boxes].
-std::vector<std::vector<LidarSample>> collect_samples(const Log& sequence,
-                                                      const std::vector<int>& train_frames,
+std::vector<std::vector<LidarSample>> collect_samples(const Log& log, const std::vector<int>& frames,
                                                       const std::vector<BoxTrack>& boxes,
                                                       const InitOptions& options, const Progress& progress) {
     std::vector<WalkedDistanceTrack> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<LidarSample>> samples(boxes.size());
     std::vector<std::vector<std::vector<LidarSample>>> of_frame(
-        train_frames.size(), std::vector<std::vector<LidarSample>>(boxes.size()));
-    progress_for(train_frames.size(), progress, "collecting the points of actors", [&](std::size_t index) {
-        append_returns(sequence, sequence.frames[std::size_t(train_frames[index])], boxes,
-                       options.second_returns, walks, of_frame[index]);
+        frames.size(), std::vector<std::vector<LidarSample>>(boxes.size()));
+    progress_for(frames.size(), progress, "collecting the points of actors", [&](std::size_t index) {
+        append_returns(log, log.frames[std::size_t(frames[index])], boxes, options.second_returns, walks,
+                       of_frame[index]);
     });
     for (const std::vector<std::vector<LidarSample>>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b)
@@ -103,9 +101,9 @@ void check_box(const BoxTrack& box) {
     }
 }
 
-void check_track_names(const Log& sequence, const std::string& track_names) {
+void check_track_names(const Log& log, const std::string& track_names) {
     std::vector<std::string> box_ids;
-    for (const BoxTrack& box : sequence.boxes) box_ids.push_back(box.id);
+    for (const BoxTrack& box : log.boxes) box_ids.push_back(box.id);
     for (const std::string& track : split_list(track_names))
         if (std::find(box_ids.begin(), box_ids.end(), track) == box_ids.end())
             fail<UsageError>("setting init.actor_tracks: found \"{}\"{} (tracks: {})", track,
@@ -180,7 +178,7 @@ double walked_at_start_m(const BoxTrack& logged_box, const PoseTrack& new_track)
 
 /// @param find_track  returns the track of an actor, or null if the actor is absent
 template <class TrackOf>
-std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& sequence, const SweepTiming& sweep,
+std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& log, const SweepTiming& sweep,
                                          const TrackOf& find_track) {
     std::vector<InstancePose> placed;
     for (const ModelInstance& instance : scene.instances) {
@@ -190,11 +188,11 @@ std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& sequence
         }
         const PoseTrack* track = find_track(instance.track);
         const SurfelModel& model = scene.models[instance.model];
-        placed.push_back(track ? box_pose_in_sweep(sequence, *track, model.half_size_m, sweep)
+        placed.push_back(track ? box_pose_in_sweep(log, *track, model.half_size_m, sweep)
                                : InstancePose{{}, false});
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
-        const BoxTrack* logged_box = find_box(sequence, instance.track);
+        const BoxTrack* logged_box = find_box(log, instance.track);
         const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
         const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()
                                     ? walked_at_start_m(*logged_box, *track)
@@ -207,10 +205,10 @@ std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& sequence
 
 }  // namespace
 
-std::vector<BoxTrack> list_foreground(const Log& sequence, const InitOptions& options) {
-    check_track_names(sequence, options.actor_tracks);
+std::vector<BoxTrack> list_foreground(const Log& log, const InitOptions& options) {
+    check_track_names(log, options.actor_tracks);
     std::vector<BoxTrack> boxes;
-    for (const BoxTrack& box : sequence.boxes) {
+    for (const BoxTrack& box : log.boxes) {
         check_box(box);
         if (!options.mask_others && !is_actor(box, options)) continue;
         if (box.is_moving() || has_word(options.actor_tracks, box.id)) boxes.push_back(box);
@@ -218,31 +216,31 @@ std::vector<BoxTrack> list_foreground(const Log& sequence, const InitOptions& op
     return boxes;
 }
 
-Scene init_scene(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+Scene init_scene(const Log& log, const std::vector<int>& frames, const InitOptions& options,
                  const Progress& progress, std::vector<std::string>* notes) {
-    Scene scene = wrap_background(init_background(sequence, train_frames, options, progress));
-    std::vector<BoxTrack> actor_boxes = list_foreground(sequence, options);
+    Scene scene = wrap_background(init_background(log, frames, options, progress));
+    std::vector<BoxTrack> actor_boxes = list_foreground(log, options);
     std::erase_if(actor_boxes, [&](const BoxTrack& box) { return !is_actor(box, options); });
     std::vector<std::vector<LidarSample>> samples_per_box =
-        collect_samples(sequence, train_frames, actor_boxes, options, progress);
+        collect_samples(log, frames, actor_boxes, options, progress);
     for (std::size_t i = 0; i < actor_boxes.size(); ++i) {
         if (progress) progress("modelling actors", double(i) / double(actor_boxes.size()));
-        append_actor(scene, actor_boxes[i], samples_per_box[i], options,
-                     sequence.intensity_response.incidence, notes, progress);
+        append_actor(scene, actor_boxes[i], samples_per_box[i], options, log.intensity_response.incidence,
+                     notes, progress);
     }
     return scene;
 }
 
-std::vector<BoxTrack> find_unmodelled(const Scene& scene, const Log& sequence, const InitOptions& options) {
-    std::vector<BoxTrack> boxes = list_foreground(sequence, options);
+std::vector<BoxTrack> find_unmodelled(const Scene& scene, const Log& log, const InitOptions& options) {
+    std::vector<BoxTrack> boxes = list_foreground(log, options);
     std::erase_if(boxes, [&](const BoxTrack& box) {
         return std::ranges::find(scene.instances, box.id, &ModelInstance::track) != scene.instances.end();
     });
     return boxes;
 }
 
-std::vector<BoxTrack> find_unselected(const Log& sequence, const InitOptions& options) {
-    std::vector<BoxTrack> boxes = list_foreground(sequence, options);
+std::vector<BoxTrack> find_unselected(const Log& log, const InitOptions& options) {
+    std::vector<BoxTrack> boxes = list_foreground(log, options);
     std::erase_if(boxes, [&](const BoxTrack& box) { return is_actor(box, options); });
     return boxes;
 }
@@ -257,18 +255,18 @@ std::string format_box_list(const std::vector<BoxTrack>& boxes) {
         boxes.size() > kMaxListed ? fmt::format(" and {} more", boxes.size() - kMaxListed) : "");
 }
 
-std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence, const SweepTiming& sweep) {
+std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep) {
     // a hash map, because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
-    for (const BoxTrack& box : sequence.boxes)
+    for (const BoxTrack& box : log.boxes)
         if (box.is_observed(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
-    return poses_in_sweep(scene, sequence, sweep, [&](const std::string& name) {
+    return poses_in_sweep(scene, log, sweep, [&](const std::string& name) {
         const auto track = tracks.find(name);
         return track == tracks.end() ? nullptr : track->second;
     });
 }
 
-std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence, const SweepTiming& sweep,
+std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep,
                                          const ActorTracksByName& world_from_actor) {
     std::vector<std::string> tracks;
     for (const ModelInstance& instance : scene.instances)
@@ -278,7 +276,7 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence
             fail<UsageError>("cannot place actors: found track \"{}\", expected a track of the scene{}",
                              track,
                              tracks.empty() ? ", which has no actors" : did_you_mean(track, tracks, "\""));
-    return poses_in_sweep(scene, sequence, sweep, [&](const std::string& name) {
+    return poses_in_sweep(scene, log, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;
     });

@@ -118,16 +118,15 @@ std::vector<std::uint16_t> sample_rectangles(std::size_t count, const std::vecto
     return index;
 }
 
-void sample_positions(const std::vector<Rectangle>& rectangles,
-                      const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
-                      Surfels& surfels) {
-    std::vector<glm::dvec2> along(rectangle_index.size());
+void sample_positions(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& indices,
+                      NumpyRandomState& random, Surfels& surfels) {
+    std::vector<glm::dvec2> along(indices.size());
     for (glm::dvec2& ab : along) {
         ab.x = random.draw_uniform();
         ab.y = random.draw_uniform();
     }
-    for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
-        const Rectangle& r = rectangles[rectangle_index[i]];
+    for (std::size_t i = 0; i < indices.size(); ++i) {
+        const Rectangle& r = rectangles[indices[i]];
         surfels.mean[i] = glm::vec3(r.corner + along[i].x * r.edge_u + along[i].y * r.edge_v +
                                     r.normal * (0.02 * random.draw_normal()));
     }
@@ -150,16 +149,15 @@ glm::dvec4 quaternion_of_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis
 
 /// The normals scatter around the normals of the rectangles. The rotation about the
 /// normal is uniform.
-void sample_rotations(const std::vector<Rectangle>& rectangles,
-                      const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
-                      Surfels& surfels) {
-    std::vector<glm::dvec3> normal(rectangle_index.size());
-    for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
+void sample_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& indices,
+                      NumpyRandomState& random, Surfels& surfels) {
+    std::vector<glm::dvec3> normal(indices.size());
+    for (std::size_t i = 0; i < indices.size(); ++i) {
         glm::dvec3 noise;
         for (int axis = 0; axis < 3; ++axis) noise[axis] = random.draw_normal();
-        normal[i] = glm::normalize(rectangles[rectangle_index[i]].normal + 0.05 * noise);
+        normal[i] = glm::normalize(rectangles[indices[i]].normal + 0.05 * noise);
     }
-    for (std::size_t i = 0; i < rectangle_index.size(); ++i) {
+    for (std::size_t i = 0; i < indices.size(); ++i) {
         const glm::dvec3 z = normal[i];
         const glm::dvec3 helper = std::abs(z.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
         const glm::dvec3 x0 = glm::normalize(glm::cross(helper, z)), y0 = glm::cross(z, x0);
@@ -169,9 +167,8 @@ void sample_rotations(const std::vector<Rectangle>& rectangles,
     }
 }
 
-void sample_scales(bool smaller_scales_for_more_surfels, NumpyRandomState& random, Surfels& surfels) {
-    const double factor =
-        smaller_scales_for_more_surfels ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
+void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
+    const double factor = shrink ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
         for (int axis = 0; axis < 2; ++axis)
             log_scale[axis] = float(std::log(0.1 * std::pow(3.0, random.draw_uniform()) * factor));
@@ -183,18 +180,15 @@ void sample_scales(bool smaller_scales_for_more_surfels, NumpyRandomState& rando
 
 /// Rounds to multiples of 1/4096 (degree 0) or 1/256 (other degrees), and half to even,
 /// like scene_gen.py.
-void sample_harmonics(const std::vector<Rectangle>& rectangles,
-                      const std::vector<std::uint16_t>& rectangle_index, NumpyRandomState& random,
-                      Surfels& surfels) {
+void sample_harmonics(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& indices,
+                      NumpyRandomState& random, Surfels& surfels) {
     const auto put_dc = [&](std::size_t surfel, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
         surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
     };
-    const std::size_t n = rectangle_index.size();
+    const std::size_t n = indices.size();
     for (std::size_t i = 0; i < n; ++i)
-        put_dc(
-            i, 0,
-            std::clamp(rectangles[rectangle_index[i]].intensity + 0.08 * random.draw_normal(), 0.02, 0.98));
+        put_dc(i, 0, std::clamp(rectangles[indices[i]].intensity + 0.08 * random.draw_normal(), 0.02, 0.98));
     for (std::size_t i = 0; i < n; ++i) put_dc(i, 1, 1.0 + 0.3 * random.draw_normal());
     for (std::size_t i = 0; i < n; ++i) put_dc(i, 2, 0.3 * random.draw_normal());
     for (std::size_t i = 0; i < n; ++i)
@@ -208,8 +202,7 @@ void sample_harmonics(const std::vector<Rectangle>& rectangles,
 
 }  // namespace
 
-Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed,
-                            bool smaller_scales_for_more_surfels) {
+Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed, bool shrink) {
     const std::vector<Rectangle> rectangles = make_rectangles();
     NumpyRandomState random(seed);
     Surfels surfels;
@@ -217,7 +210,7 @@ Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed,
     const std::vector<std::uint16_t> index = sample_rectangles(n_surfels, rectangles, random);
     sample_positions(rectangles, index, random, surfels);
     sample_rotations(rectangles, index, random, surfels);
-    sample_scales(smaller_scales_for_more_surfels, random, surfels);
+    sample_scales(shrink, random, surfels);
     sample_harmonics(rectangles, index, random, surfels);
     return surfels;
 }

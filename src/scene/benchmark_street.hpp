@@ -10,11 +10,10 @@
 namespace relidar {
 
 /// Returns the surfels of a synthetic street, which depend only on the arguments. If
-/// `smaller_scales_for_more_surfels` is true (benchmark scene B), the surfels become
+/// `shrink` is true (benchmark scene B), the surfels become
 /// smaller as `n_surfels` grows. The values equal those of the Python generator up to
 /// rounding in the last digit. The surfels are not sorted in kd-tree order.
-Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed = 20261120,
-                            bool smaller_scales_for_more_surfels = false);
+Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed = 20261120, bool shrink = false);
 
 /// Returns the LiDAR rays of the street, with their origin at (0, -2, 1.8) m.
 /// `name` is "waymo" (64 x 2650 rays) or "kitti" (66 x 1030 rays). The second

@@ -86,12 +86,12 @@ bool ObservedBoxSurface::is_patch_set(const BoxSurfacePatch& patch) const {
     return observed_patches_[std::size_t(patch.side)][index_of_patch(patch)] != 0;
 }
 
-void ObservedBoxSurface::mark_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction) {
+void ObservedBoxSurface::mark_observed(const glm::dvec3& point_m, const glm::dvec3& direction) {
     const std::optional<BoxSurfacePatch> patch = find_patch(point_m);
     if (!patch) return;
     const auto side = std::size_t(patch->side);
     const BoxSideAxes& frame = kSideFrames[side];
-    if (!(-frame.sign * ray_direction[frame.normal] >= min_cosine(patch->side))) return;
+    if (!(-frame.sign * direction[frame.normal] >= min_cosine(patch->side))) return;
     observed_patches_[side][index_of_patch(*patch)] = 1;
 }
 
@@ -105,8 +105,7 @@ bool ObservedBoxSurface::is_mirror_observed(const glm::dvec3& point_m) const {
     return patch && !is_patch_set(*patch) && is_patch_set(mirror_patch(*patch));
 }
 
-double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_side,
-                                                 bool only_mirror_image_observed) const {
+double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirrored) const {
     double held_m2 = 0.0, all_m2 = 0.0;
     for (std::size_t s = 0; s < kBoxSides; ++s) {
         if (only_side && BoxSide(s) != *only_side) continue;
@@ -118,8 +117,8 @@ double ObservedBoxSurface::compute_area_fraction(std::optional<BoxSide> only_sid
             for (int column = 0; column < columns; ++column) {
                 const BoxSurfacePatch patch{BoxSide(s), column, row};
                 if (!is_above_ground(patch)) continue;
-                const bool held = is_patch_set(patch) != only_mirror_image_observed &&
-                                  (!only_mirror_image_observed || is_patch_set(mirror_patch(patch)));
+                const bool held = is_patch_set(patch) != only_mirrored &&
+                                  (!only_mirrored || is_patch_set(mirror_patch(patch)));
                 side_held_m2 += held ? patch_m2 : 0.0;
                 side_m2 += patch_m2;
             }

@@ -43,8 +43,8 @@ struct FrameSamples {
     double walked_m = 0.0;   ///< Mean walked distance of the samples.
     double spacing_m = 0.0;  ///< Mean difference of walked distance to the previous and the next frame.
 
-    FrameSamples(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> sample_indices)
-        : index(samples, std::move(sample_indices)) {
+    FrameSamples(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> indices)
+        : index(samples, std::move(indices)) {
         for (const std::uint32_t i : index.cloud.of)
             walked_m += double(samples[i].walked_m) / double(index.cloud.of.size());
     }
@@ -119,9 +119,9 @@ std::vector<glm::vec3> smooth_shifts(const std::vector<LidarSample>& samples,
 
 /// Makes one surfel for each sample, with the gait of the sample.
 Surfels make_gait_surfels(const std::vector<LidarSample>& samples, const std::vector<GaitPhaseWindow>& gaits,
-                          const InitOptions& options, double incidence_coefficient) {
+                          const InitOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
-    Surfels surfels = make_surfels(samples, options, incidence_coefficient, {}, &order);
+    Surfels surfels = make_surfels(samples, options, incidence, {}, &order);
     surfels.add_still_gait();
     for (std::size_t i = 0; i < order.size(); ++i) surfels.gait[i] = gaits[order[i]];
     return surfels;
@@ -143,28 +143,26 @@ std::vector<char> mark_static(const std::vector<LidarSample>& samples, const Sam
 /// Makes surfels with the shape of an actor in one frame. Their opacity is a Gaussian of
 /// the walked distance with the standard deviation `FrameSamples::spacing_m`.
 /// @param changing_samples samples of this frame where the shape of the actor changes
-Surfels make_frame_surfels(const SamplesByFrame& samples_by_frame, std::size_t frame_index,
+Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_index,
                            const std::vector<LidarSample>& samples,
-                           const std::vector<LidarSample>& changing_samples, double gait_period_m,
-                           const InitOptions& options, double incidence_coefficient) {
-    const FrameSamples& frame = *samples_by_frame[frame_index];
+                           const std::vector<LidarSample>& changing_samples, double period_m,
+                           const InitOptions& options, double incidence) {
+    const FrameSamples& frame = *by_frame[frame_index];
     std::vector<glm::vec3> shifts(changing_samples.size());
     parallel_blocks(changing_samples.size(), [&](std::size_t i) {
-        shifts[i] = estimate_shift(samples_by_frame, frame_index, samples, changing_samples[i]);
+        shifts[i] = estimate_shift(by_frame, frame_index, samples, changing_samples[i]);
     });
     std::vector<GaitPhaseWindow> gait;
     for (const glm::vec3& shift : smooth_shifts(changing_samples, shifts))
-        gait.push_back({float(frame.walked_m / gait_period_m),
-                        float(gait_period_m / (2.0 * kPi * frame.spacing_m)),
-                        float(gait_period_m / (2.0 * kPi * frame.spacing_m)) * shift});
-    return make_gait_surfels(changing_samples, gait, options, incidence_coefficient);
+        gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
+                        float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
+    return make_gait_surfels(changing_samples, gait, options, incidence);
 }
 
 }  // namespace
 
 DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, const InitOptions& options,
-                                     double incidence_coefficient, std::size_t max_surfels,
-                                     const Progress& progress) {
+                                     double incidence, std::size_t max_count, const Progress& progress) {
     const SamplesByFrame frames = group_by_frame(samples);
     if (frames.size() < kFewestChanging)
         return {{},
@@ -182,12 +180,11 @@ DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, co
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);
     if (!resting.empty()) {
-        resting = thin_samples(resting, max_surfels / 2);
-        actor.surfels = make_gait_surfels(resting, std::vector<GaitPhaseWindow>(resting.size()), options,
-                                          incidence_coefficient);
+        resting = thin_samples(resting, max_count / 2);
+        actor.surfels =
+            make_gait_surfels(resting, std::vector<GaitPhaseWindow>(resting.size()), options, incidence);
     }
-    const std::size_t most_in_frame =
-        std::max((max_surfels - actor.surfels.size()) / frames.size(), kInFrame);
+    const std::size_t most_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
     for (std::size_t k = 0; k < frames.size(); ++k) {
         if (progress) progress("modelling the walking of actors", double(k) / double(frames.size()));
         std::vector<LidarSample> changing;
@@ -196,7 +193,7 @@ DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, co
         if (changing.empty()) continue;
         changing = thin_samples(changing, most_in_frame);
         actor.surfels.append_surfels(
-            make_frame_surfels(frames, k, samples, changing, actor.period_m, options, incidence_coefficient));
+            make_frame_surfels(frames, k, samples, changing, actor.period_m, options, incidence));
     }
     actor.surfels = actor.surfels.reorder(kd_tree_order(actor.surfels.mean));
     return actor;

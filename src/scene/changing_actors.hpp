@@ -27,7 +27,7 @@ struct DeformingActorSurfels {
 /// @return no surfels and period 0 with fewer than three frames, or if the actor walks
 /// less than half a metre
 DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, const InitOptions& options,
-                                     double incidence_coefficient, std::size_t max_surfels,
+                                     double incidence, std::size_t max_surfels,
                                      const Progress& progress = {});
 
 }  // namespace relidar

@@ -194,7 +194,7 @@ void DeviceScene::stage_poses(Stream& stream, const std::vector<InstancePose>& i
                                entries.size() * sizeof(entries[0]));
 }
 
-void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m) {
+void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::vec3& origin_m) {
     impl_->alpha_min = model.alpha_min;
     if (size() == 0) return;
     if (primitive() != model.primitive)
@@ -204,7 +204,7 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
         {.surfels = surfel_pointers(impl_->parameters),
          .records = impl_->records.address(),
          .models = impl_->models.address(),
-         .view_origins = impl_->upload_origins(stream, view_origin_m),
+         .view_origins = impl_->upload_origins(stream, origin_m),
          .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
          .alpha_min = model.alpha_min,
          .n_surfels = size(),
@@ -215,7 +215,7 @@ void DeviceScene::activate(Stream& stream, const ImageModel& model, const glm::v
 
 bool DeviceScene::can_skip_surfels() const { return impl_->list.has_value(); }
 
-void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
+void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
     const bool listed = gradients.touched_is_marked && can_skip_surfels() && !gradients.zero_untouched;
@@ -225,7 +225,7 @@ void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const gl
          .d_records = gradients.d_records->address(),
          .models = impl_->models.address(),
          .more_rows = impl_->more_rows.address(),
-         .view_origins = impl_->upload_origins(stream, view_origin_m),
+         .view_origins = impl_->upload_origins(stream, origin_m),
          .phases = impl_->upload_phases(stream).cast_tag<shared::GaitPhases>(),
          .d_surfels = surfel_pointers(*gradients.d_surfels),
          .touched = gradients.touched->address(),

@@ -49,7 +49,7 @@ ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
                                                                 {0.3399810435848563, 0.6521451548625461},
                                                                 {0.8611363115940526, 0.3478548451374538}}};
     constexpr int kAzimuths = 8;
-    ShRotation rotation_matrix{};
+    ShRotation rotation{};
     for (const auto& [z, weight] : kGaussNodes)
         for (int a = 0; a < kAzimuths; ++a) {
             const double angle = 2.0 * kPi * a / kAzimuths, r = std::sqrt(1.0 - z * z);
@@ -57,26 +57,25 @@ ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
             const ShBasis in_model = evaluate_sh(d), in_world = evaluate_sh(world_from_model * d);
             for (std::size_t i = 0; i < kShCoefficients; ++i)
                 for (std::size_t j = 0; j < kShCoefficients; ++j)
-                    rotation_matrix[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
+                    rotation[i][j] += weight * 2.0 * kPi / kAzimuths * in_world[i] * in_model[j];
         }
-    return rotation_matrix;
+    return rotation;
 }
 
-void rotate_sh(const ShRotation& rotation_matrix, float* coefficients) {
-    std::array<float, kShCoefficients> rotated_coefficients;
+void rotate_sh(const ShRotation& rotation, float* coefficients) {
+    std::array<float, kShCoefficients> rotated;
     for (std::size_t i = 0; i < kShCoefficients; ++i) {
         double sum = 0.0;
-        for (std::size_t j = 0; j < kShCoefficients; ++j)
-            sum += rotation_matrix[i][j] * double(coefficients[j]);
-        rotated_coefficients[i] = float(sum);
+        for (std::size_t j = 0; j < kShCoefficients; ++j) sum += rotation[i][j] * double(coefficients[j]);
+        rotated[i] = float(sum);
     }
-    std::ranges::copy(rotated_coefficients, coefficients);
+    std::ranges::copy(rotated, coefficients);
 }
 
 /// The same as shaders/scene/gaussian/gait.glsl.
-void apply_gait(Surfels& surfels, std::size_t surfel, double gait_phase) {
+void apply_gait(Surfels& surfels, std::size_t surfel, double phase) {
     const GaitPhaseWindow& gait = surfels.gait[surfel];
-    const double angle = 2.0 * kPi * (gait_phase - double(gait.phase)), sharpness = double(gait.sharpness);
+    const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
     surfels.mean[surfel] =
         glm::vec3(glm::dvec3(surfels.mean[surfel]) + std::sin(angle) * glm::dvec3(gait.swing));
     const double presence = std::exp(sharpness * sharpness * (std::cos(angle) - 1.0));
@@ -102,22 +101,21 @@ void surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
 
 }  // namespace
 
-Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& instance_poses) {
-    if (instance_poses.size() != scene.instances.size())
-        fail("found {} poses of instances, expected {}", instance_poses.size(), scene.instances.size());
+Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& poses) {
+    if (poses.size() != scene.instances.size())
+        fail("found {} poses of instances, expected {}", poses.size(), scene.instances.size());
     Surfels all;
     all.primitive = scene.surfels.primitive;
-    for (std::size_t k = 0; k < instance_poses.size(); ++k) {
-        if (!instance_poses[k].present) continue;
+    for (std::size_t k = 0; k < poses.size(); ++k) {
+        if (!poses[k].present) continue;
         const SurfelModel& model = scene.models[scene.instances[k].model];
         Surfels instance_surfels = scene.surfels.slice(model.first, model.count);
         if (model.stride_m > 0.0f && instance_surfels.bends)
             for (std::size_t i = 0; i < instance_surfels.size(); ++i)
-                apply_gait(instance_surfels, i, instance_poses[k].phase);
+                apply_gait(instance_surfels, i, poses[k].phase);
         instance_surfels.gait.clear();
         instance_surfels.bends = false;
-        if (!scene.instances[k].track.empty())
-            surfels_to_world(instance_surfels, instance_poses[k].world_from_model);
+        if (!scene.instances[k].track.empty()) surfels_to_world(instance_surfels, poses[k].world_from_model);
         all.append_surfels(instance_surfels);
     }
     return all;

@@ -46,30 +46,26 @@ struct CellHash {
     }
 };
 
-/// Returns the points of one frame in the world frame outside `excluded_boxes`.
-std::vector<LidarSample> background_samples(const Log& sequence, const Frame& frame,
-                                            const std::vector<BoxTrack>& excluded_boxes,
-                                            const InitOptions& options) {
+/// Returns the points of one frame in the world frame outside `boxes`.
+std::vector<LidarSample> background_samples(const Log& log, const Frame& frame,
+                                            const std::vector<BoxTrack>& boxes, const InitOptions& options) {
     std::vector<LidarSample> samples;
-    for_each_return(sequence, frame, options.second_returns, [&](const WorldReturn& world_return) {
+    for_each_return(log, frame, options.second_returns, [&](const WorldReturn& hit) {
         const auto is_in = [&](const BoxTrack& box) {
-            return box.is_observed(world_return.time_s) &&
-                   box.contains_point(world_return.point_m, world_return.time_s, kMoverMargin_m);
+            return box.is_observed(hit.time_s) && box.contains_point(hit.point_m, hit.time_s, kMoverMargin_m);
         };
-        if (std::ranges::any_of(excluded_boxes, is_in)) return;
-        samples.push_back(
-            {glm::vec3(world_return.point_m), world_return.intensity, glm::vec3(world_return.direction)});
+        if (std::ranges::any_of(boxes, is_in)) return;
+        samples.push_back({glm::vec3(hit.point_m), hit.intensity, glm::vec3(hit.direction)});
     });
     return samples;
 }
 
-std::vector<glm::vec3> frame_positions(const Log& sequence, const std::vector<int>& frame_indices) {
+std::vector<glm::vec3> frame_positions(const Log& log, const std::vector<int>& frame_indices) {
     std::vector<glm::vec3> sensor_positions;
     for (const int position : frame_indices) {
-        const Frame& frame = sequence.frames[std::size_t(position)];
+        const Frame& frame = log.frames[std::size_t(position)];
         sensor_positions.emplace_back(
-            sequence.world_from_vehicle
-                .mounted_pose_at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor)
+            log.world_from_vehicle.mounted_pose_at(frame.time_s, log.lidar_of(frame).vehicle_from_sensor)
                 .translation);
     }
     return sensor_positions;
@@ -119,20 +115,20 @@ struct VoxelHashTable {
 
 /// Returns the mean sample of each voxel, sorted by the first sample of the voxel. Reads
 /// only a few frames at a time, so that memory does not grow with the number of frames.
-std::vector<LidarSample> average_voxels(const Log& sequence, const std::vector<int>& train_frames,
+std::vector<LidarSample> average_voxels(const Log& log, const std::vector<int>& train_frames,
                                         const InitOptions& options, const Progress& progress) {
     constexpr std::size_t kFramesPerBatch = 16;
-    const std::vector<BoxTrack> separate = list_foreground(sequence, options);
-    const NearestPointFinder<float> sensors(frame_positions(sequence, train_frames));
+    const std::vector<BoxTrack> separate = list_foreground(log, options);
+    const NearestPointFinder<float> sensors(frame_positions(log, train_frames));
     std::vector<VoxelHashTable> parts(kHashParts);
     for (std::size_t begin = 0; begin < train_frames.size(); begin += kFramesPerBatch) {
         if (progress)
             progress("collecting the points of the background", double(begin) / double(train_frames.size()));
         std::vector<VoxelSamplesByPart> frames(std::min(kFramesPerBatch, train_frames.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int index) {
-            const Frame& frame = sequence.frames[std::size_t(train_frames[begin + std::size_t(index)])];
+            const Frame& frame = log.frames[std::size_t(train_frames[begin + std::size_t(index)])];
             std::uint32_t number = 0;
-            for (const LidarSample& s : background_samples(sequence, frame, separate, options)) {
+            for (const LidarSample& s : background_samples(log, frame, separate, options)) {
                 const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
                 frames[std::size_t(index)][CellHash{}(cell) % kHashParts].push_back({s, cell, number++});
             }
@@ -159,9 +155,9 @@ std::vector<LidarSample> average_voxels(const Log& sequence, const std::vector<i
 }
 
 /// Removes samples at positions where other frames observe empty space.
-std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, const Log& sequence,
+std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, const Log& log,
                                        const std::vector<int>& train_frames, const Progress& progress) {
-    VisibilityChecker visibility(sequence, train_frames);
+    VisibilityChecker visibility(log, train_frames);
     std::vector<glm::vec3> points;
     for (const LidarSample& sample : samples) points.push_back(sample.position);
     visibility.make_images(points);
@@ -177,17 +173,17 @@ std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, 
 
 }  // namespace
 
-Surfels init_background(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+Surfels init_background(const Log& log, const std::vector<int>& train_frames, const InitOptions& options,
                         const Progress& progress) {
-    std::vector<LidarSample> samples = average_voxels(sequence, train_frames, options, progress);
+    std::vector<LidarSample> samples = average_voxels(log, train_frames, options, progress);
     if (options.unlabelled_movers != UnlabelledMoverPolicy::background)
-        samples = remove_movers(samples, sequence, train_frames, progress);
+        samples = remove_movers(samples, log, train_frames, progress);
     if (samples.empty())
         fail(
             "cannot initialise the background of {}: its {} training frames have no LiDAR return outside the "
             "boxes of moving objects, expected at least one",
-            sequence.name, train_frames.size());
-    return make_surfels(samples, options, sequence.intensity_response.incidence, progress);
+            log.name, train_frames.size());
+    return make_surfels(samples, options, log.intensity_response.incidence, progress);
 }
 
 }  // namespace relidar

@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model_index) {
-    SurfelModel added = source_scene.models[model_index];  // copies the box size and the stride too
+std::uint32_t append_model(Scene& scene, const Scene& source_scene, std::uint32_t model) {
+    SurfelModel added = source_scene.models[model];  // copies the box size and the stride too
     const Surfels surfels = source_scene.surfels.slice(added.first, added.count);
     added.first = static_cast<std::uint32_t>(scene.surfels.size());
     scene.models.push_back(std::move(added));

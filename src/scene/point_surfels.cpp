@@ -50,14 +50,14 @@ struct NeighbourPlane {
 /// sensor most. If the points form no surface, the normal points to the sensor, because
 /// rays of the next scan would miss a surfel that is edge-on.
 NeighbourPlane fit_neighbours(const std::vector<LidarSample>& samples,
-                              const std::vector<std::size_t>& neighbour_indices,
-                              const glm::dvec3& view_direction, double max_flatness) {
+                              const std::vector<std::size_t>& neighbours, const glm::dvec3& direction,
+                              double max_flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    for (const std::size_t j : neighbour_indices)
+    for (const std::size_t j : neighbours)
         mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
-    mean /= double(neighbour_indices.size());
+    mean /= double(neighbours.size());
     Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-    for (const std::size_t j : neighbour_indices) {
+    for (const std::size_t j : neighbours) {
         const Eigen::Vector3d d =
             Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z) - mean;
         covariance += d * d.transpose();
@@ -69,16 +69,13 @@ NeighbourPlane fit_neighbours(const std::vector<LidarSample>& samples,
     const bool is_line = values[1] < 0.02 * values[2];
     if (is_line || !(values[2] > 0.0)) {
         const glm::dvec3 line(axes(0, 2), axes(1, 2), axes(2, 2));
-        normal =
-            -view_direction + (values[2] > 0.0 ? glm::dot(view_direction, line) * line : glm::dvec3(0.0));
+        normal = -direction + (values[2] > 0.0 ? glm::dot(direction, line) * line : glm::dvec3(0.0));
     }
     const bool is_surface = !is_line && values[0] < max_flatness * values[1];
-    if (!is_line && !is_surface) normal = -view_direction;
+    if (!is_line && !is_surface) normal = -direction;
     const double length = glm::length(normal);
-    return {{mean.x(), mean.y(), mean.z()},
-            length > 1e-9 ? normal / length : -view_direction,
-            is_line,
-            is_surface};
+    return {
+        {mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -direction, is_line, is_surface};
 }
 
 /// Returns a unit vector perpendicular to a normal, rotated about the normal by an angle.
@@ -97,10 +94,10 @@ struct ScanLineGap {
     bool is_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
 };
 
-/// @param neighbour_indices indices of points on the surface, sorted by distance; the
+/// @param neighbours indices of points on the surface, sorted by distance; the
 /// first is the point itself
-ScanLineGap measure_gap(const std::vector<LidarSample>& samples,
-                        const std::vector<std::size_t>& neighbour_indices, const glm::dvec3& normal) {
+ScanLineGap measure_gap(const std::vector<LidarSample>& samples, const std::vector<std::size_t>& neighbours,
+                        const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
     // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
@@ -109,19 +106,19 @@ ScanLineGap measure_gap(const std::vector<LidarSample>& samples,
     // Maximum distance of a neighbour from the surface plane: kMaxSlope * distance +
     // kMaxPlaneNoise_m.
     constexpr double kMaxSlope = 0.1, kMaxPlaneNoise_m = 0.05;
-    const glm::dvec3 point(samples[neighbour_indices[0]].position), x = perpendicular_at(normal, 0.0),
-                                                                    y = glm::cross(normal, x);
+    const glm::dvec3 point(samples[neighbours[0]].position), x = perpendicular_at(normal, 0.0),
+                                                             y = glm::cross(normal, x);
     // Doubles each angle, because opposite directions mean the same line.
     double even = 0.0, odd = 0.0;
-    for (std::size_t j = 1; j < std::min(neighbour_indices.size(), kOnLine + 1); ++j) {
-        const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
+    for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
+        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
         const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
         even += (u * u - v * v) / length2;
         odd += 2.0 * u * v / length2;
     }
     ScanLineGap gap{perpendicular_at(normal, 0.5 * std::atan2(odd, even) + 0.5 * kPi)};
-    for (std::size_t j = 1; j < neighbour_indices.size() && gap.is_line_missing(); ++j) {
-        const glm::dvec3 d = glm::dvec3(samples[neighbour_indices[j]].position) - point;
+    for (std::size_t j = 1; j < neighbours.size() && gap.is_line_missing(); ++j) {
+        const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
         const double length = glm::length(d), across = glm::dot(d, gap.across);
         double& on_side = across > 0.0 ? gap.right_m : gap.left_m;
         if (on_side == 0.0 && std::abs(across) > kMinAcrossCosine * length &&
@@ -136,11 +133,11 @@ ScanLineGap measure_gap(const std::vector<LidarSample>& samples,
 /// surface. Grazing angles have a lower limit, because their albedo is inaccurate.
 /// @param normal zero if unknown; then the intensity is the same from all directions
 void set_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
-                   double incidence_coefficient) {
+                   double incidence) {
     constexpr double kGrazingCosine = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
-    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence_coefficient,
+    const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) /
                           (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazingCosine)));
     const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
@@ -198,7 +195,7 @@ SurfelPlacement estimate_surface(const Tree& tree, const std::vector<LidarSample
 }
 
 void set_surfel(Surfels& surfels, std::size_t surfel, const std::vector<LidarSample>& samples,
-                const Tree& tree, const InitOptions& options, double incidence_coefficient) {
+                const Tree& tree, const InitOptions& options, double incidence) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
@@ -233,8 +230,7 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const std::vector<LidarSam
     surfels.log_scale[surfel] = {log_scale(reaches ? width * options.scale_factor : round), log_scale(round)};
     surfels.opacity_logit[surfel] = static_cast<float>(std::log(options.opacity / (1.0 - options.opacity)));
     float* sh = surfels.sh.data() + surfel * kShFloats;
-    set_harmonics(sh, samples[surfel], plane.is_surface ? plane.normal : glm::dvec3(0.0),
-                  incidence_coefficient);
+    set_harmonics(sh, samples[surfel], plane.is_surface ? plane.normal : glm::dvec3(0.0), incidence);
     const double hit_logit = options.one_logit ? 0.0 : 0.5 * (1.0 + options.hit_margin),
                  drop_logit = hit_logit - options.hit_margin;
     sh[kShCoefficients] = (static_cast<float>(hit_logit) - 0.5f) / kSh0;
@@ -243,16 +239,15 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const std::vector<LidarSam
 
 }  // namespace
 
-Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options,
-                     double incidence_coefficient, const Progress& progress,
-                     std::vector<std::uint32_t>* sample_order) {
+Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options, double incidence,
+                     const Progress& progress, std::vector<std::uint32_t>* sample_order) {
     const SampleKdTreeAdapter cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
     progress_blocks(samples.size(), progress, "estimating normals", [&](std::size_t index) {
-        set_surfel(surfels, index, samples, tree, options, incidence_coefficient);
+        set_surfel(surfels, index, samples, tree, options, incidence);
     });
     const std::vector<std::uint32_t> sorted = kd_tree_order(surfels.mean);
     if (sample_order) *sample_order = sorted;
@@ -260,7 +255,7 @@ Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions&
 }
 
 std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, std::size_t max_count,
-                                      std::vector<std::uint32_t>* selected_indices) {
+                                      std::vector<std::uint32_t>* selected) {
     // The jitter of labelled boxes blurs smaller details.
     constexpr double kThinningVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
@@ -284,7 +279,7 @@ std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, s
     }
     std::vector<LidarSample> thin;
     for (const std::uint32_t i : first) thin.push_back(samples[i]);
-    if (selected_indices) *selected_indices = std::move(first);
+    if (selected) *selected = std::move(first);
     return thin;
 }
 

@@ -20,28 +20,26 @@ struct LidarSample {
 };
 
 /// Calls `work` with each return of a frame (as a WorldReturn), ray by ray.
-/// @param include_second_returns if true, also calls `work` with second returns
+/// @param second_returns if true, also calls `work` with second returns
 template <class Work>
-void for_each_return(const Log& sequence, const Frame& frame, bool include_second_returns,
-                     const Work& visit_return) {
+void for_each_return(const Log& log, const Frame& frame, bool second_returns, const Work& visit_return) {
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         if (!(scan.range_m[ray] > 0.0f)) continue;
-        visit_return(locate_return(sequence, frame, ray));
-        for (std::size_t k = 0; include_second_returns && k < scan.second_returns.size(); ++k)
+        visit_return(locate_return(log, frame, ray));
+        for (std::size_t k = 0; second_returns && k < scan.second_returns.size(); ++k)
             if (scan.second_returns[k].range_m[ray] > 0.0f)
-                visit_return(locate_return(sequence, frame, ray, k + 1));
+                visit_return(locate_return(log, frame, ray, k + 1));
     }
 }
 
 /// Makes one surfel for each sample, in kd-tree order. If normals are estimated, the
 /// initial intensity depends on the angle of incidence.
 /// @param samples must not be empty
-/// @param incidence_coefficient strength of this dependence (IntensityResponse)
-/// @param sample_order output [n]: the index of each surfel's sample
-Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options,
-                     double incidence_coefficient, const Progress& progress = {},
-                     std::vector<std::uint32_t>* sample_order = nullptr);
+/// @param incidence strength of this dependence (IntensityResponse)
+/// @param order output [n]: the index of each surfel's sample
+Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options, double incidence,
+                     const Progress& progress = {}, std::vector<std::uint32_t>* order = nullptr);
 
 /// Returns the first sample of each voxel of an actor, at most `max_count`. The samples
 /// of a voxel are not averaged: labels jitter, so averages would shrink the actor.

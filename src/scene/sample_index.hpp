@@ -40,9 +40,8 @@ using SampleTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adap
 struct SampleIndex {
     SampleCloud cloud;
     SampleTree tree;
-    SampleIndex(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> sample_indices)
-        : cloud{samples, std::move(sample_indices)},
-          tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+    SampleIndex(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> indices)
+        : cloud{samples, std::move(indices)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
     /// Limited to `max_distance_m`.
     double nearest_m(const glm::vec3& point_m, double max_distance_m) const {

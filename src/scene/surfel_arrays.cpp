@@ -23,22 +23,22 @@ std::vector<std::size_t> SurfelParameterGroup::array_shape(std::size_t n_surfels
 
 SurfelParameterSet read_parameter_set(const std::string& where,
                                       const std::map<std::string, std::string>& metadata,
-                                      const std::string& primitive_key,
+                                      const std::string& key,
                                       const std::function<bool(const char*)>& has_array) {
     std::vector<std::string> names;
     for (const PrimitiveProperties& kind : kPrimitives) names.emplace_back(kind.name);
-    const auto text = metadata.find(primitive_key);
-    if (text == metadata.end()) fail("{}: the metadata key \"{}\" is missing", where, primitive_key);
+    const auto text = metadata.find(key);
+    if (text == metadata.end()) fail("{}: the metadata key \"{}\" is missing", where, key);
     for (const PrimitiveProperties& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
-    fail("{}: {}: found \"{}\", expected one of {}", where, primitive_key, text->second.substr(0, 40),
+    fail("{}: {}: found \"{}\", expected one of {}", where, key, text->second.substr(0, 40),
          fmt::join(names, ", "));
 }
 
 SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& description,
-                           SurfelParameterSet parameter_set)
-    : n(count), primitive(parameter_set.primitive), bends(parameter_set.bends) {
-    for (const SurfelParameterGroup& group : list_groups(parameter_set))
+                           SurfelParameterSet parameters)
+    : n(count), primitive(parameters.primitive), bends(parameters.bends) {
+    for (const SurfelParameterGroup& group : list_groups(parameters))
         group.mutable_device(*this) = Array<float>(device, std::size_t(group.count_floats()) * count,
                                                    fmt::format("{} {}", description, group.name));
 }

@@ -46,7 +46,7 @@ struct PlyProperty {
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
-std::vector<PlyProperty> list_properties(SurfelParameterSet parameter_set) {
+std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     std::vector<PlyProperty> list;
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
                          std::uint32_t first) {
@@ -62,12 +62,12 @@ std::vector<PlyProperty> list_properties(SurfelParameterSet parameter_set) {
         list.push_back({fmt::format("f_rest_{}", k), &kSh, k % kRestCoefficients + 1, k < kRestCoefficients});
     list.push_back({"opacity", &kOpacityLogit});
     add("scale_", 2, kLogScale, 0);
-    if (properties_of(parameter_set.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
+    if (properties_of(parameters.primitive).third_scale) list.push_back({"scale_2", &kLogScaleW});
     else list.push_back({"scale_2", nullptr, 0, false, PlyProperty::thickness});
     add("rot_", 4, kRotation, 0);
     add("hit_", kShCoefficients, kSh, kShCoefficients);
     add("drop_", kShCoefficients, kSh, 2 * kShCoefficients);
-    if (parameter_set.bends) add("gait_", kGait.count_floats(), kGait, 0);
+    if (parameters.bends) add("gait_", kGait.count_floats(), kGait, 0);
     list.push_back({"model", nullptr, 0, true, PlyProperty::model});
     return list;
 }
@@ -166,13 +166,13 @@ struct PlyColumns {
     std::vector<PlyProperty> missing;
 };
 
-PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameter_set) {
+PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameters) {
     PlyColumns columns;
     // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0.
     const auto n = std::ranges::count_if(
         layout.fields, [](const PlyRecordLayout::Field& f) { return f.name.starts_with("f_rest_"); });
     const std::uint32_t n_rest = n == 9 || n == 24 ? std::uint32_t(n / kColourChannels) : kRestCoefficients;
-    for (const PlyProperty& p : list_properties(parameter_set)) {
+    for (const PlyProperty& p : list_properties(parameters)) {
         if (!p.read) continue;
         const auto it = std::ranges::find(layout.fields, p.name, &PlyRecordLayout::Field::name);
         if (it == layout.fields.end() || (p.name.starts_with("f_rest_") && p.index > n_rest)) {
@@ -187,10 +187,10 @@ PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parame
 }
 
 /// @throws DataError if properties are missing that no other surfels can supply
-void check_restorable(const PlyColumns& columns, const Scene& run_scene, SurfelParameterSet parameter_set) {
+void check_restorable(const PlyColumns& columns, const Scene& run_scene, SurfelParameterSet parameters) {
     for (const PlyProperty& p : columns.missing)
         if (p.group == &kMean || columns.missing.front().kind == PlyProperty::model ||
-            run_scene.surfels.size() == 0 || run_scene.surfels.parameters_used() != parameter_set)
+            run_scene.surfels.size() == 0 || run_scene.surfels.parameters_used() != parameters)
             fail("property {} is missing, expected all properties that `relidar export` writes", p.name);
 }
 
@@ -330,29 +330,28 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
     return scene;
 }
 
-Scene parse_ply(const std::vector<std::byte>& file_bytes, const Scene& scene_layout,
-                SurfelParameterSet parameter_set, std::string& note) {
-    const std::string start(reinterpret_cast<const char*>(file_bytes.data()),
-                            std::min(file_bytes.size(), kMaxPlyHeader));
+Scene parse_ply(const std::vector<std::byte>& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
+                std::string& note) {
+    const std::string start(reinterpret_cast<const char*>(bytes.data()),
+                            std::min(bytes.size(), kMaxPlyHeader));
     const std::size_t end = std::min(start.find("\nend_header\n"), start.find("\nend_header\r\n"));
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos) fail("end_header is missing in the first {} bytes", start.size());
     const PlyRecordLayout layout = parse_ply_header(start.substr(0, end));
-    const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file_bytes.size() - data;
-    const PlyColumns columns = find_columns(layout, parameter_set);
-    check_restorable(columns, scene_layout, parameter_set);
+    const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = bytes.size() - data;
+    const PlyColumns columns = find_columns(layout, parameters);
+    check_restorable(columns, scene_layout, parameters);
     if (n_bytes / layout.stride != layout.count || n_bytes % layout.stride != 0)
         fail("found {} bytes of data, expected {} vertices of {} bytes", n_bytes, layout.count,
              layout.stride);
     Surfels surfels;
-    surfels.resize(layout.count, parameter_set);
+    surfels.resize(layout.count, parameters);
     std::vector<std::uint32_t> model(layout.count);
     for (std::size_t i = 0; i < layout.count; ++i)
         for (std::size_t k = 0; k < columns.property.size(); ++k) {
             const PlyProperty& property = columns.property[k];
             float value;
-            std::memcpy(&value, file_bytes.data() + data + i * layout.stride + columns.offset[k],
-                        sizeof value);
+            std::memcpy(&value, bytes.data() + data + i * layout.stride + columns.offset[k], sizeof value);
             check_value(value, property, i, scene_layout.models.size());
             if (property.kind == PlyProperty::model) model[i] = static_cast<std::uint32_t>(value);
             else
@@ -363,11 +362,11 @@ Scene parse_ply(const std::vector<std::byte>& file_bytes, const Scene& scene_lay
     return group_by_model(surfels, model, scene_layout);
 }
 
-std::string make_header(const Surfels& surfels, const std::vector<PlyProperty>& properties,
-                        const char* frame_name, const FileMetadata& notes = {}) {
+std::string make_header(const Surfels& surfels, const std::vector<PlyProperty>& properties, const char* frame,
+                        const FileMetadata& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";
     const PrimitiveProperties& kind = properties_of(surfels.primitive);
-    text += fmt::format("{}: metres, {}{}\n", kind.label, frame_name,
+    text += fmt::format("{}: metres, {}{}\n", kind.label, frame,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
     for (const auto& note : notes) text += fmt::format("comment {}\n", codecs::metadata_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
@@ -403,12 +402,11 @@ void write_surfels(const std::filesystem::path& path, const Scene& scene) {
                make_header(scene.surfels, list, "frame of each model"));
 }
 
-void write_surfels(const std::filesystem::path& path, const Surfels& surfels,
-                   const FileMetadata& header_comments) {
+void write_surfels(const std::filesystem::path& path, const Surfels& surfels, const FileMetadata& comments) {
     std::vector<PlyProperty> list = list_properties(surfels.parameters_used());
     list.pop_back();  // the model
     write_file(path, surfels, {{"", 0, static_cast<std::uint32_t>(surfels.size())}}, list,
-               make_header(surfels, list, "world", header_comments));
+               make_header(surfels, list, "world", comments));
 }
 
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive,

@@ -23,12 +23,12 @@ constexpr bool are_sorted() {
 static_assert(are_sorted(), "kPrimitives must list the primitives in the order of PrimitiveType");
 
 /// Returns true if surfels with this parameter set have the parameters of `group`.
-bool has_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& group) {
+bool has_group(SurfelParameterSet parameters, const SurfelParameterGroup& group) {
     switch (group.of) {
         case SurfelParameterGroup::SceneRequirement::third_scale:
-            return properties_of(parameter_set.primitive).third_scale;
+            return properties_of(parameters.primitive).third_scale;
         case SurfelParameterGroup::SceneRequirement::bends:
-            return parameter_set.bends;
+            return parameters.bends;
         default:
             return true;
     }
@@ -36,11 +36,11 @@ bool has_group(SurfelParameterSet parameter_set, const SurfelParameterGroup& gro
 
 }  // namespace
 
-void Surfels::resize(std::size_t count, SurfelParameterSet parameter_set) {
-    primitive = parameter_set.primitive;
-    bends = parameter_set.bends;
+void Surfels::resize(std::size_t count, SurfelParameterSet parameters) {
+    primitive = parameters.primitive;
+    bends = parameters.bends;
     for (const SurfelParameterGroup& group : kParameterGroups)
-        group.resize(*this, has_group(parameter_set, group) ? count * group.count_floats() : 0);
+        group.resize(*this, has_group(parameters, group) ? count * group.count_floats() : 0);
 }
 
 void Surfels::add_still_gait() {

@@ -23,7 +23,7 @@ TouchedSurfelList::TouchedSurfelList(Device& device)
                      {device, "scene/list_touched", {{SpecialisationConstantId::WORKGROUP_SIZE, 128u}}}}) {}
 TouchedSurfelList::~TouchedSurfelList() = default;
 
-void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
+void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched,
                                 std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {
@@ -32,7 +32,7 @@ void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::T
     }
     stream.fill(l.count);
     run(stream, l.kernel, (n_rows + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
-        {.touched = touched_flags, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
+        {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
 }
 
 Address<std::uint32_t, shared::TouchedRows> TouchedSurfelList::rows_address() const {

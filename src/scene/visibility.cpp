@@ -128,13 +128,13 @@ std::vector<float> BeamGrid::nearest_ranges_m(const Scan& scan) const {
     return nearest;
 }
 
-VisibilityChecker::VisibilityChecker(const Log& sequence, const std::vector<int>& positions)
-    : sequence_(sequence), positions_(positions) {
+VisibilityChecker::VisibilityChecker(const Log& log, const std::vector<int>& positions)
+    : sequence_(log), positions_(positions) {
     // The grid of a LiDAR without a frame in `positions` stays empty and is never read.
-    grids_.resize(sequence.lidars.size());
+    grids_.resize(log.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
-        const Frame& frame = sequence.frames[std::size_t(position)];
+        const Frame& frame = log.frames[std::size_t(position)];
         const std::size_t lidar = std::size_t(frame.lidar);
         if (!std::exchange(has_grid[lidar], 1)) grids_[lidar] = BeamGrid(frame.scan);
         views_.push_back({frame.time_s, frame.lidar, {}, {}});

@@ -50,10 +50,10 @@ private:
 /// nearest sensor.
 class VisibilityChecker {
 public:
-    /// Selects the frames that can observe each tile of the ground. `sequence` is not
+    /// Selects the frames that can observe each tile of the ground. `log` is not
     /// copied and must not change.
-    /// @param positions indices of the frames to use, in `sequence.frames`
-    VisibilityChecker(const Log& sequence, const std::vector<int>& positions);
+    /// @param positions indices of the frames to use, in `log.frames`
+    VisibilityChecker(const Log& log, const std::vector<int>& positions);
 
     /// Creates the range images that these points (world) need. Only these points may be
     /// looked up then.

@@ -54,20 +54,20 @@ Surfels initialise_scan(int n_beams, double top_rad, int columns, double inciden
                         const InitOptions& options,
                         const std::function<float(const glm::vec3& direction)>& range_m,
                         const std::function<float(const glm::vec3& direction)>& intensity) {
-    Log sequence;
-    SpinningSensor& sensor = sequence.lidars[0].sensor;
+    Log log;
+    SpinningSensor& sensor = log.lidars[0].sensor;
     for (int b = 0; b < n_beams; ++b) sensor.beams.push_back({.elevation_rad = top_rad - 0.01 * b});
     sensor.columns = columns;
-    sequence.rolling_shutter = false;
-    sequence.world_from_vehicle = {{0.0}, {{}}};
-    sequence.intensity_response.incidence = incidence;
+    log.rolling_shutter = false;
+    log.world_from_vehicle = {{0.0}, {{}}};
+    log.intensity_response.incidence = incidence;
     Frame frame{0, 0.0, {make_rays(sensor), {}, {}}};
     for (const glm::vec3& d : frame.scan.rays.direction) {
         frame.scan.range_m.push_back(range_m(d));
         frame.scan.intensity.push_back(intensity(d));
     }
-    sequence.frames.push_back(frame);
-    return init_background(sequence, {0}, options);
+    log.frames.push_back(frame);
+    return init_background(log, {0}, options);
 }
 
 /// Flat ground of a single albedo, from a height of 2 m. Its intensity is 0.4 (0.3 + 0.7

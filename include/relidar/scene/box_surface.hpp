@@ -50,7 +50,7 @@ public:
     /// Marks the patch of a point as observed by a ray (both in the box frame) that hits
     /// the side from outside and does not graze it. Rays from inside have passed through
     /// a window to the far side.
-    void mark_observed(const glm::dvec3& point_m, const glm::dvec3& ray_direction);
+    void mark_observed(const glm::dvec3& point_m, const glm::dvec3& direction);
     /// Returns true if a ray has observed the patch of a point.
     bool is_observed(const glm::dvec3& point_m) const;
     /// Returns true if only the mirror patch of a point was observed.
@@ -99,7 +99,7 @@ private:
     /// Returns false if the patch is near the ground, where patches are ignored.
     bool is_above_ground(const BoxSurfacePatch& patch) const;
     bool is_patch_set(const BoxSurfacePatch& patch) const;
-    double compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirror_image_observed) const;
+    double compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirrored) const;
 };
 
 }  // namespace relidar

@@ -53,7 +53,7 @@ struct SurfelArrays {
 
     SurfelArrays() = default;
     SurfelArrays(Device& device, std::uint32_t n, const std::string& text,
-                 SurfelParameterSet parameter_set = {});
+                 SurfelParameterSet parameters = {});
     SurfelParameterSet parameters_used() const { return {primitive, bends}; }
     /// @throws DataError if the number of surfels, the primitive, or the presence of a
     /// gait differs
@@ -161,10 +161,10 @@ inline constexpr std::array<SurfelParameterGroup, 7> kParameterGroups{{
 }};
 
 /// Returns the parameter groups that the surfels of a scene have.
-constexpr std::span<const SurfelParameterGroup> list_groups(SurfelParameterSet parameter_set) {
-    const std::size_t first = parameter_set.bends ? 0 : 1,
-                      last = kParameterGroups.size() -
-                             (properties_of(parameter_set.primitive).third_scale ? 0 : 1);
+constexpr std::span<const SurfelParameterGroup> list_groups(SurfelParameterSet parameters) {
+    const std::size_t first = parameters.bends ? 0 : 1,
+                      last =
+                          kParameterGroups.size() - (properties_of(parameters.primitive).third_scale ? 0 : 1);
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
@@ -176,11 +176,11 @@ inline constexpr const char* kPrimitiveKey = "primitive";
 /// @throws DataError if the key is missing or its value is not a primitive
 SurfelParameterSet read_parameter_set(const std::string& where,
                                       const std::map<std::string, std::string>& metadata,
-                                      const std::string& primitive_key,
+                                      const std::string& key,
                                       const std::function<bool(const char*)>& has_array);
-constexpr std::uint32_t floats_per_surfel(SurfelParameterSet parameter_set) {
+constexpr std::uint32_t floats_per_surfel(SurfelParameterSet parameters) {
     std::uint32_t sum = 0;
-    for (const SurfelParameterGroup& group : list_groups(parameter_set)) sum += group.count_floats();
+    for (const SurfelParameterGroup& group : list_groups(parameters)) sum += group.count_floats();
     return sum;
 }
 
@@ -217,8 +217,8 @@ private:
 /// the track at the first and the last time at which a ray may hit the box. A box behind
 /// a spinning sensor is hit at the start and at the end of the sweep.
 /// @param half_size_m [3] half size of the box. 0 = unknown, so any ray may hit the box
-InstancePose box_pose_in_sweep(const Log& sequence, const PoseTrack& world_from_box,
-                               const glm::dvec3& half_size_m, const SweepTiming& sweep);
+InstancePose box_pose_in_sweep(const Log& log, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
+                               const SweepTiming& sweep);
 
 /// Inputs and outputs of DeviceScene::activate_vjp().
 struct ActivationGradients {
@@ -297,7 +297,7 @@ public:
     PrimitiveType primitive() const;
     /// Returns the first row of an instance in the array of gradients with respect to
     /// SurfelRecords, which has a row for each surfel of each instance.
-    std::uint32_t first_gradient_row(std::size_t instance_index) const;
+    std::uint32_t first_gradient_row(std::size_t instance) const;
     /// Number of rows in this array, at least one per surfel.
     std::uint32_t count_rows() const;
 

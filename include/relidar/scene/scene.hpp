@@ -108,7 +108,7 @@ struct Surfels {
     std::size_t size() const { return mean.size(); }
     SurfelParameterSet parameters_used() const { return {primitive, bends}; }
     void resize(std::size_t count) { resize(count, parameters_used()); }
-    void resize(std::size_t count, SurfelParameterSet parameter_set);
+    void resize(std::size_t count, SurfelParameterSet parameters);
     void add_still_gait();  ///< Adds a gait without motion to all surfels if they have none.
     /// Appends surfels. An empty set adopts the primitive type of `other`. If only one
     /// set has a gait, the other gets one without motion.
@@ -320,19 +320,19 @@ struct InstancePose {
 /// box. Other boxes are named mover-0, mover-1, ... All processes of a group get the same
 /// result. If several LiDARs saw an object, the first track is kept unless a later one is
 /// more than 1.5 times as long.
-std::vector<BoxTrack> discover_tracks(const Log& sequence, const std::vector<int>& train_frames,
+std::vector<BoxTrack> discover_tracks(const Log& log, const std::vector<int>& frames,
                                       const Progress& progress = {}, const ProcessGroup& group = {});
 
 /// Returns the boxes whose points and rays are kept out of the background: moving boxes
 /// (BoxTrack::is_moving()) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
-std::vector<BoxTrack> list_foreground(const Log& sequence, const InitOptions& options);
+std::vector<BoxTrack> list_foreground(const Log& log, const InitOptions& options);
 
 /// Creates the background surfels from the training frames of a log, in the recentred
 /// world frame and in kd-tree order, which software BVH builders without sorting need.
 /// @throws DataError if no training frame has a usable point
-Surfels init_background(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+Surfels init_background(const Log& log, const std::vector<int>& frames, const InitOptions& options,
                         const Progress& progress = {});
 
 /// Creates the background, and one model and instance per actor, in the frame of the
@@ -341,33 +341,33 @@ Surfels init_background(const Log& sequence, const std::vector<int>& train_frame
 /// @param notes output: for each actor of InitOptions::deform, whether its
 /// shape changes, or the reason why it is rigid
 /// @throws DataError if no training frame has a usable point
-Scene init_scene(const Log& sequence, const std::vector<int>& train_frames, const InitOptions& options,
+Scene init_scene(const Log& log, const std::vector<int>& frames, const InitOptions& options,
                  const Progress& progress = {}, std::vector<std::string>* notes = nullptr);
 
 /// Returns the boxes that were removed from the background and have no model in the
 /// scene, because of their class or their few points. Renderings lack their returns.
-std::vector<BoxTrack> find_unmodelled(const Scene& scene, const Log& sequence, const InitOptions& options);
+std::vector<BoxTrack> find_unmodelled(const Scene& scene, const Log& log, const InitOptions& options);
 /// Returns the moving boxes that are neither background nor selected as actors.
-std::vector<BoxTrack> find_unselected(const Log& sequence, const InitOptions& options);
+std::vector<BoxTrack> find_unselected(const Log& log, const InitOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string format_box_list(const std::vector<BoxTrack>& boxes);
 
 /// Computes poses and motions of all instances during a sweep, from the tracks of the
 /// log. A box is absent before its first and after its last label.
-std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence, const SweepTiming& sweep);
+std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep);
 
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorTracksByName = std::map<std::string, PoseTrack>;
 /// The same with actor tracks of the caller.
 /// @throws UsageError if a name is unknown
-std::vector<InstancePose> pose_instances(const Scene& scene, const Log& sequence, const SweepTiming& sweep,
+std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep,
                                          const ActorTracksByName& world_from_actor);
 /// Returns the surfels of all present instances at one time, with their poses and walking
 /// motions, in the world frame.
-/// @param instance_poses [instances] pose of each instance
+/// @param poses [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
-Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& instance_poses);
+Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& poses);
 
 /// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
 /// median of a range is at (first + last) / 2.

@@ -32,20 +32,19 @@ enum class PrimitiveType;
 void write_surfels(const std::filesystem::path& path, const Scene& scene);
 /// Writes surfels that are all in the same coordinate frame. The file has no property
 /// `model`, so that read_surfel_ply() does not read it as a complete scene.
-/// @param header_comments comments in the file header
-void write_surfels(const std::filesystem::path& path, const Surfels& surfels,
-                   const FileMetadata& header_comments);
+/// @param comments comments in the file header
+void write_surfels(const std::filesystem::path& path, const Surfels& surfels, const FileMetadata& comments);
 /// Reads a scene that write_surfels() has written. The surfels are restored bit by bit
 /// and grouped by model. Models, instances and sensor drop probabilities are copied from
-/// `scene_layout`. Properties may have any order, and additional properties are allowed.
+/// `layout`. Properties may have any order, and additional properties are allowed.
 /// Ignores nx ny nz, scale_2 of surfels, and the second and third colour. Many editors
 /// keep only the usual properties. Missing properties are copied from the surfels of
-/// `scene_layout` at the same positions.
+/// `layout` at the same positions.
 /// @param primitive primitive of the file. Default: surfels
 /// @param note output: text about missing properties, empty if the file has all
 /// @throws DataError for text or big-endian files, sizes that do not match, or values
-/// that are not finite; for missing properties of surfels that are not in `scene_layout`
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout,
-                      PrimitiveType primitive = {}, std::string* note = nullptr);
+/// that are not finite; for missing properties of surfels that are not in `layout`
+Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, PrimitiveType primitive = {},
+                      std::string* note = nullptr);
 
 }  // namespace relidar

@@ -31,8 +31,8 @@ struct ActorBox {
 /// @param scan  rendered after ScanRenderer::count_actor_rays()
 std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// Sets the poses of `output_options.actors` to those of a ScanRequest. Removes the boxes
+/// Sets the poses of `options.actors` to those of a ScanRequest. Removes the boxes
 /// of other actors.
-void move_actor_boxes(ScanOutputOptions& output_options, const ActorTracksByName& dataset_from_actor);
+void move_actor_boxes(ScanOutputOptions& options, const ActorTracksByName& dataset_from_actor);
 
 }  // namespace relidar

@@ -98,7 +98,7 @@ struct RenderedScan {
 /// Finds sides that the log did not observe, although at least five rays reach them. Uses
 /// the poses of the actors in the log.
 std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
-                                                   const Log& sequence);
+                                                   const Log& log);
 
 /// Pose of the sensor at the firing time of each ray, interpolated once per column. Not
 /// thread-safe.
@@ -138,12 +138,12 @@ std::vector<float> range_spread(const RenderedScan& scan);
 /// Computes the inputs of a ray-drop network.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
 /// @param channel_names the network's inputs
-/// @param first_vehicle_position_m [3] from first_position()
+/// @param origin_m [3] from first_position()
 RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
-                             const glm::dvec3& first_vehicle_position_m);
+                             const glm::dvec3& origin_m);
 
 /// [3] First position of the log's vehicle in metres, in the dataset's world frame.
-glm::dvec3 first_position(const Log& sequence);
+glm::dvec3 first_position(const Log& log);
 
 /// Returns the values from which random intensities are drawn.
 RenderedIntensityImage make_noise_image(const RenderedScan& scan);
@@ -205,10 +205,10 @@ SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Fram
 /// rays of a grid are cast, or points of the LiDAR are binned. Range limits are those of
 /// the LiDAR and of the dataset settings. A LiDAR with an unknown pattern has empty
 /// `rays`.
-SimulatedSensor make_sensor(const Config& config, const Log& sequence, int lidar = 0);
+SimulatedSensor make_sensor(const Config& config, const Log& log, int lidar = 0);
 /// Returns "native" (the log's LiDAR), a built-in sensor, the sensor in a file, or a
 /// range grid; `sensor.grid_method` applies to the grid "kitti360".
-SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& sequence,
+SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& log,
                               int lidar = 0);
 
 /// A sensor that replaces a LiDAR of the log.
@@ -241,7 +241,7 @@ class ScanRenderer {
 public:
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
-    ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& sequence);
+    ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& log);
     /// Also uses the observed space, the surface classes and the scatter of intensities
     /// of the run, and its ray-drop network if `refine.enabled` is set.
     ScanRenderer(Device& device, const Run& run);
@@ -296,13 +296,13 @@ public:
     /// place_points() does. Both are bitwise equal.
     /// @param point_frame_time_s time of the sensor frame in which the points are
     /// expressed
-    /// @param submission_timing with `with_next`, the scan is submitted together with the
+    /// @param timing with `with_next`, the scan is submitted together with the
     /// next request, and rendered in parallel if the device computes its points
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
     void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double point_frame_time_s,
                        std::optional<std::uint64_t> sample_seed = {},
-                       SubmissionTiming submission_timing = SubmissionTiming::now);
+                       SubmissionTiming timing = SubmissionTiming::now);
     /// Maximum number of requested scans. Two keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Scans that the device renders in parallel: 4 on a GPU, 1 on a CPU and for a scene

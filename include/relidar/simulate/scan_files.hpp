@@ -85,10 +85,10 @@ std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor,
 ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor);
 /// True for the world frame, for `deskew` and without a rolling shutter. Otherwise each
 /// point is in the sensor frame at its firing time.
-bool has_common_frame(const ScanOutputOptions& output_options);
+bool has_common_frame(const ScanOutputOptions& options);
 /// /lidar/NAME/points, with to_topic_name(), and NAME. An empty name gives
 /// /lidar/points and lidar.
-void name_topics(ScanOutputOptions& output_options, const std::string& sensor_name);
+void name_topics(ScanOutputOptions& options, const std::string& sensor_name);
 /// Replaces characters that ROS does not allow in topic names by _.
 std::string to_topic_name(const std::string& name);
 
@@ -190,7 +190,7 @@ public:
     /// Opens a folder that another process has created for the same rendering.
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
-    static ScanFolderWriter join_folder(std::filesystem::path folder, ScanOutputOptions output_options);
+    static ScanFolderWriter join_folder(std::filesystem::path folder, ScanOutputOptions options);
     /// @throws DataError if a file cannot be written
     void write_scan(int frame_number, const RenderedScan& scan);
     /// Must be called after the last scan.

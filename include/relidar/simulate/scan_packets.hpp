@@ -28,7 +28,7 @@ public:
     std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
     /// Must be called after the last scans.
     std::vector<std::vector<SensorPacket>> flush();
-    const PacketEncoder& encoder(std::size_t sensor_index) const;
+    const PacketEncoder& encoder(std::size_t sensor) const;
 
 private:
     struct Impl;

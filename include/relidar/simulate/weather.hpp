@@ -117,7 +117,7 @@ double water_reflectance(double cosine);
 /// is absorbed. F_mean is the mean of F over the light of a diffuse surface:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
 /// @param cosine  of the angle of incidence in air, 0..1
-/// @param surface_albedo_or_0  albedo of the dry ground, 0..1
+/// @param albedo_or_0  albedo of the dry ground, 0..1
 double wet_ratio(double cosine, double albedo);
 /// 1 if the water is at least 1 mm deep, the assumed texture depth of asphalt.
 double film_fraction(double water_depth_mm);
@@ -127,15 +127,15 @@ double film_fraction(double water_depth_mm);
 /// - light scattered by a dusty window: 5 E (1 deg / angle)^2 1/sr;
 /// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
 /// - the solar disc, if it is in view: E divided by its solid angle.
-/// @param surface_albedo_or_0  albedo of the surface that the ray hits; 0: none
+/// @param albedo_or_0  albedo of the surface that the ray hits; 0: none
 /// @param sees_sky  true if nothing is between the sensor and the sky
-double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
-                 double surface_albedo_or_0, bool sees_sky);
+double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_rad, double albedo_or_0,
+                 bool sees_sky);
 /// How often noise exceeds a threshold, per metre of range (2 / c seconds):
 /// exp(-threshold_sigmas^2 / 2) / (2 sqrt(3) tau) times per second, where tau is the
 /// pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
-/// @param threshold_sigmas  in standard deviations of the noise
-double false_returns_per_m(const WeatherSensorProperties& sensor, double threshold_sigmas);
+/// @param sigmas  in standard deviations of the noise
+double false_returns_per_m(const WeatherSensorProperties& sensor, double sigmas);
 
 struct WeatherInput;
 class RayWeatherEffect;

@@ -103,14 +103,14 @@ struct BoxRecord {
 /// Collects the boxes from all processes. A labelled track has the id and class of its
 /// label.
 std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
-                                   const std::vector<std::optional<BoxTrack>>& found_boxes,
-                                   std::size_t first_track, const Log& sequence) {
+                                   const std::vector<std::optional<BoxTrack>>& found, std::size_t first_track,
+                                   const Log& log) {
     std::vector<BoxRecord> heads;
     std::vector<double> times_s;
     std::vector<Pose> poses;
-    for (std::size_t i = 0; i < found_boxes.size(); ++i) {
-        if (!found_boxes[i]) continue;
-        const BoxTrack& box = *found_boxes[i];
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        if (!found[i]) continue;
+        const BoxTrack& box = *found[i];
         const PoseTrack& track = box.world_from_box;
         BoxRecord& head = heads.emplace_back(BoxRecord{
             box.size_m, track.pose.size(), box.n_before, box.n_after, tracks[first_track + i].label, {}});
@@ -125,7 +125,7 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const std::vector<
     std::ptrdiff_t at = 0;
     for (const BoxRecord& head : heads) {
         const std::ptrdiff_t end = at + std::ptrdiff_t(head.n_poses);
-        const BoxTrack* label = head.label == kNoLabel ? nullptr : &sequence.boxes[std::size_t(head.label)];
+        const BoxTrack* label = head.label == kNoLabel ? nullptr : &log.boxes[std::size_t(head.label)];
         boxes.push_back(
             {label ? label->id : "",
              label ? label->category : kDiscoveredCategory,
@@ -142,21 +142,19 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const std::vector<
 /// Returns the boxes of all objects that are proven to have moved. Each process of the
 /// group checks a share of the tracks.
 std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& visibility, std::vector<MoverTrack>& tracks,
-                                      const Log& sequence, const Progress& progress,
-                                      const ProcessGroup& group) {
+                                      const Log& log, const Progress& progress, const ProcessGroup& group) {
     const ProcessGroup::PartRange share = group.part_range(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
         for (const MoverObservation& o : tracks[i].observations) visibility.make_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
-    progress_for(proven_boxes.size(), progress, "computing the paths of moving objects",
-                 [&](std::size_t index) {
-                     MoverTrack& track = tracks[share.begin + index];
-                     proven_boxes[index] =
-                         track.label == kNoLabel
-                             ? fit_moved_box(visibility, track)
-                             : extend_box(visibility, track, sequence.boxes[std::size_t(track.label)]);
-                 });
-    return gather_boxes(group, tracks, proven_boxes, share.begin, sequence);
+    progress_for(
+        proven_boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t index) {
+            MoverTrack& track = tracks[share.begin + index];
+            proven_boxes[index] = track.label == kNoLabel
+                                      ? fit_moved_box(visibility, track)
+                                      : extend_box(visibility, track, log.boxes[std::size_t(track.label)]);
+        });
+    return gather_boxes(group, tracks, proven_boxes, share.begin, log);
 }
 
 /// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
@@ -200,19 +198,19 @@ bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle
 }
 
 /// Returns the boxes of the moving objects that one LiDAR observed.
-std::vector<BoxTrack> discover_in_lidar(int lidar_index, const Log& sequence, std::vector<int> frame_indices,
+std::vector<BoxTrack> discover_in_lidar(int lidar_index, const Log& log, std::vector<int> frame_indices,
                                         const Progress& progress, const ProcessGroup& group) {
     std::erase_if(frame_indices,
-                  [&](int position) { return sequence.frames[std::size_t(position)].lidar != lidar_index; });
+                  [&](int position) { return log.frames[std::size_t(position)].lidar != lidar_index; });
     std::vector<double> times;
-    for (const int position : frame_indices) times.push_back(sequence.frames[std::size_t(position)].time_s);
-    VisibilityChecker visibility(sequence, frame_indices);
+    for (const int position : frame_indices) times.push_back(log.frames[std::size_t(position)].time_s);
+    VisibilityChecker visibility(log, frame_indices);
     std::vector<MoverTrack> tracks =
-        link_clusters(find_clusters(sequence, frame_indices, visibility, progress, group), times, sequence);
-    std::erase_if(
-        tracks, [&](const MoverTrack& track) { return !should_fit_box(track, sequence.world_from_vehicle); });
+        link_clusters(find_clusters(log, frame_indices, visibility, progress, group), times, log);
+    std::erase_if(tracks,
+                  [&](const MoverTrack& track) { return !should_fit_box(track, log.world_from_vehicle); });
     merge_tracks(tracks);
-    return unique_boxes_of(fit_moved_boxes(visibility, tracks, sequence, progress, group));
+    return unique_boxes_of(fit_moved_boxes(visibility, tracks, log, progress, group));
 }
 
 /// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one
@@ -236,13 +234,13 @@ void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_ot
 
 }  // namespace
 
-std::vector<BoxTrack> discover_tracks(const Log& sequence, const std::vector<int>& train_frames,
+std::vector<BoxTrack> discover_tracks(const Log& log, const std::vector<int>& frames,
                                       const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
     // A joint search would add an object twice to one track if two LiDARs scanned at the
     // same time.
-    for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
-        merge_boxes(boxes, discover_in_lidar(lidar, sequence, train_frames, progress, group));
+    for (int lidar = 0; lidar < int(log.lidars.size()); ++lidar)
+        merge_boxes(boxes, discover_in_lidar(lidar, log, frames, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !has_label(box); });
     int n = 0;
     for (BoxTrack& box : boxes)

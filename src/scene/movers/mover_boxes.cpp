@@ -194,13 +194,13 @@ double median(std::vector<double> values) {
 }
 
 /// Returns the median pose of a labelled box in the frame of the visible points.
-/// @param observation_indices indices of the labelled observations to use
-GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& observation_indices,
+/// @param indices indices of the labelled observations to use
+GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& indices,
                          const std::vector<GroundPose>& ground_poses,
-                         const std::vector<glm::dvec3>& positions_m, const BoxTrack& labelled_box) {
+                         const std::vector<glm::dvec3>& positions_m, const BoxTrack& label) {
     std::vector<double> values[4];
-    for (const std::size_t k : observation_indices) {
-        const Pose pose = labelled_box.world_from_box.pose_at(track.observations[k].cluster.time_s);
+    for (const std::size_t k : indices) {
+        const Pose pose = label.world_from_box.pose_at(track.observations[k].cluster.time_s);
         const glm::dvec3 local = GroundPose{positions_m[k], ground_poses[k].yaw}.to_object(pose.translation);
         for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
         values[3].push_back(std::remainder(yaw_of(pose) - ground_poses[k].yaw, 2.0 * kPi));
@@ -251,7 +251,7 @@ void enlarge_box(BoxTrack& box, const MoverTrack& track) {
     for (Pose& pose : box.world_from_box.pose) pose.translation += pose.rotation * shift;
 }
 
-BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& labelled_box) {
+BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label) {
     const std::vector<double> times = track.times_s();
     std::vector<std::size_t> labels;  // indices of the labelled observations
     for (std::size_t k = 0; k < track.observations.size(); ++k)
@@ -266,18 +266,18 @@ BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& labelled_box) {
     GroundPose before, after;
     for (int round = 0; round < kPathCorrections; ++round) {
         const std::vector<GroundPose> ground_poses = compute_ground_poses(path, track);
-        positions_m = place_object(track, ground_poses, glm::dvec2(labelled_box.size_m));
-        before = median_offset(track, first_labels, ground_poses, positions_m, labelled_box);
-        after = median_offset(track, last_labels, ground_poses, positions_m, labelled_box);
+        positions_m = place_object(track, ground_poses, glm::dvec2(label.size_m));
+        before = median_offset(track, first_labels, ground_poses, positions_m, label);
+        after = median_offset(track, last_labels, ground_poses, positions_m, label);
         for (std::size_t k = 0; k < positions_m.size(); ++k)
             positions_m[k] = is_labelled(track.observations[k])
-                                 ? labelled_box.world_from_box.pose_at(times[k]).translation
+                                 ? label.world_from_box.pose_at(times[k]).translation
                                  : GroundPose{positions_m[k], ground_poses[k].yaw}.to_world(
                                        (is_before(k) ? before : after).position_m);
         path = smooth_path(times, positions_m);
     }
     const std::vector<GroundPose> at_frames = compute_ground_poses(path, track, true);
-    BoxTrack box = labelled_box;
+    BoxTrack box = label;
     PoseTrack poses[2];  // [0] poses before the labels, [1] poses after the labels
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         if (is_labelled(track.observations[k])) continue;

@@ -22,7 +22,7 @@ void enlarge_box(BoxTrack& box, const MoverTrack& track);
 
 /// Adds poses to a labelled box for the times when the object was observed without a
 /// label. The nearest labels give the offset between the box and the visible points.
-BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& labelled_box);
+BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label);
 
 /// Returns the speeds of a box in m/s. Each speed is measured over at least half a second
 /// before a pose. Returns an empty vector if the track is shorter than half a second.

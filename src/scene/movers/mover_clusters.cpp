@@ -61,10 +61,10 @@ struct LabelledBox {
 
 /// Returns the labelled boxes at a given time: a moving box only during the time of its
 /// labels, a static box at all times, because the object was probably parked there.
-std::vector<LabelledBox> labelled_boxes_at(const Log& sequence, double time_s) {
+std::vector<LabelledBox> labelled_boxes_at(const Log& log, double time_s) {
     std::vector<LabelledBox> boxes;
-    for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
-        const BoxTrack& box = sequence.boxes[i];
+    for (std::size_t i = 0; i < log.boxes.size(); ++i) {
+        const BoxTrack& box = log.boxes[i];
         const PoseTrack& track = box.world_from_box;
         if (track.pose.empty()) continue;
         if (box.is_moving()) {
@@ -87,19 +87,19 @@ struct FrameMoverReturns {
 };
 
 /// Converts sums over the points of a cluster, time and centre, to means.
-MoverCluster mean_of_sums(MoverCluster cluster_sums) {
-    cluster_sums.time_s /= double(cluster_sums.points_m.size());
-    cluster_sums.centre_m /= double(cluster_sums.points_m.size());
-    return cluster_sums;
+MoverCluster mean_of_sums(MoverCluster sums) {
+    sums.time_s /= double(sums.points_m.size());
+    sums.centre_m /= double(sums.points_m.size());
+    return sums;
 }
 
-FrameMoverReturns split_by_boxes(const Log& sequence, const Frame& frame) {
-    const std::vector<LabelledBox> labelled = labelled_boxes_at(sequence, frame.time_s);
+FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
+    const std::vector<LabelledBox> labelled = labelled_boxes_at(log, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
     FrameMoverReturns result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f && frame.scan.range_m[ray] < kMaxRange_m)) continue;
-        const WorldReturn w = locate_return(sequence, frame, ray);
+        const WorldReturn w = locate_return(log, frame, ray);
         const auto in = std::ranges::find_if(labelled, [&](const LabelledBox& l) {
             return l.box.contains_point(w.point_m, w.time_s, kMoverMargin_m);
         });
@@ -213,12 +213,12 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
 using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
 
 /// Returns the clusters of points on moving objects in consecutive frames.
-ClustersByFrame cluster_frames(const Log& sequence, std::span<const int> frame_indices,
+ClustersByFrame cluster_frames(const Log& log, std::span<const int> frame_indices,
                                VisibilityChecker& visibility) {
     std::vector<FrameMoverReturns> frames(frame_indices.size());
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
         frames[std::size_t(index)] =
-            split_by_boxes(sequence, sequence.frames[std::size_t(frame_indices[std::size_t(index)])]);
+            split_by_boxes(log, log.frames[std::size_t(frame_indices[std::size_t(index)])]);
     });
     const std::vector<glm::vec3> cells = assign_cells(frames);
     visibility.make_images(cells);
@@ -277,15 +277,14 @@ ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame
 
 }  // namespace
 
-void MoverCluster::merge_cluster(const MoverCluster& other_cluster) {
-    const double n = double(points_m.size()), m = double(other_cluster.points_m.size());
-    time_s = (n * time_s + m * other_cluster.time_s) / (n + m);
-    centre_m = (n * centre_m + m * other_cluster.centre_m) / (n + m);
-    points_m.insert(points_m.end(), other_cluster.points_m.begin(), other_cluster.points_m.end());
+void MoverCluster::merge_cluster(const MoverCluster& other) {
+    const double n = double(points_m.size()), m = double(other.points_m.size());
+    time_s = (n * time_s + m * other.time_s) / (n + m);
+    centre_m = (n * centre_m + m * other.centre_m) / (n + m);
+    points_m.insert(points_m.end(), other.points_m.begin(), other.points_m.end());
 }
 
-std::vector<std::vector<MoverCluster>> find_clusters(const Log& sequence,
-                                                     const std::vector<int>& frame_indices,
+std::vector<std::vector<MoverCluster>> find_clusters(const Log& log, const std::vector<int>& frame_indices,
                                                      VisibilityChecker& visibility, const Progress& progress,
                                                      const ProcessGroup& group) {
     const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kFramesPerGroup);
@@ -297,7 +296,7 @@ std::vector<std::vector<MoverCluster>> find_clusters(const Log& sequence,
             progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
             std::span(frame_indices).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        ClustersByFrame section_clusters = cluster_frames(sequence, stretch, visibility);
+        ClustersByFrame section_clusters = cluster_frames(log, stretch, visibility);
         std::move(section_clusters.begin(), section_clusters.end(), std::back_inserter(process_clusters));
     }
     return gather_clusters(group, process_clusters);

@@ -22,13 +22,13 @@ struct MoverCluster {
     int label = kNoLabel;              ///< index in Log::boxes, or kNoLabel
 
     /// Adds the returns of another cluster of the same frame.
-    void merge_cluster(const MoverCluster& other_cluster);
+    void merge_cluster(const MoverCluster& other);
 };
 
 /// Finds the clusters of points on moving objects in the given frames (ascending). The
 /// processes of the group share a long log.
 /// @return [frames] clusters of each frame, identical in all processes
-std::vector<std::vector<MoverCluster>> find_clusters(const Log& sequence, const std::vector<int>& frames,
+std::vector<std::vector<MoverCluster>> find_clusters(const Log& log, const std::vector<int>& frames,
                                                      VisibilityChecker& visibility, const Progress& progress,
                                                      const ProcessGroup& group);
 

@@ -66,11 +66,10 @@ glm::dvec3 first_velocity(const MoverTrack& track, std::size_t max_observations)
 /// Returns the distance between a cluster and the predicted position of a track, divided
 /// by the largest allowed distance. A value above 1 means that the cluster is another
 /// object. While the tracked object has a label, only clusters with this label match.
-double match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
-                  const Log& sequence) {
+double match_cost(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s, const Log& log) {
     if (track.label != kNoLabel) {
         if (cluster.label != kNoLabel) return cluster.label == track.label ? 0.0 : 2.0;
-        if (sequence.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)) return 2.0;
+        if (log.boxes[std::size_t(track.label)].world_from_box.contains_time(frame_time_s)) return 2.0;
     }
     const MoverCluster& last = track.last_cluster();
     const double dt = cluster.time_s - last.time_s;
@@ -88,7 +87,7 @@ double match_cost(const MoverTrack& track, const MoverCluster& cluster, double f
 /// still continue it.
 class OpenTrackSet {
 public:
-    explicit OpenTrackSet(const Log& sequence) : sequence_(sequence) {}
+    explicit OpenTrackSet(const Log& log) : sequence_(log) {}
 
     void link_frame(double frame_time_s, const std::vector<MoverCluster>& clusters) {
         std::erase_if(open_, [&](std::size_t t) {  // tracks that have ended
@@ -164,11 +163,11 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
     if (2 * common.size() < other_track.observations.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
     const MoverCluster& cluster = track.observations[i].cluster;
-    const MoverCluster& other_cluster = other_track.observations[j].cluster;
-    if (std::min(visible_width_m(cluster), visible_width_m(other_cluster)) < kVehiclePart_m) return false;
+    const MoverCluster& other = other_track.observations[j].cluster;
+    if (std::min(visible_width_m(cluster), visible_width_m(other)) < kVehiclePart_m) return false;
     double horizontal_gap_m = 1e30;
     for (const glm::dvec3& p : cluster.points_m)
-        for (const glm::dvec3& q : other_cluster.points_m)
+        for (const glm::dvec3& q : other.points_m)
             horizontal_gap_m = std::min(horizontal_gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
     if (horizontal_gap_m > kMaxPartDistance_m) return false;
     glm::dvec3 sum(0.0), squares(0.0);
@@ -185,15 +184,15 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
 
 /// Returns how badly a later track continues an earlier track after a gap. A value above
 /// 1 means that the tracks belong to different objects.
-double gap_cost(const MoverTrack& earlier_track, const MoverTrack& later_track) {
-    if (earlier_track.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
-    if (std::min(earlier_track.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
-    const double dt = later_track.observations.front().cluster.time_s - earlier_track.last_cluster().time_s;
+double gap_cost(const MoverTrack& earlier, const MoverTrack& later_track) {
+    if (earlier.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
+    if (std::min(earlier.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
+    const double dt = later_track.observations.front().cluster.time_s - earlier.last_cluster().time_s;
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
-    const glm::dvec3 from_velocity = last_velocity(earlier_track, kGapVelocity),
+    const glm::dvec3 from_velocity = last_velocity(earlier, kGapVelocity),
                      to_velocity = first_velocity(later_track, kGapVelocity);
     const glm::dvec3 displacement_m =
-        later_track.observations.front().cluster.centre_m - earlier_track.last_cluster().centre_m;
+        later_track.observations.front().cluster.centre_m - earlier.last_cluster().centre_m;
     const double off = std::max(glm::length(glm::dvec2(displacement_m - dt * from_velocity)),
                                 glm::length(glm::dvec2(displacement_m - dt * to_velocity)));
     return std::max(off / (kMaxPrediction_m + kMaxGapError_mps * dt),
@@ -253,10 +252,10 @@ std::vector<double> MoverTrack::times_s() const {
 }
 
 std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
-                                      const std::vector<double>& frame_times_s, const Log& sequence) {
-    OpenTrackSet open(sequence);
+                                      const std::vector<double>& times_s, const Log& log) {
+    OpenTrackSet open(log);
     for (std::size_t f = 0; f < clusters_per_frame.size(); ++f)
-        open.link_frame(frame_times_s[f], clusters_per_frame[f]);
+        open.link_frame(times_s[f], clusters_per_frame[f]);
     return join_gaps(std::move(open).release_tracks());
 }
 

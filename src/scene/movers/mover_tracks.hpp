@@ -33,9 +33,9 @@ struct MoverTrack {
 /// links the best matches first. A cluster matches an object if it is near the predicted
 /// position of the object. In frames with a label for the object, the cluster must have
 /// this label instead.
-/// @param clusters_per_frame [frames]
-std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
-                                      const std::vector<double>& frame_times_s, const Log& sequence);
+/// @param clusters [frames]
+std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
+                                      const std::vector<double>& frame_times_s, const Log& log);
 
 /// Returns true if a track has enough observations, moves far enough, and is straight.
 bool is_moving_track(const MoverTrack& track);

@@ -30,30 +30,30 @@ std::string make_asset_name(const BoxTrack& box) {
 
 /// The opacity must reach the blending threshold, and the surfel must be in the box.
 bool is_useful(const Surfels& surfels, std::size_t surfel, const SurfelModel& model,
-               const ImageModel& image_model) {
+               const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[surfel]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
-    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel])) >= image_model.alpha_min;
+    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel])) >= image.alpha_min;
 }
 
-Log log_of_actor(const Log& full_log, const BoxTrack& actor_box) {
-    Log sequence = strip_frames(full_log);
-    sequence.boxes = {actor_box};
-    sequence.world_from_vehicle = {};
-    for (const Frame& frame : full_log.frames) {
+Log log_of_actor(const Log& full, const BoxTrack& actor_box) {
+    Log log = strip_frames(full);
+    log.boxes = {actor_box};
+    log.world_from_vehicle = {};
+    for (const Frame& frame : full.frames) {
         if (!actor_box.is_observed(frame.time_s)) continue;
         Frame frame_without_scan;
         frame_without_scan.index = frame.index;
         frame_without_scan.time_s = frame.time_s;
         frame_without_scan.lidar = frame.lidar;
-        sequence.frames.push_back(std::move(frame_without_scan));
-        PoseTrack& track = sequence.world_from_vehicle;
+        log.frames.push_back(std::move(frame_without_scan));
+        PoseTrack& track = log.world_from_vehicle;
         if (!track.time_s.empty() && track.time_s.back() == frame.time_s) continue;
         track.time_s.push_back(frame.time_s);
-        track.pose.push_back(full_log.world_from_vehicle.pose[full_log.find_pose_index(frame)]);
+        track.pose.push_back(full.world_from_vehicle.pose[full.find_pose_index(frame)]);
     }
-    return sequence;
+    return log;
 }
 
 }  // namespace

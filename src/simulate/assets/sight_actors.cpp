@@ -37,7 +37,7 @@ std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxT
 
 void add_observations(const RenderedScan& scan, const Run& run,
                       const std::vector<const BoxTrack*>& box_per_instance,
-                      std::map<std::string, ActorObservations>& observations_by_track) {
+                      std::map<std::string, ActorObservations>& observed) {
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
         const BoxTrack* box =
@@ -51,7 +51,7 @@ void add_observations(const RenderedScan& scan, const Run& run,
         // The surfel was mirrored to fill an unobserved side.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
         if (model.surface && model.surface->find_mirrored_side(point_m)) continue;
-        ActorObservations& actor = observations_by_track[box->id];
+        ActorObservations& actor = observed[box->id];
         actor.points_m.push_back(glm::vec3(point_m));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
                                              glm::dvec3(scan.image.direction[i])));

@@ -33,15 +33,15 @@ std::vector<std::size_t> rays_near(const std::vector<FiredRay>& rays, const Simu
         begin_m = instance_pose.motion.pose_at(instance_pose.world_from_model, double(first_s)).translation,
         end_m = instance_pose.motion.pose_at(instance_pose.world_from_model, double(last_s)).translation;
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
-    std::vector<std::size_t> nearby_ray_indices;
+    std::vector<std::size_t> nearby;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 to_centre_m = 0.5 * (begin_m + end_m) - rays[i].origin;
         const double along_m = glm::dot(to_centre_m, rays[i].direction);
         if (along_m > -radius_m &&
             glm::dot(to_centre_m, to_centre_m) - along_m * along_m < radius_m * radius_m)
-            nearby_ray_indices.push_back(i);
+            nearby.push_back(i);
     }
-    return nearby_ray_indices;
+    return nearby;
 }
 
 }  // namespace
@@ -65,11 +65,11 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
     for (std::size_t i = 0; i < actor_views.size() && !rays.empty(); ++i) {
         if (actor_views[i].track.empty() || !sweep.instances[i].present) continue;
         const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
-        const std::vector<std::size_t> nearby_ray_indices =
+        const std::vector<std::size_t> nearby =
             rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
-        if (nearby_ray_indices.empty()) continue;
+        if (nearby.empty()) continue;
         SimulatedSweep alone = sweep;
-        alone.changed_rays = select_rays(sweep.rays(), nearby_ray_indices);
+        alone.changed_rays = select_rays(sweep.rays(), nearby);
         for (std::size_t k = 0; k < actor_views.size(); ++k) alone.instances[k].present = k == i;
         prepare_scene(lanes->single_lane(), alone);
         const RenderedScan scan =

@@ -15,11 +15,11 @@
 namespace relidar {
 namespace {
 
-void copy_points(std::span<const shared::ReturnedPoint> returned_points,
-                 const IntensityScatterModel& intensity_scatter, LidarPoints& points) {
+void copy_points(std::span<const shared::ReturnedPoint> returned, const IntensityScatterModel& scatter,
+                 LidarPoints& points) {
     constexpr std::size_t kPointsPerTask = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
-    const std::size_t n = returned_points.size();
+    const std::size_t n = returned.size();
     points.position_m.resize(n);
     points.intensity.resize(n);
     points.ring.resize(n);
@@ -27,9 +27,9 @@ void copy_points(std::span<const shared::ReturnedPoint> returned_points,
     points.instance.resize(n);
     parallel_ranges(n, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
-            const shared::ReturnedPoint& point = returned_points[i];
+            const shared::ReturnedPoint& point = returned[i];
             points.position_m[i] = point.position;
-            points.intensity[i] = intensity_scatter.quantise(point.intensity);
+            points.intensity[i] = scatter.quantise(point.intensity);
             points.ring[i] = std::uint16_t(point.ring);
             points.time_offset_s[i] = point.time_offset_s;
             points.instance[i] = std::int32_t(point.instance);
@@ -107,8 +107,8 @@ void ScanRenderer::Impl::finish_pending() {
 }
 
 void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanRequest& request,
-                                 double point_frame_time_s, std::optional<std::uint64_t> sample_seed,
-                                 SubmissionTiming submission_timing) {
+                                 double point_frame_time_s, std::optional<std::uint64_t> seed,
+                                 SubmissionTiming timing) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         fail<UsageError>(
@@ -116,12 +116,12 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
             s.pending.size(), kScansInFlight);
     const SimulatedSweep sweep = s.sweeps.of_request(sensor, request);
     const Pose dataset_from_points = request.dataset_from_sensor.pose_at(point_frame_time_s);
-    const ScanRenderPlan plan = s.plan_sweep(sweep, sample_seed.has_value());
+    const ScanRenderPlan plan = s.plan_sweep(sweep, seed.has_value());
     if (plan.points_on_device) {
-        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, submission_timing));
+        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, timing));
         return;
     }
-    const RenderedScan scan = s.render_sweep(sweep, sample_seed);
+    const RenderedScan scan = s.render_sweep(sweep, seed);
     s.pending.push_back({.ready = RenderedPoints{place_points(scan, s.config, dataset_from_points),
                                                  scan.image.range_m.size(), scan.unseen_share}});
 }

@@ -24,9 +24,9 @@ ChannelValues make_normals(const RenderedRayValues& rendering, const RenderedSca
     return normal;
 }
 
-ChannelValues make_incidence(std::span<const shared::MeasuredRay> measured_rays) {
+ChannelValues make_incidence(std::span<const shared::MeasuredRay> measured) {
     std::vector<float> cosine;
-    for (const shared::MeasuredRay& ray : measured_rays) cosine.push_back(ray.incidence);
+    for (const shared::MeasuredRay& ray : measured) cosine.push_back(ray.incidence);
     return cosine;
 }
 
@@ -119,12 +119,12 @@ bool needs_rendering(const std::vector<ChannelInfo>& channels) {
         channels, [](const ChannelInfo& channel) { return find_maker(channel).of_rendering != nullptr; });
 }
 
-void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels) {
     for (const ChannelInfo& channel : channels) {
         const ChannelComputation maker = find_maker(channel);
         if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
-        if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured_rays)});
+        if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured)});
     }
 }
 

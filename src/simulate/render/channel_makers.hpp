@@ -36,7 +36,7 @@ inline constexpr const char* kIncidenceChannel = "incidence";
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence);
 bool needs_rendering(const std::vector<ChannelInfo>& channels);
 /// @param rendering may be empty if needs_rendering() returns false
-void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays,
+void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
 /// Must run before a network or random sampling changes the drop probabilities. Leaves
 /// out channels without values.

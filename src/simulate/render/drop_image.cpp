@@ -46,20 +46,20 @@ std::function<float(std::size_t)> drop_input(const RenderedScan& scan, std::uint
 
 }  // namespace
 
-glm::dvec3 first_position(const Log& sequence) {
-    const std::vector<Pose>& poses = sequence.world_from_vehicle.pose;
-    return sequence.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
+glm::dvec3 first_position(const Log& log) {
+    const std::vector<Pose>& poses = log.world_from_vehicle.pose;
+    return log.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
 }
 
-RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
                              const glm::dvec3& first_vehicle_position_m) {
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
     image.circular = is_full_turn(image.rows, image.columns, scan.image.direction);
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
-    image.channels.resize(channel_names.size() * n);
+    image.channels.resize(channels.size() * n);
     std::size_t first = 0;
-    for (const std::uint32_t number : channel_numbers(channel_names)) {
+    for (const std::uint32_t number : channel_numbers(channels)) {
         const auto channel = drop_input(scan, number, origin_m);
         parallel_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
         first += n;

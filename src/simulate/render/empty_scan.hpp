@@ -6,8 +6,8 @@
 
 namespace relidar {
 
-/// @param metadata_source scan of the same sweep with times, poses and channel names
-inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& metadata_source = {}) {
+/// @param where scan of the same sweep with times, poses and channel names
+inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& where = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;
     scan.image.columns = rays.columns;
@@ -15,12 +15,12 @@ inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& metadat
     scan.image.direction = to_vector(rays.direction);
     scan.time_offset_s = to_vector(rays.time_offset_s);
     scan.ring = to_vector(rays.channel);
-    scan.world_from_sensor = metadata_source.world_from_sensor;
-    scan.track = metadata_source.track;
-    scan.time_s = metadata_source.time_s;
-    scan.trace_ms = metadata_source.trace_ms;
-    scan.unseen_share = metadata_source.unseen_share;
-    scan.channels = copy_layout(metadata_source.channels);
+    scan.world_from_sensor = where.world_from_sensor;
+    scan.track = where.track;
+    scan.time_s = where.time_s;
+    scan.trace_ms = where.trace_ms;
+    scan.unseen_share = where.unseen_share;
+    scan.channels = copy_layout(where.channels);
     return scan;
 }
 

@@ -25,7 +25,7 @@ struct SubRayReturn {
 /// function of the sub-ray offsets.
 bool is_coplanar(const std::vector<std::size_t>& sub_ray_indices, const std::vector<float>& ranges_m,
                  std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
-                 double range_tolerance_m) {
+                 double tolerance_m) {
     if (sub_ray_indices.size() < 5) return false;
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right(0.0);
@@ -41,13 +41,13 @@ bool is_coplanar(const std::vector<std::size_t>& sub_ray_indices, const std::vec
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
     return std::ranges::all_of(sub_ray_indices, [&](std::size_t index) {
         const double inverse_m = glm::dot(plane, row(index));
-        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(ranges_m[index])) < range_tolerance_m;
+        return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(ranges_m[index])) < tolerance_m;
     });
 }
 
 void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
                    std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
-                   double range_tolerance_m) {
+                   double tolerance_m) {
     // Tries the longest sequences first.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
@@ -56,8 +56,7 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
                 joined.light += groups[g].light;
             }
-            if (!is_coplanar(joined.parts, ranges_m, first_sub_ray, sub_ray_offsets, range_tolerance_m))
-                continue;
+            if (!is_coplanar(joined.parts, ranges_m, first_sub_ray, sub_ray_offsets, tolerance_m)) continue;
             groups[begin] = std::move(joined);
             groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
                          groups.begin() + std::ptrdiff_t(begin + length));
@@ -66,8 +65,7 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
 }
 
 std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first_sub_ray,
-                                         const std::vector<glm::dvec2>& sub_ray_offsets,
-                                         float min_separation_m) {
+                                         const std::vector<glm::dvec2>& sub_ray_offsets, float separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
     std::vector<std::size_t> hits;
     for (std::size_t i = first_sub_ray; i < first_sub_ray + sub_ray_offsets.size(); ++i)
@@ -75,12 +73,12 @@ std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t f
     std::ranges::stable_sort(hits, {}, [&](std::size_t index) { return range_m[index]; });
     std::vector<SubRayReturn> groups;
     for (const std::size_t i : hits) {
-        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= min_separation_m)
+        if (groups.empty() || range_m[i] - range_m[groups.back().parts.back()] >= separation_m)
             groups.emplace_back();
         groups.back().parts.push_back(i);
         groups.back().light += std::max(scan.image.intensity[i], kMinIntensity);
     }
-    join_coplanar(groups, range_m, first_sub_ray, sub_ray_offsets, 0.5 * double(min_separation_m));
+    join_coplanar(groups, range_m, first_sub_ray, sub_ray_offsets, 0.5 * double(separation_m));
     return groups;
 }
 
@@ -194,18 +192,18 @@ RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergenc
     return parts;
 }
 
-RenderedScan join_sub_rays(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+RenderedScan join_sub_rays(const RenderedScan& sub_ray_scan, const RayTable& beams,
                            const SensorConfig& config) {
-    SubRayMerger joiner(sub_ray_scan, beam_rays, config);
-    for (std::size_t ray = 0; ray < beam_rays.size(); ++ray) joiner.append_beam(ray);
+    SubRayMerger joiner(sub_ray_scan, beams, config);
+    for (std::size_t ray = 0; ray < beams.size(); ++ray) joiner.append_beam(ray);
     return joiner.joined_scan();
 }
 
-std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const RayTable& beams,
                                          const SensorConfig& config) {
     const std::vector<glm::dvec2> offsets = spread_sub_rays(config.sub_rays);
     std::vector<std::size_t> edges;
-    for (std::size_t ray = 0; ray < beam_rays.size(); ++ray)
+    for (std::size_t ray = 0; ray < beams.size(); ++ray)
         if (group_sub_rays(sub_ray_scan, ray * offsets.size(), offsets,
                            static_cast<float>(config.return_separation_m))
                 .size() > 1)
@@ -214,17 +212,17 @@ std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const
 }
 
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                  const RenderedScan& replacement_scan) {
+                  const RenderedScan& replacement) {
     const auto replace = [&](const auto& from, auto& to) {
         for (std::size_t i = 0; i < ray_indices.size(); ++i) to[ray_indices[i]] = from[i];
     };
-    for_all_channels(replacement_scan, scan,
+    for_all_channels(replacement, scan,
                      [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });
     for (std::size_t k = 0; k < scan.second_returns.size(); ++k) {
-        replace(replacement_scan.second_returns[k].range_m, scan.second_returns[k].range_m);
-        replace(replacement_scan.second_returns[k].intensity, scan.second_returns[k].intensity);
+        replace(replacement.second_returns[k].range_m, scan.second_returns[k].range_m);
+        replace(replacement.second_returns[k].intensity, scan.second_returns[k].intensity);
     }
-    scan.trace_ms += replacement_scan.trace_ms;
+    scan.trace_ms += replacement.trace_ms;
 }
 
 }  // namespace relidar

@@ -30,18 +30,17 @@ inline constexpr double kSecondReturnShare = 0.1;
 /// strongest group's intensity. The drop probability is the mean over the sub-rays,
 /// because the returned light is the sum over the footprint. Weight, normal and instance
 /// are copied from the sub-ray of the strongest group that is nearest to the centre.
-/// @param sub_ray_scan scan of split_rays(rays, config.sub_rays, ...)
-RenderedScan join_sub_rays(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
-                           const SensorConfig& config);
+/// @param parts scan of split_rays(rays, config.sub_rays, ...)
+RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config);
 
 /// Sub-rays of a beam that hits several surfaces. With only nine, one sub-ray could cause
 /// a second return, even if the surface fills a tiny part of the beam.
 inline constexpr int kEdgeParts = 40;
 
-std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const RayTable& beam_rays,
+std::vector<std::size_t> find_edge_beams(const RenderedScan& parts, const RayTable& beams,
                                          const SensorConfig& config);
-/// @param ray_indices [rays of `replacement_scan`] indices of the replaced rays
+/// @param ray_indices [rays of `replacement`] indices of the replaced rays
 void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                  const RenderedScan& replacement_scan);
+                  const RenderedScan& replacement);
 
 }  // namespace relidar

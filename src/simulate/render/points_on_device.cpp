@@ -31,7 +31,7 @@ void DevicePointComputer::reserve(Stream& stream, std::size_t n_rays) {
 
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record(
     Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
-    const Array<std::uint32_t>& truncated_ray_count) {
+    const Array<std::uint32_t>& truncated) {
     const std::size_t n = rays.ray_table().size();
     reserve(stream, n);
     const std::vector<shared::SensorPose> poses =
@@ -59,7 +59,7 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
          .n_poses = std::uint32_t(poses.size()),
          .n_requested = std::uint32_t(sample_count(n)),
          .of_image = options.of_image ? 1u : 0u});
-    return record_readback(stream, n, truncated_ray_count);
+    return record_readback(stream, n, truncated);
 }
 
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
@@ -68,7 +68,7 @@ DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
       capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_readback(
-    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated_ray_count) {
+    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated) {
     auto free_slot = std::ranges::find_if(
         slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
     if (free_slot == slots_.end())
@@ -82,20 +82,19 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
     slot.points->record_copy(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
     slot.count.record_copy(stream, count_.buffer(), sizeof(std::uint32_t));
     slot.sampled_ranges.record_copy(stream, sampled_ranges_.buffer(), sample_count(n_rays) * sizeof(float));
-    slot.capped.record_copy(stream, truncated_ray_count.buffer(), sizeof(std::uint32_t));
+    slot.capped.record_copy(stream, truncated.buffer(), sizeof(std::uint32_t));
     return *free_slot;
 }
 
-DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream,
-                                                              PointReadbackSlot& host_buffers) {
+DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream, PointReadbackSlot& buffers) {
     const auto number = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    return {{static_cast<const shared::ReturnedPoint*>(host_buffers.points->wait_for_bytes(stream)),
-             number(host_buffers.count)},
-            {static_cast<const float*>(host_buffers.sampled_ranges.wait_for_bytes(stream)),
-             sample_count(host_buffers.n_rays)},
-            number(host_buffers.capped)};
+    return {{static_cast<const shared::ReturnedPoint*>(buffers.points->wait_for_bytes(stream)),
+             number(buffers.count)},
+            {static_cast<const float*>(buffers.sampled_ranges.wait_for_bytes(stream)),
+             sample_count(buffers.n_rays)},
+            number(buffers.capped)};
 }
 
 }  // namespace relidar

@@ -40,12 +40,12 @@ public:
     };
 
     explicit DevicePointComputer(Device& device);
-    /// @param truncated_ray_count device counter of rays whose search for hits was
+    /// @param truncated device counter of rays whose search for hits was
     /// stopped by its limit
     /// @return host buffers; reused after the caller has released the pointer
     std::shared_ptr<PointReadbackSlot> record(Stream& stream, const DeviceSensorRays& rays,
                                               const PointComputeOptions& options,
-                                              const Array<std::uint32_t>& truncated_ray_count);
+                                              const Array<std::uint32_t>& truncated);
 
     struct GatheredPoints {
         std::span<const shared::ReturnedPoint> points;
@@ -54,10 +54,10 @@ public:
         std::uint32_t n_capped;
     };
     /// @return valid until the buffers are reused
-    static GatheredPoints wait(Stream& stream, PointReadbackSlot& host_buffers);
+    static GatheredPoints wait(Stream& stream, PointReadbackSlot& buffers);
     /// The host receives the distances of these rays even if they have no return.
-    static std::size_t sample_ray(std::size_t sample_index, std::size_t n_rays) {
-        return sample_index * n_rays / sample_count(n_rays);
+    static std::size_t sample_ray(std::size_t sample, std::size_t n_rays) {
+        return sample * n_rays / sample_count(n_rays);
     }
     static std::size_t sample_count(std::size_t n_rays) { return std::min(n_rays, kSampledRays); }
 
@@ -75,7 +75,7 @@ private:
 
     void reserve(Stream& stream, std::size_t n_rays);
     std::shared_ptr<PointReadbackSlot> record_readback(Stream& stream, std::size_t n_rays,
-                                                       const Array<std::uint32_t>& truncated_ray_count);
+                                                       const Array<std::uint32_t>& truncated);
 };
 
 }  // namespace relidar

@@ -119,9 +119,8 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
 
-ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const {
-    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(),
-                     has_random_sampling);
+ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
+    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(), sampled);
 }
 
 bool ScanRenderer::Impl::has_channel(const std::string& name) const {
@@ -154,8 +153,7 @@ void ScanRenderer::Impl::prepare_scene(const ParallelScanResources& resources, c
 /// Call prepare_scene() before.
 std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanResources& lane,
                                                                    const SimulatedSweep& sweep,
-                                                                   const RayTable& rays,
-                                                                   bool with_drop_network) try {
+                                                                   const RayTable& rays, bool with_drop) try {
     const SimulatedSensor& sensor = sweep.sensor;
     const std::shared_ptr<DeviceSensorRays> recorded =
         lane.upload_rays(device, sensor, rays, [&](std::size_t index) {
@@ -167,7 +165,7 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanR
     recorded->record_measure(
         renderer.stream(), renderer.last_batch(),
         {config.render.range, sensor.beams, sweeps.sequence().intensity_response, sensor.limits, kMinWeight});
-    if (with_drop_network)
+    if (with_drop)
         recorded->record_drop(
             renderer.stream(), lanes->refiner_of(lane).inference(),
             glm::vec3(sweep.pose.translation + sweeps.sequence().world_offset_m - first_origin_m));
@@ -178,12 +176,11 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanR
 }
 
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSweep& sweep,
-                                                              const RayTable& ray_table,
-                                                              bool with_drop_network) {
+                                                              const RayTable& ray_table, bool with_drop) {
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
     const std::shared_ptr<DeviceSensorRays> rays =
-        record_trace(lanes->single_lane(), sweep, ray_table, with_drop_network);
+        record_trace(lanes->single_lane(), sweep, ray_table, with_drop);
     const std::span<const shared::MeasuredRay> measured = rays->wait_measured(renderer.stream());
     renderer.check_truncation();
 
@@ -201,8 +198,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
         channels.push_back(parse_channels(kIncidenceChannel).front());
     add_ray_channels(scan, measured,
                      needs_rendering(channels) ? renderer.download_rays() : RenderedRayValues{}, channels);
-    return {std::move(scan),
-            with_drop_network ? rays->wait_drop(renderer.stream()) : std::span<const float>{}};
+    return {std::move(scan), with_drop ? rays->wait_drop(renderer.stream()) : std::span<const float>{}};
 }
 
 /// If a beam hits several surfaces, traces it again with more sub-rays.
@@ -234,12 +230,12 @@ void ScanRenderer::Impl::correct_drop(RenderedScan& scan) {
 }
 
 void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep,
-                                     std::optional<std::uint64_t> noise_seed) {
+                                     std::optional<std::uint64_t> seed) {
     const SimulatedSensor& sensor = sweep.sensor;
     const Log& log = sweeps.sequence();
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
-    if (noise_seed)
-        sample_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *noise_seed,
+    if (seed)
+        sample_returns(scan, log.lidars[std::size_t(sensor.lidar)].range_noise, scatter, *seed,
                        sweeps.limits_of(sensor));
     if (!settings.weather.is_clear() || find_values<std::int32_t>(scan.channels, "source")) {
         const Lidar& lidar = log.lidars[std::size_t(sensor.lidar)];
@@ -254,24 +250,24 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
             .response = log.intensity_response,
             .world_offset_m = log.world_offset_m,
             .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
-            .seed = noise_seed.value_or(0),
+            .seed = seed.value_or(0),
             .motion = &motion};
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
                                   kDropThreshold);
         add_weather(scan, input);
     }
-    if (!noise_seed || !settings.weather.is_clear())
+    if (!seed || !settings.weather.is_clear())
         for (float& intensity : scan.image.intensity) intensity = scatter.quantise(intensity);
     for (AdditionalReturns& echo : scan.second_returns)
         for (float& intensity : echo.intensity) intensity = scatter.quantise(intensity);
 }
 
 RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
-                                              std::optional<std::uint64_t> noise_seed) {
+                                              std::optional<std::uint64_t> seed) {
     using Network = ScanRenderPlan::RayDropStage;
     const SimulatedSensor& sensor = sweep.sensor;
-    const ScanRenderPlan plan = this->plan_sweep(sweep, noise_seed.has_value());
+    const ScanRenderPlan plan = this->plan_sweep(sweep, seed.has_value());
     lanes->submit_batch();
     prepare_scene(lanes->single_lane(), sweep);
     auto [scan, drops] = plan.has_sub_rays()
@@ -289,7 +285,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
-    apply_noise(scan, sweep, noise_seed);
+    apply_noise(scan, sweep, seed);
     if (sensor.grid && plan.network != Network::cells) scan = project_scan(scan, *sensor.grid);
     scan.actor_views = std::move(views);
     return scan;
@@ -378,10 +374,10 @@ bool ScanRenderer::has_network_for(const SimulatedSensor& sensor) const {
 
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.kernel_times(); }
 
-RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset,
+RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, double time_s, const Pose& offset,
                                   std::optional<std::uint64_t> sample) {
     const SimulatedSensor followed = impl_->sweeps.follow_log(sensor, time_s);
-    return impl_->render_sweep(impl_->sweeps.on_recorded_path(followed, time_s, sensor_offset), sample);
+    return impl_->render_sweep(impl_->sweeps.on_recorded_path(followed, time_s, offset), sample);
 }
 
 RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, const ScanRequest& request,

@@ -61,31 +61,31 @@ void ParallelScanResourcePool::set_limit(int count) {
 
 std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(
     Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
-    const std::function<float(std::size_t)>& get_no_return_probability) {
+    const std::function<float(std::size_t)>& drop_probability) {
     // limits for the rays that stay in device memory; they need at most 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
-    const auto matching_rays = std::ranges::find_if(
-        cached_sensor_rays, [&](const auto& rays) { return rays->is_uploaded(ray_table, name); });
-    if (matching_rays != cached_sensor_rays.end()) {
-        std::rotate(cached_sensor_rays.begin(), matching_rays, matching_rays + 1);
-        return cached_sensor_rays.front();
+    const auto matching_rays =
+        std::ranges::find_if(cached, [&](const auto& rays) { return rays->is_uploaded(ray_table, name); });
+    if (matching_rays != cached.end()) {
+        std::rotate(cached.begin(), matching_rays, matching_rays + 1);
+        return cached.front();
     }
     // No pending scan may use the rays.
     const auto is_free = [&](const std::shared_ptr<DeviceSensorRays>& rays) {
         return rays.use_count() == 1 && (rays->ray_table().size() == 0 || rays->sensor_name() == name);
     };
-    auto free_entry = std::ranges::find_if(cached_sensor_rays, is_free);
-    if (free_entry == cached_sensor_rays.end())
-        free_entry = cached_sensor_rays.insert(free_entry, std::make_shared<DeviceSensorRays>(device));
-    std::rotate(cached_sensor_rays.begin(), free_entry, free_entry + 1);
-    const std::shared_ptr<DeviceSensorRays> rays = cached_sensor_rays.front();
-    rays->upload(ray_table, name, get_no_return_probability);
+    auto free_entry = std::ranges::find_if(cached, is_free);
+    if (free_entry == cached.end())
+        free_entry = cached.insert(free_entry, std::make_shared<DeviceSensorRays>(device));
+    std::rotate(cached.begin(), free_entry, free_entry + 1);
+    const std::shared_ptr<DeviceSensorRays> rays = cached.front();
+    rays->upload(ray_table, name, drop_probability);
     std::size_t n_rays = 0, n_cached_sensors = 0;
-    for (const auto& sensor_rays : cached_sensor_rays)
+    for (const auto& sensor_rays : cached)
         if ((n_rays += sensor_rays->ray_table().size()) <= kMostRays && n_cached_sensors < kMostSensors)
             ++n_cached_sensors;
-    cached_sensor_rays.resize(std::max<std::size_t>(n_cached_sensors, 1));
+    cached.resize(std::max<std::size_t>(n_cached_sensors, 1));
     return rays;
 }
 

@@ -24,17 +24,17 @@ class ResidentScene;
 struct ParallelScanResources {
     std::unique_ptr<Renderer> copy = {};
     /// the most recently used sensor is first
-    std::vector<std::shared_ptr<DeviceSensorRays>> cached_sensor_rays;
+    std::vector<std::shared_ptr<DeviceSensorRays>> cached;
     DevicePointComputer points;
     std::optional<RayDropRefiner> refiner = {};
 
     explicit ParallelScanResources(Device& device)
-        : cached_sensor_rays{std::make_shared<DeviceSensorRays>(device)}, points(device) {}
-    /// @param get_no_return_probability probability that the sensor never gets a return
+        : cached{std::make_shared<DeviceSensorRays>(device)}, points(device) {}
+    /// @param drop_probability probability that the sensor never gets a return
     /// along a ray
-    std::shared_ptr<DeviceSensorRays> upload_rays(
-        Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
-        const std::function<float(std::size_t)>& get_no_return_probability);
+    std::shared_ptr<DeviceSensorRays> upload_rays(Device& device, const SimulatedSensor& sensor,
+                                                  const RayTable& ray_table,
+                                                  const std::function<float(std::size_t)>& drop_probability);
 };
 
 /// A lane renders one scan at a time.

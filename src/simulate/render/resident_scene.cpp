@@ -27,26 +27,26 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
         renderer_.emplace(device, has_model_copy_ ? unshare_models(scene) : scene, model_, options_);
 }
 
-void ResidentScene::load_blocks(const std::vector<std::size_t>& block_indices) {
+void ResidentScene::load_blocks(const std::vector<std::size_t>& blocks) {
     if (renderer_) past_.add_times(renderer_->stream().times());
     // frees memory before the new renderer allocates
     renderer_.reset();
     loaded_.clear();
-    Scene scene = with_blocks(scene_, block_indices);
+    Scene scene = with_blocks(scene_, blocks);
     if (has_model_copy_) scene = unshare_models(std::move(scene));
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
     bytes_per_surfel_ =
         double(device_.allocated_bytes() - before) / double(std::max<std::size_t>(scene.surfels.size(), 1));
-    loaded_ = block_indices;
+    loaded_ = blocks;
 }
 
 /// Adds other loaded blocks while they fit into memory, the most recently needed first.
-std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> block_indices) const {
+std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
-    for (const std::size_t i : block_indices) bytes += scene_.blocks[i].count * bytes_per_surfel_;
+    for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;
     std::vector<std::size_t> others;
-    std::set_difference(loaded_.begin(), loaded_.end(), block_indices.begin(), block_indices.end(),
+    std::set_difference(loaded_.begin(), loaded_.end(), blocks.begin(), blocks.end(),
                         std::back_inserter(others));
     std::sort(others.begin(), others.end(), [this](std::size_t first, std::size_t second) {
         return last_needed_[first] > last_needed_[second];
@@ -54,10 +54,10 @@ std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_
     for (const std::size_t i : others) {
         bytes += scene_.blocks[i].count * bytes_per_surfel_;
         if (bytes > memory_bytes_) break;
-        block_indices.push_back(i);
+        blocks.push_back(i);
     }
-    std::sort(block_indices.begin(), block_indices.end());
-    return block_indices;
+    std::sort(blocks.begin(), blocks.end());
+    return blocks;
 }
 
 void ResidentScene::load_near(const glm::vec3& sensor_position_m, double max_range_m) {

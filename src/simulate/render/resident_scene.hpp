@@ -36,8 +36,8 @@ public:
     const KernelTimes& kernel_times();
 
 private:
-    void load_blocks(const std::vector<std::size_t>& block_indices);
-    std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> block_indices) const;
+    void load_blocks(const std::vector<std::size_t>& blocks);
+    std::vector<std::size_t> add_recent_blocks(std::vector<std::size_t> blocks) const;
 
     Device& device_;
     const ImageModel model_;

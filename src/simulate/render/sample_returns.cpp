@@ -37,8 +37,7 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
 }
 
 void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                    const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
-                    const RangeLimits& limits) {
+                    const IntensityScatterModel& scatter, std::uint64_t seed, const RangeLimits& limits) {
     const std::uint64_t of_scan = hash_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensityImage likely = make_noise_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
@@ -67,9 +66,9 @@ void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
             if (!returns || !limits.contains(double(echo.range_m[i])))
                 echo.range_m[i] = echo.intensity[i] = 0.0f;
     });
-    if (!intensity_scatter.empty()) {
+    if (!scatter.empty()) {
         const std::vector<float> drawn =
-            draw_intensities(intensity_scatter, likely, returning, hash_pair(of_scan, kOfIntensities));
+            draw_intensities(scatter, likely, returning, hash_pair(of_scan, kOfIntensities));
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }

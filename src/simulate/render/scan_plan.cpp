@@ -52,8 +52,7 @@ ScanRenderPlan::RayDropStage choose_drop_stage(const RayDropNetwork* network, co
 }  // namespace
 
 ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, const Config& config,
-                         const ScanRenderSettings& settings, const RayDropNetwork* network,
-                         bool has_random_sampling) {
+                         const ScanRenderSettings& settings, const RayDropNetwork* network, bool sampled) {
     ScanRenderPlan plan{.beams = config.sensor};
     if (sensor.returns > 0) plan.beams.returns = sensor.returns;
     if (sensor.returns > 1 && plan.beams.sub_rays == 1) plan.beams.sub_rays = 9;
@@ -63,9 +62,8 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
             "cannot render {}: this sensor does not spin and defines no rays; use another sensor",
             sensor.name);
     plan.network = choose_drop_stage(network, sensor, rays, plan.has_sub_rays());
-    plan.points_on_device = !has_random_sampling && settings.weather.is_clear() &&
-                            settings.channels.empty() && !sensor.grid && !plan.has_sub_rays() &&
-                            sensor.rays.size() > 0;
+    plan.points_on_device = !sampled && settings.weather.is_clear() && settings.channels.empty() &&
+                            !sensor.grid && !plan.has_sub_rays() && sensor.rays.size() > 0;
     return plan;
 }
 

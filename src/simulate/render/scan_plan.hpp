@@ -33,8 +33,7 @@ struct ScanRenderPlan {
 /// @param network may be null
 /// @throws UsageError if the sensor cannot be rendered with these settings
 ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, const Config& config,
-                         const ScanRenderSettings& settings, const RayDropNetwork* network,
-                         bool has_random_sampling);
+                         const ScanRenderSettings& settings, const RayDropNetwork* network, bool sampled);
 
 bool corrects_drop(const RayDropNetwork* network, const SimulatedSensor& sensor);
 

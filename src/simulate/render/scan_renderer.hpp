@@ -53,31 +53,29 @@ struct ScanRenderer::Impl {
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
-    Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& sequence);
+    Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log);
     /// `drops` has the network's drop probabilities, if it ran on the device. They are
     /// valid until the next scan is traced.
     struct TracedScan {
         RenderedScan scan;
         std::span<const float> drops;
     };
-    ScanRenderPlan plan_sweep(const SimulatedSweep& sweep, bool has_random_sampling) const;
+    ScanRenderPlan plan_sweep(const SimulatedSweep& sweep, bool sampled) const;
     void prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep);
     std::shared_ptr<DeviceSensorRays> record_trace(ParallelScanResources& lane, const SimulatedSweep& sweep,
-                                                   const RayTable& rays, bool with_drop_network);
-    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table,
-                          bool with_drop_network = false);
+                                                   const RayTable& rays, bool with_drop);
+    TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table, bool with_drop = false);
     RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
     std::vector<ActorVisibility> count_first_hits(const RenderedScan& scan) const;
     void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
                           std::vector<ActorVisibility>& actor_views);
     void correct_drop(RenderedScan& scan);
-    void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep,
-                     std::optional<std::uint64_t> noise_seed);
-    RenderedScan render_sweep(const SimulatedSweep& sweep, std::optional<std::uint64_t> noise_seed);
+    void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, std::optional<std::uint64_t> seed);
+    RenderedScan render_sweep(const SimulatedSweep& sweep, std::optional<std::uint64_t> seed);
 
     PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
-                                const ScanRenderPlan& plan, SubmissionTiming submit_mode);
-    RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints reusable_memory = {});
+                                const ScanRenderPlan& plan, SubmissionTiming timing);
+    RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints memory = {});
     void finish_pending();
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;

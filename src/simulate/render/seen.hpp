@@ -24,14 +24,14 @@ struct RayWithSurfaceRange {
 };
 /// A ray counts as unobserved if the log observed less than half of its path.
 double unobserved_share(std::size_t n_rays, const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                        const LogObservedSpace& observed_space);
+                        const LogObservedSpace& space);
 
 /// [rays] 0..1. A path ends at the surface that the ray hits, or at the maximum range.
-std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                                   const LogObservedSpace& observed_space);
+std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
+                                   const LogObservedSpace& space);
 
 /// Uses the channel "seen" if the scan has it, otherwise a sample of the rays. Sets no
 /// value if the observed space is unknown.
-void set_unseen_share(RenderedScan& scan, const LogObservedSpace& observed_space);
+void set_unseen_share(RenderedScan& scan, const LogObservedSpace& space);
 
 }  // namespace relidar

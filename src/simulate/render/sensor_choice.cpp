@@ -21,8 +21,8 @@ namespace {
 /// Minimum sum of blending weights along a ray that is projected into the image.
 constexpr float kLeastWeight = 0.05f;
 
-RangeLimits configured_limits(const Config& config, const Log& sequence) {
-    return {config.dataset.min_range_m, with_max_range(config, sequence).dataset.max_range_m};
+RangeLimits configured_limits(const Config& config, const Log& log) {
+    return {config.dataset.min_range_m, with_max_range(config, log).dataset.max_range_m};
 }
 
 /// Returns no rays if the pattern has different rays in each scan.
@@ -31,14 +31,14 @@ RayTable fixed_rays(const std::optional<SensorPattern>& pattern, const Make& mak
     return pattern && summarise_pattern(*pattern).has_rays_by_time ? RayTable{} : make_table();
 }
 
-bool has_rolling_shutter(const Config& config, const Log& sequence) {
-    return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
+bool has_rolling_shutter(const Config& config, const Log& log) {
+    return config.sensor.rolling_shutter == RollingShutter::yes || log.rolling_shutter;
 }
 
-SimulatedSensor make_log_sensor(const Config& config, const Log& sequence, int lidar_index) {
-    const Lidar& log_lidar = sequence.lidars[std::size_t(lidar_index)];
+SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar_index) {
+    const Lidar& log_lidar = log.lidars[std::size_t(lidar_index)];
     const SpinningSensor& sensor = log_lidar.sensor;
-    const RangeLimits limits = intersect(sensor.range_limits(), configured_limits(config, sequence));
+    const RangeLimits limits = intersect(sensor.range_limits(), configured_limits(config, log));
     return {.rays = fixed_rays(log_lidar.pattern, [&] { return make_lidar_rays(log_lidar, 0.0); }),
             .is_log_lidar = true,
             .follows_sweeps = config.render.follow_sweeps && !log_lidar.pattern,
@@ -47,34 +47,33 @@ SimulatedSensor make_log_sensor(const Config& config, const Log& sequence, int l
             .limits = limits,
             .name = sensor.name,
             .lidar = lidar_index,
-            .rolling_shutter = has_rolling_shutter(config, sequence)};
+            .rolling_shutter = has_rolling_shutter(config, log)};
 }
 
-SimulatedSensor make_grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& sequence,
+SimulatedSensor make_grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& log,
                                  int lidar_index) {
     const std::string& method = config.sensor.grid_method;
-    const RangeLimits limits = intersect({0.0, grid.max_range_m}, configured_limits(config, sequence));
+    const RangeLimits limits = intersect({0.0, grid.max_range_m}, configured_limits(config, log));
     if (method == "cast")
         return {.rays = make_rays(grid),
                 .limits = limits,
                 .name = grid.name,
                 .lidar = lidar_index,
-                .rolling_shutter = has_rolling_shutter(config, sequence)};
+                .rolling_shutter = has_rolling_shutter(config, log)};
     if (method != "project") {
         fail<UsageError>("sensor.grid_method: found \"{}\", expected project or cast", method);
     }
-    SimulatedSensor choice = make_log_sensor(config, sequence, lidar_index);
+    SimulatedSensor choice = make_log_sensor(config, log, lidar_index);
     choice.grid = grid;
     choice.limits = intersect(choice.limits, limits);
     choice.name = grid.name;
     return choice;
 }
 
-void copy_to_cell(const RenderedScan& source_scan, std::size_t ray, RenderedScan& target_scan,
-                  std::size_t cell_index) {
-    const glm::vec3 &origin = source_scan.image.origin[ray], &direction = source_scan.image.direction[ray];
+void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell_index) {
+    const glm::vec3 &origin = source.image.origin[ray], &direction = source.image.direction[ray];
     for_all_channels(
-        source_scan, target_scan,
+        source, target,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>) {
                 if (channel.join == ChannelMergeRule::drop) return;
@@ -83,14 +82,13 @@ void copy_to_cell(const RenderedScan& source_scan, std::size_t ray, RenderedScan
             }
             of_cells[cell_index] = of_rays[ray];
         });
-    target_scan.time_offset_s[cell_index] = source_scan.time_offset_s[ray];
+    target.time_offset_s[cell_index] = source.time_offset_s[ray];
 }
 
 /// A pixel returns if any of its rays returns, so it gets the minimum.
-void merge_drop(const RenderedScan& source_scan, std::size_t ray, RenderedScan& target_scan,
-                std::size_t cell_index) {
+void merge_drop(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell_index) {
     for_all_channels(
-        source_scan, target_scan,
+        source, target,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>)
                 if (channel.join == ChannelMergeRule::drop)
@@ -122,9 +120,9 @@ SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Fram
     return result;
 }
 
-SimulatedSensor make_sensor(const Config& config, const Log& sequence, int lidar) {
-    if (config.sensor.grid == "native") return make_log_sensor(config, sequence, lidar);
-    return make_grid_sensor(find_grid(config.sensor.grid), config, sequence, lidar);
+SimulatedSensor make_sensor(const Config& config, const Log& log, int lidar) {
+    if (config.sensor.grid == "native") return make_log_sensor(config, log, lidar);
+    return make_grid_sensor(find_grid(config.sensor.grid), config, log, lidar);
 }
 
 SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar) {
@@ -142,11 +140,11 @@ SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar) {
     return choice;
 }
 
-SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& sequence,
+SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& log,
                               int lidar) {
-    if (find_name(name_or_file, {"native"})) return make_log_sensor(config, sequence, lidar);
+    if (find_name(name_or_file, {"native"})) return make_log_sensor(config, log, lidar);
     if (find_name(name_or_file, {kitti360_grid().name}))
-        return make_grid_sensor(kitti360_grid(), config, sequence, lidar);
+        return make_grid_sensor(kitti360_grid(), config, log, lidar);
     return simulate_sensor(find_sensor(name_or_file, {"native"}), lidar);
 }
 

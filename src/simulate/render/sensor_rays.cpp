@@ -155,7 +155,7 @@ RayBatch DeviceSensorRays::world_batch() const {
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
-void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& rendered_batch,
+void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch,
                                       const RayMeasurementOptions& options) {
     std::vector<shared::SensorBeam> beams;
     for (const Beam& beam : options.beams)
@@ -165,12 +165,11 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& rende
     std::vector<glm::vec2> response;
     for (std::size_t k = 0; k < options.response.factor.size(); ++k)
         response.emplace_back(options.response.range_m[k], options.response.factor[k]);
-    const Array<shared::RenderedSurface>& surfaces =
-        rendered_batch.surfaces ? *rendered_batch.surfaces : no_surfaces_;
+    const Array<shared::RenderedSurface>& surfaces = batch.surfaces ? *batch.surfaces : no_surfaces_;
     run(stream, measure_, table_.size(),
         {.rays = rays_.address(),
          .fired = fired_.address(),
-         .rendered = rendered_batch.rendered->address(),
+         .rendered = batch.rendered->address(),
          .surfaces = surfaces.address(),
          .beams = stream.impl().stage_values(beams),
          .response = stream.impl().stage_values(response),
@@ -186,8 +185,7 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& rende
     refined_ = nullptr;
 }
 
-void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network,
-                                   const glm::vec3& relative_sensor_position_m) {
+void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m) {
     const std::vector<std::uint32_t> channels = channel_numbers(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
         stream.submit_and_wait();
@@ -199,7 +197,7 @@ void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network,
          .measured = measured_.address(),
          .channels = stream.impl().stage_values(channels).cast_tag<shared::DropChannels>(),
          .samples = samples_.address(),
-         .origin = relative_sensor_position_m,
+         .origin = sensor_m,
          .n_channels = std::uint32_t(channels.size()),
          .n_rays = std::uint32_t(table_.size())});
     refined_ = &network.record_drops(stream, table_.rows, table_.columns,

@@ -34,21 +34,20 @@ public:
 
     /// Pending GPU commands must not use the old rays.
     /// @param sensor_name another name forces an upload
-    /// @param get_no_return_probability probability that the sensor never gets a return
+    /// @param drop_probability probability that the sensor never gets a return
     /// along a ray
     void upload(const RayTable& rays, const std::string& sensor_name,
-                const std::function<float(std::size_t)>& get_no_return_probability);
+                const std::function<float(std::size_t)>& drop_probability);
     /// Then world_batch() returns the rays at their firing times.
     /// @param world_from_sensor a single pose if the sensor does not move
     void place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);
     RayBatch world_batch() const;
-    void record_measure(Stream& stream, const RenderedBatch& rendered_batch,
-                        const RayMeasurementOptions& options);
+    void record_measure(Stream& stream, const RenderedBatch& batch, const RayMeasurementOptions& options);
     /// Then drop_address() has the result.
-    /// @param relative_sensor_position_m relative to the first vehicle position of the
+    /// @param sensor_m relative to the first vehicle position of the
     /// log
     /// @throws DataError if the image or the channels do not match the network
-    void record_drop(Stream& stream, RayDropInference& network, const glm::vec3& relative_sensor_position_m);
+    void record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m);
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait_measured(Stream& stream);
     /// Call wait_measured() first. Valid until the next call of that function.
@@ -84,7 +83,7 @@ private:
 
 /// Returns RELIDAR_DROP_*.
 /// @throws DataError for an unknown input
-std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channel_names);
+std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channels);
 
 /// Also has one pose before the first ray and one after the last ray.
 /// @param first_offset_s firing times, relative to `sweep_time_s`

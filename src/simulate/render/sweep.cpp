@@ -57,25 +57,25 @@ void check_path(const SimulatedSweep& sweep) {
         kBeyondPath_s);
 }
 
-std::vector<Frame> frames_with_shifts(const Log& sequence) {
+std::vector<Frame> frames_with_shifts(const Log& log) {
     std::vector<Frame> frames;
-    for (const Frame& frame : sequence.frames)
+    for (const Frame& frame : log.frames)
         if (!frame.azimuth_shift_rad.empty()) frames.push_back(strip_scan(frame));
     return frames;
 }
 
 }  // namespace
 
-SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& sequence)
+SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& log)
     : config_(config),
       layout_(strip_surfels(scene)),
-      log_world_from_vehicle_(sequence.world_from_vehicle),
-      shifted_(frames_with_shifts(sequence)),
+      log_world_from_vehicle_(log.world_from_vehicle),
+      shifted_(frames_with_shifts(log)),
       shown_(scene.instances.size(), true) {
-    log_.lidars = sequence.lidars;
-    log_.boxes = sequence.boxes;
-    log_.world_offset_m = sequence.world_offset_m;
-    log_.intensity_response = sequence.intensity_response;
+    log_.lidars = log.lidars;
+    log_.boxes = log.boxes;
+    log_.world_offset_m = log.world_offset_m;
+    log_.intensity_response = log.intensity_response;
 }
 
 void SimulatedSweepBuilder::show_instances(const std::vector<bool>& shown) {
@@ -119,13 +119,12 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
 }
 
 SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& sensor, double time_s,
-                                                       const Pose& sensor_offset) {
+                                                       const Pose& offset) {
     log_.world_from_vehicle = log_world_from_vehicle_;
-    const bool is_elsewhere =
-        sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
+    const bool is_elsewhere = offset.translation != glm::dvec3(0.0) || offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.lidar_track(sensor.lidar);
-    return along_track(sensor, time_s,
-                       is_elsewhere ? mount_track(subdivide_turns(track), sensor_offset) : track, nullptr);
+    return along_track(sensor, time_s, is_elsewhere ? mount_track(subdivide_turns(track), offset) : track,
+                       nullptr);
 }
 
 SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, const ScanRequest& request) {

@@ -19,12 +19,12 @@ constexpr std::size_t kFewestRays = 5;
 
 /// Range, and axis of the side. Infinity if the ray misses the box or starts inside.
 std::pair<double, int> enter_box(const glm::dvec3& origin, const glm::dvec3& direction,
-                                 const glm::dvec3& box_half_size_m) {
+                                 const glm::dvec3& half_size_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
     for (int k = 0; k < 3; ++k) {
-        const double inverse = 1.0 / direction[k], a = (-box_half_size_m[k] - origin[k]) * inverse,
-                     b = (box_half_size_m[k] - origin[k]) * inverse;
+        const double inverse = 1.0 / direction[k], a = (-half_size_m[k] - origin[k]) * inverse,
+                     b = (half_size_m[k] - origin[k]) * inverse;
         if (std::min(a, b) > enter_m) {
             enter_m = std::min(a, b);
             axis = k;
@@ -72,14 +72,14 @@ struct PartlyObservedActor {
 };
 
 std::vector<PartlyObservedActor> partly_observed(const RenderedScan& scan, const Scene& scene,
-                                                 const Log& sequence) {
+                                                 const Log& log) {
     std::vector<PartlyObservedActor> boxes;
     if (scan.time_offset_s.empty()) return boxes;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
     for (std::size_t i = 0; i < scene.instances.size(); ++i) {
         const ModelInstance& instance = scene.instances[i];
         const std::optional<ObservedBoxSurface>& surface = scene.models[instance.model].surface;
-        const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
+        const BoxTrack* box = instance.track.empty() ? nullptr : find_box(log, instance.track);
         if (!box || !box->is_observed(scan.time_s) || !surface) continue;
         const ObservedSideFractions side_coverage = surface->covered_sides();
         if (list_unseen_sides(side_coverage).empty() && !surface->is_completed) continue;
@@ -95,9 +95,9 @@ std::vector<PartlyObservedActor> partly_observed(const RenderedScan& scan, const
 }  // namespace
 
 std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
-                                                   const Log& sequence) {
-    std::vector<PartlyObservedActor> boxes = partly_observed(scan, scene, sequence);
-    FiringPoseInterpolator firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -sequence.world_offset_m});
+                                                   const Log& log) {
+    std::vector<PartlyObservedActor> boxes = partly_observed(scan, scene, log);
+    FiringPoseInterpolator firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -log.world_offset_m});
     for (std::size_t i = 0; !boxes.empty() && i < scan.image.range_m.size(); ++i) {
         const Pose& world_from_firing = firing.pose_of(i);
         const glm::dvec3 origin = world_from_firing * glm::dvec3(scan.image.origin[i]),

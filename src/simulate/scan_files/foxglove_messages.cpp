@@ -154,13 +154,13 @@ std::string describe_enum(const ProtobufEnumType& type) {
     });
 }
 
-std::string describe_file(const char* file_name, const char* package, const char* imported_file_name,
+std::string describe_file(const char* file, const char* package, const char* imported,
                           std::initializer_list<ProtobufMessageType> messages,
                           std::initializer_list<ProtobufEnumType> enums) {
     return encode([&](pbf_writer& writer) {
-        writer.add_string(1, file_name);
+        writer.add_string(1, file);
         writer.add_string(2, package);
-        if (*imported_file_name) writer.add_string(3, imported_file_name);
+        if (*imported) writer.add_string(3, imported);
         for (const ProtobufMessageType& message : messages) writer.add_message(4, describe_message(message));
         for (const ProtobufEnumType& type : enums) writer.add_message(5, describe_enum(type));
         writer.add_string(12, "proto3");
@@ -252,13 +252,13 @@ std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame
 }
 
 /// A foxglove.FrameTransforms message with one transform.
-std::string encode_transform(std::uint64_t time_ns, const std::string& parent_frame,
-                             const std::string& child_frame, const Pose& parent_from_child) {
+std::string encode_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
+                             const Pose& parent_from_child) {
     return encode([&](pbf_writer& transforms) {
         transforms.add_message(1, encode([&](pbf_writer& writer) {
                                    writer.add_message(1, encode_time(time_ns));
-                                   writer.add_string(2, parent_frame);
-                                   writer.add_string(3, child_frame);
+                                   writer.add_string(2, parent);
+                                   writer.add_string(3, child);
                                    writer.add_message(4, encode_vector(parent_from_child.translation));
                                    writer.add_message(5, encode_rotation(parent_from_child.rotation));
                                }));

@@ -42,7 +42,7 @@ inline void add_velocity(codecs::CdrWriter& cdr, const Velocity& velocity) {
     add_covariance(cdr);
 }
 
-std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index);
+std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
 std::vector<RecordedTopic> ros_actor_topics();
 /// Definition of a message type such as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry",
 /// followed by those of all types that it contains.

@@ -103,13 +103,13 @@ std::string encode_cloud2(const RecordedCloud& recorded, const std::string& fram
 
 }  // namespace
 
-std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor_index) {
-    const std::string& topic = rig.sensors[sensor_index].topic;
-    const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor_index].frame_id;
+std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor) {
+    const std::string& topic = rig.sensors[sensor].topic;
+    const std::string frame = rig.world ? kWorldFrame : rig.sensors[sensor].frame_id;
     const auto of_type = [&](const std::string& name, const RosPointType& type) {
         return make_ros_topic(name, "sensor_msgs/msg/PointCloud2", [=, &type](const RecordedSweep& moment) {
             return std::vector<RecordedMessage>{
-                {moment.last_ns, encode_cloud2(moment.clouds[sensor_index], frame, type)}};
+                {moment.last_ns, encode_cloud2(moment.clouds[sensor], frame, type)}};
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};

@@ -22,10 +22,10 @@ std::string format_qos(bool is_latched) {
         kEndlessDuration, kAutomatic, kEndlessDuration);
 }
 
-void add_transform(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& parent_frame,
-                   const std::string& child_frame, const Pose& parent_from_child) {
-    add_header(cdr, stamp_ns, parent_frame);
-    cdr.append_string(child_frame);
+void add_transform(codecs::CdrWriter& cdr, std::uint64_t stamp_ns, const std::string& parent,
+                   const std::string& child, const Pose& parent_from_child) {
+    add_header(cdr, stamp_ns, parent);
+    cdr.append_string(child);
     add_pose(cdr, parent_from_child);
 }
 

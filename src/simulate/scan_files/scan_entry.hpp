@@ -12,7 +12,7 @@
 namespace relidar::scan_files {
 
 /// Has the boxes of actors if their visibility was computed.
-std::string entry_json(int frame_number, const RenderedScan& scan, const ScanOutputOptions& format,
+std::string entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                        const std::vector<std::string>& file_names);
 
 /// Also removes half-written files of a killed process.

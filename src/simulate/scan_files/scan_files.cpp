@@ -37,17 +37,17 @@ std::vector<double> row_major(const Pose& pose) {
     return numbers;
 }
 
-std::string describe_frame(const ScanOutputOptions& output_options) {
-    if (output_options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
-    return has_common_frame(output_options) ? "sensor at time_s: x forward, y left, z up"
-                                            : "sensor at each ray's firing time: x forward, y left, z up";
+std::string describe_frame(const ScanOutputOptions& options) {
+    if (options.frame == PointCoordinateFrame::world) return "world: the dataset's own";
+    return has_common_frame(options) ? "sensor at time_s: x forward, y left, z up"
+                                     : "sensor at each ray's firing time: x forward, y left, z up";
 }
 
-FileMetadata scan_metadata(const ScanOutputOptions& format, int frame_number, const RenderedScan& scan) {
+FileMetadata scan_metadata(const ScanOutputOptions& format, int frame, const RenderedScan& scan) {
     return {{"relidar", RELIDAR_VERSION},
             {"run", format.run},
             {"sensor", format.sensor},
-            {"frame_number", fmt::format("{}", frame_number)},
+            {"frame_number", fmt::format("{}", frame)},
             {"time_s", fmt::format("{}", scan.time_s)},
             {"points_in", describe_frame(format)},
             {"points_range", format.config.render.points == "median" ? "median" : format.config.render.range},
@@ -206,14 +206,12 @@ ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor)
     return format;
 }
 
-bool has_common_frame(const ScanOutputOptions& output_options) {
-    return output_options.frame == PointCoordinateFrame::world || output_options.deskew ||
-           !output_options.rolling_shutter;
+bool has_common_frame(const ScanOutputOptions& options) {
+    return options.frame == PointCoordinateFrame::world || options.deskew || !options.rolling_shutter;
 }
 
-std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame_number,
-                                    const ScanOutputOptions& format) {
-    ScanInOutputFrame placed(scan, format, frame_number);
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanOutputOptions& format) {
+    ScanInOutputFrame placed(scan, format, frame);
     return make_npz_arrays(placed);
 }
 
@@ -221,19 +219,19 @@ bool ScanFolderWriter::has_format(const std::string& format) const {
     return std::find(format_.formats.begin(), format_.formats.end(), format) != format_.formats.end();
 }
 
-void ScanFolderWriter::write_scan(int frame_number, const RenderedScan& scan) {
-    ScanInOutputFrame placed(scan, format_, frame_number, scan_metadata(format_, frame_number, scan));
+void ScanFolderWriter::write_scan(int frame, const RenderedScan& scan) {
+    ScanInOutputFrame placed(scan, format_, frame, scan_metadata(format_, frame, scan));
     std::vector<std::string> files;
     for (const ScanFileFormat& format : kScanFormats) {
         if (!has_format(format.name)) continue;
-        files.push_back(fmt::format("frame_{:06}.{}", frame_number, format.name));
+        files.push_back(fmt::format("frame_{:06}.{}", frame, format.name));
         format.write(folder_ / files.back(), placed);
     }
     if (recordings_) recordings_->write_scans({&scan, 1});
     for (const ScanChannel& channel : scan.channels)
         if (std::ranges::find(channels_, channel.info.name, &ChannelInfo::name) == channels_.end())
             channels_.push_back(channel.info);
-    entries_.push_back(scan_files::entry_json(frame_number, scan, format_, files));
+    entries_.push_back(scan_files::entry_json(frame, scan, format_, files));
 }
 
 }  // namespace relidar

@@ -108,8 +108,8 @@ ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, Jo
     channels_ = parse_channels(format_.config.render.channels);
 }
 
-ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOptions output_options) {
-    ScanFolderWriter joined(std::move(folder), std::move(output_options), JoinExistingTag{});
+ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOptions options) {
+    ScanFolderWriter joined(std::move(folder), std::move(options), JoinExistingTag{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording(name))
             fail<UsageError>("the format {} stores all scans in one file; expected a single process", name);
@@ -193,8 +193,7 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
 
 }  // namespace
 
-std::string scan_files::entry_json(int frame_number, const RenderedScan& scan,
-                                   const ScanOutputOptions& format,
+std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
                                    const std::vector<std::string>& file_names) {
     const std::vector<float>& range_m = point_ranges(scan, format.config);
     std::size_t n_points = 0;
@@ -204,7 +203,7 @@ std::string scan_files::entry_json(int frame_number, const RenderedScan& scan,
     for (const UnobservedActorSide& unseen : scan.unseen_sides)
         (unseen.is_completed ? completed : sides)
             .push_back({{"track", unseen.track}, {"side", name_of(unseen.side)}, {"rays", unseen.n_rays}});
-    const Json entry = {{"frame_number", frame_number},
+    const Json entry = {{"frame_number", frame},
                         {"time_s", scan.time_s},
                         {"world_from_sensor", matrix_json(scan.world_from_sensor)},
                         {"rays", scan.image.range_m.size()},

@@ -69,8 +69,6 @@ std::vector<std::vector<SensorPacket>> ScanPacketEncoder::flush() {
     return packets;
 }
 
-const PacketEncoder& ScanPacketEncoder::encoder(std::size_t sensor_index) const {
-    return *impl_->encoders[sensor_index];
-}
+const PacketEncoder& ScanPacketEncoder::encoder(std::size_t sensor) const { return *impl_->encoders[sensor]; }
 
 }  // namespace relidar

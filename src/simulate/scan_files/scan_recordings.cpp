@@ -130,9 +130,9 @@ void check_unique_topics(const std::vector<scan_files::RecordedTopic>& topics) {
                 topic.name, fmt::join(topic_names, ", "));
 }
 
-const char* describe_rig_frame(const ScanOutputOptions& output_options) {
-    if (output_options.frame == PointCoordinateFrame::world) return "world";
-    return has_common_frame(output_options) ? "sensor at the stamp" : "sensor at each ray's firing time";
+const char* describe_rig_frame(const ScanOutputOptions& options) {
+    if (options.frame == PointCoordinateFrame::world) return "world";
+    return has_common_frame(options) ? "sensor at the stamp" : "sensor at each ray's firing time";
 }
 
 std::string format_seconds(std::int64_t time_ns) {
@@ -167,10 +167,10 @@ std::string to_topic_name(const std::string& name) {
     return word;
 }
 
-void name_topics(ScanOutputOptions& output_options, const std::string& sensor_name) {
-    output_options.topic =
+void name_topics(ScanOutputOptions& options, const std::string& sensor_name) {
+    options.topic =
         sensor_name.empty() ? "/lidar/points" : "/lidar/" + to_topic_name(sensor_name) + "/points";
-    output_options.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
+    options.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
 }
 
 bool is_recording(const std::string& format) {

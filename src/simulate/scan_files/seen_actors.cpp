@@ -45,8 +45,8 @@ private:
 };
 
 std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
-                                  const std::string& track_id) {
-    const auto name = std::ranges::find(format.instance_names, track_id);
+                                  const std::string& track) {
+    const auto name = std::ranges::find(format.instance_names, track);
     if (name == format.instance_names.end()) return {};
     const auto instance = name - format.instance_names.begin();
     const std::vector<float>& range_m = point_ranges(scan, format.config);
@@ -126,11 +126,11 @@ std::vector<ActorBox> actor_boxes_of(const RenderedScan& scan, const ScanOutputO
     return boxes;
 }
 
-void move_actor_boxes(ScanOutputOptions& output_options, const ActorTracksByName& dataset_from_actor) {
-    std::erase_if(output_options.actors, [&](BoxTrack& box) {
+void move_actor_boxes(ScanOutputOptions& options, const ActorTracksByName& dataset_from_actor) {
+    std::erase_if(options.actors, [&](BoxTrack& box) {
         const auto poses = dataset_from_actor.find(box.id);
         if (poses == dataset_from_actor.end()) return true;
-        box.world_from_box = shift_track(poses->second, -output_options.world_offset_m);
+        box.world_from_box = shift_track(poses->second, -options.world_offset_m);
         return false;
     });
 }

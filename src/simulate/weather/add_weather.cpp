@@ -107,20 +107,17 @@ private:
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
-    void write_strongest(std::size_t ray_index, const LidarEcho& echo_before_weather,
-                         const LidarEcho& echo_after_weather) {
+    void write_strongest(std::size_t ray_index, const LidarEcho& before, const LidarEcho& after) {
         RangeImage& image = scan_.image;
-        if (echo_after_weather.source == ReturnCause::nothing) {
-            if (echo_before_weather.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
+        if (after.source == ReturnCause::nothing) {
+            if (before.source != ReturnCause::nothing) image.drop_prob[ray_index] = 1.0f;
             return;
         }
-        image.intensity[ray_index] = reported_intensity(echo_after_weather);
-        if (echo_after_weather.source == echo_before_weather.source &&
-            echo_after_weather.range_m == echo_before_weather.range_m)
-            return;
+        image.intensity[ray_index] = reported_intensity(after);
+        if (after.source == before.source && after.range_m == before.range_m) return;
         image.drop_prob[ray_index] = 0.0f;
         image.range_m[ray_index] = scan_.median_range_m[ray_index] = scan_.mean_range_m[ray_index] =
-            static_cast<float>(echo_after_weather.range_m);
+            static_cast<float>(after.range_m);
         clear_surface(scan_, ray_index);
     }
     /// Sunlight and stray light have no object, so their velocity stays 0.

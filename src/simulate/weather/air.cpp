@@ -24,12 +24,12 @@ bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& stron
 }
 
 LidarEcho select_second(const EchoCandidates& candidates, const EchoCandidate& strongest,
-                        double min_separation_m) {
+                        double separation_m) {
     LidarEcho last, next;
     double power = 0.0;
     for (const EchoCandidate& candidate : candidates) {
         const double range_m = candidate.echo.range_m, strongest_m = strongest.echo.range_m;
-        if (std::abs(range_m - strongest_m) < min_separation_m) continue;
+        if (std::abs(range_m - strongest_m) < separation_m) continue;
         if (!is_bright_enough(candidate, strongest)) continue;
         if (range_m > std::max(strongest_m, last.range_m)) last = candidate.echo;
         if (candidate.power > power) {
@@ -65,17 +65,16 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
 
 /// If the log has a lower intensity than the sensor could detect, the intensity is not
 /// exact: returns a random value above the limit.
-double WeatherRaySimulator::sample_albedo(const LidarEcho& surface_echo, Random& random) const {
-    const double lowest =
-        sensor_.min_power_at(surface_echo.range_m) * surface_echo.range_m * surface_echo.range_m;
-    if (surface_echo.reflectivity >= lowest) return surface_echo.reflectivity;
+double WeatherRaySimulator::sample_albedo(const LidarEcho& surface, Random& random) const {
+    const double lowest = sensor_.min_power_at(surface.range_m) * surface.range_m * surface.range_m;
+    if (surface.reflectivity >= lowest) return surface.reflectivity;
     return std::lerp(lowest, kBrightestUnknownSurface * lowest, random.sample_uniform());
 }
 
-void WeatherRaySimulator::append_surface(EchoCandidates& candidates, LidarEcho echo,
-                                         double wet_ground_brightness, Random& random) const {
+void WeatherRaySimulator::append_surface(EchoCandidates& candidates, LidarEcho echo, double brightness,
+                                         Random& random) const {
     if (echo.source == ReturnCause::nothing) return;
-    const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * wet_ground_brightness;
+    const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * brightness;
     const double power = sample_albedo(echo, random) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
     if (power >= sensor_.min_power_at(echo.range_m)) candidates.push_back({echo, power});

@@ -88,9 +88,8 @@ private:
     const double alpha_;
     std::vector<std::unique_ptr<RayWeatherEffect>> effects_;
 
-    double sample_albedo(const LidarEcho& surface_echo, Random& random) const;
-    void append_surface(EchoCandidates& candidates, LidarEcho echo, double wet_ground_brightness,
-                        Random& random) const;
+    double sample_albedo(const LidarEcho& surface, Random& random) const;
+    void append_surface(EchoCandidates& candidates, LidarEcho echo, double brightness, Random& random) const;
 };
 
 /// @param transmission  share of the light that the air does not absorb or scatter

@@ -93,15 +93,14 @@ constexpr WeatherParameter kSunNumbers[] = {
 
 }  // namespace
 
-double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_to_sun_rad,
-                 double surface_albedo_or_0, bool sees_sky) {
+double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_rad, double albedo_or_0,
+                 bool sees_sky) {
     const double irradiance = kSunIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
-    const double off_deg = std::max(angle_to_sun_rad, kSunRadius_rad) / kRadPerDegree;
-    double per_sr = kAureole_sr / (off_deg * off_deg) + surface_albedo_or_0 / kPi;
+    const double off_deg = std::max(angle_rad, kSunRadius_rad) / kRadPerDegree;
+    double per_sr = kAureole_sr / (off_deg * off_deg) + albedo_or_0 / kPi;
     if (sees_sky)
-        per_sr +=
-            std::clamp((kSunRadius_rad + half_rad - angle_to_sun_rad) / sensor.divergence_rad, 0.0, 1.0) /
-            kSunSolidAngle_sr;
+        per_sr += std::clamp((kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad, 0.0, 1.0) /
+                  kSunSolidAngle_sr;
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kQuantumEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilterWidth_nm * view_sr * kReceiverArea_m2 * sensor.pulse_s * electrons_per_J;
@@ -111,9 +110,8 @@ double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double a
     return std::sqrt(kExcessNoiseFactor * n) / of_unit_power;
 }
 
-double false_returns_per_m(const WeatherSensorProperties& sensor, double threshold_sigmas) {
-    return std::exp(-0.5 * threshold_sigmas * threshold_sigmas) /
-           (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
+double false_returns_per_m(const WeatherSensorProperties& sensor, double sigmas) {
+    return std::exp(-0.5 * sigmas * sigmas) / (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
 }
 
 const WeatherEffectEntry kSunlightEffect{

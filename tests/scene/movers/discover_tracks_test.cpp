@@ -54,18 +54,18 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
         // Box and car move as a rigid body.
-        std::vector<glm::dvec3> relative_positions_m;
+        std::vector<glm::dvec3> relative_m;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
             if (truth.is_observed(t_s))
-                relative_positions_m.push_back(inverse(track->world_from_box.pose[i]) *
-                                               truth.world_from_box.pose_at(t_s).translation);
+                relative_m.push_back(inverse(track->world_from_box.pose[i]) *
+                                     truth.world_from_box.pose_at(t_s).translation);
         }
-        ASSERT_GE(relative_positions_m.size(), 6u);
+        ASSERT_GE(relative_m.size(), 6u);
         glm::dvec3 mean(0.0);
-        for (const glm::dvec3& p : relative_positions_m) mean += p / double(relative_positions_m.size());
+        for (const glm::dvec3& p : relative_m) mean += p / double(relative_m.size());
         std::vector<double> off;
-        for (const glm::dvec3& p : relative_positions_m) off.push_back(glm::distance(p, mean));
+        for (const glm::dvec3& p : relative_m) off.push_back(glm::distance(p, mean));
         std::sort(off.begin(), off.end());
         EXPECT_LT(off[off.size() / 2], 0.15) << "box " << truth.id;
         EXPECT_LT(off.back(), 0.4) << "box " << truth.id

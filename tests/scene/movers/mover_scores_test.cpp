@@ -61,15 +61,15 @@ bool is_of(const BoxTrack& track, const BoxTrack& truth) {
 /// Returns the largest deviation of an object from its mean position in its discovered
 /// box.
 double measure_stray_m(const BoxTrack& track, const BoxTrack& thing) {
-    std::vector<glm::dvec3> relative_positions_m;
+    std::vector<glm::dvec3> relative_m;
     for (std::size_t i = 0; i < track.world_from_box.time_s.size(); ++i)
         if (const double t_s = track.world_from_box.time_s[i]; thing.is_observed(t_s))
-            relative_positions_m.push_back(inverse(track.world_from_box.pose[i]) *
-                                           thing.world_from_box.pose_at(t_s).translation);
+            relative_m.push_back(inverse(track.world_from_box.pose[i]) *
+                                 thing.world_from_box.pose_at(t_s).translation);
     glm::dvec3 mean(0.0);
-    for (const glm::dvec3& p : relative_positions_m) mean += p / double(relative_positions_m.size());
+    for (const glm::dvec3& p : relative_m) mean += p / double(relative_m.size());
     double farthest = 0.0;
-    for (const glm::dvec3& p : relative_positions_m) farthest = std::max(farthest, glm::distance(p, mean));
+    for (const glm::dvec3& p : relative_m) farthest = std::max(farthest, glm::distance(p, mean));
     return farthest;
 }
 
@@ -110,23 +110,23 @@ void add_street(const StreetOptions& options, Score& score) {
     Log log = make_street_log(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
     const std::vector<int> train = split_frames(log, 10).train;
-    const std::vector<BoxTrack> discovered_tracks = discover_tracks(log, train);
-    std::vector<char> is_matched(discovered_tracks.size(), 0);
+    const std::vector<BoxTrack> tracks = discover_tracks(log, train);
+    std::vector<char> is_matched(tracks.size(), 0);
     const std::vector<std::size_t> n_visible_frames = list_frames_that_see(log, train, truth);
-    score.discovered += discovered_tracks.size();
+    score.discovered += tracks.size();
     for (std::size_t k = 0; k < truth.size(); ++k) {
         const BoxTrack& thing = truth[k];
         std::vector<double> covered;
-        for (std::size_t i = 0; i < discovered_tracks.size(); ++i) {
-            if (is_matched[i] || !is_of(discovered_tracks[i], thing)) continue;
-            const std::vector<double>& times = discovered_tracks[i].world_from_box.time_s;
+        for (std::size_t i = 0; i < tracks.size(); ++i) {
+            if (is_matched[i] || !is_of(tracks[i], thing)) continue;
+            const std::vector<double>& times = tracks[i].world_from_box.time_s;
             if (2 * std::count_if(covered.begin(), covered.end(),
                                   [&](double t_s) { return t_s >= times.front() && t_s <= times.back(); }) >
                 std::ptrdiff_t(times.size()))
                 continue;
             is_matched[i] = 1;
-            score.strayed_m.push_back(measure_stray_m(discovered_tracks[i], thing));
-            add_wobble(discovered_tracks[i], thing, score.wobble_deg);
+            score.strayed_m.push_back(measure_stray_m(tracks[i], thing));
+            add_wobble(tracks[i], thing, score.wobble_deg);
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
         }

@@ -128,21 +128,21 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
     EXPECT_EQ(read_clearance(load_run(folder / "car-7")), 0.15);
     EXPECT_FALSE(read_clearance(run_of(make_plates(), kAhead)));
     ASSERT_EQ(list_assets(folder), std::vector<std::filesystem::path>{folder / "car-7"});
-    const AssetDescription loaded_facts = read_description(folder / "car-7");
-    EXPECT_EQ(loaded_facts.name, "car-7");
-    EXPECT_EQ(loaded_facts.category, "Car");
-    EXPECT_EQ(loaded_facts.kind, ObjectKind::vehicle);
-    EXPECT_EQ(loaded_facts.size_m, kCarSize_m);
-    EXPECT_EQ(loaded_facts.source_track, "7");
-    EXPECT_EQ(loaded_facts.sensor, "small");
-    EXPECT_EQ(loaded_facts.seen_sides, asset.facts.seen_sides);
-    EXPECT_EQ(loaded_facts.seen, asset.facts.seen);
-    EXPECT_EQ(loaded_facts.completed, asset.facts.completed);
-    EXPECT_GT(loaded_facts.seen, 0.0);
-    EXPECT_EQ(loaded_facts.nearest_m, 8.25);
-    EXPECT_EQ(loaded_facts.surfels, asset.facts.surfels);
-    EXPECT_EQ(loaded_facts.mirrored, asset.facts.mirrored);
-    EXPECT_GT(loaded_facts.mirrored, 0u);
+    const AssetDescription facts = read_description(folder / "car-7");
+    EXPECT_EQ(facts.name, "car-7");
+    EXPECT_EQ(facts.category, "Car");
+    EXPECT_EQ(facts.kind, ObjectKind::vehicle);
+    EXPECT_EQ(facts.size_m, kCarSize_m);
+    EXPECT_EQ(facts.source_track, "7");
+    EXPECT_EQ(facts.sensor, "small");
+    EXPECT_EQ(facts.seen_sides, asset.facts.seen_sides);
+    EXPECT_EQ(facts.seen, asset.facts.seen);
+    EXPECT_EQ(facts.completed, asset.facts.completed);
+    EXPECT_GT(facts.seen, 0.0);
+    EXPECT_EQ(facts.nearest_m, 8.25);
+    EXPECT_EQ(facts.surfels, asset.facts.surfels);
+    EXPECT_EQ(facts.mirrored, asset.facts.mirrored);
+    EXPECT_GT(facts.mirrored, 0u);
     EXPECT_EQ(load_run(folder / "car-7").scene.surfels.sh, asset.run.scene.surfels.sh);
 }
 

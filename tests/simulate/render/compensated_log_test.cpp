@@ -226,14 +226,13 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
             const glm::dvec3 at_m = points.world_from_points * glm::dvec3(points.position_m[i]);
             EXPECT_NEAR(at_m.x, kWall_m, kTolerance_m);
             const double offset_s = points.time_offset_s[i], time_s = kFirst_s + offset_s;
-            const glm::dvec3 ray_vector_m = at_m - glm::dvec3(compute_sensor_x(time_s), 0.0, 0.0);
+            const glm::dvec3 vector_m = at_m - glm::dvec3(compute_sensor_x(time_s), 0.0, 0.0);
             // direction in which the sensor fired at that time
             const double beam =
                 rolls ? (15.0 - 2.0 * points.ring[i]) * kPi / 180.0 : 0.2 - 0.2 * points.ring[i];
             // The lasers of a VLP-16 cross 41.9 mm before the axis (manual 63-9243).
             const double up_m = rolls ? -0.0419 * std::tan(beam) : 0.0;
-            const double elevation =
-                std::atan2(ray_vector_m.z - up_m, std::hypot(ray_vector_m.x, ray_vector_m.y));
+            const double elevation = std::atan2(vector_m.z - up_m, std::hypot(vector_m.x, vector_m.y));
             EXPECT_NEAR(elevation, beam, 2e-4) << name << ", " << offset_s;
             later = std::max(later, std::abs(offset_s));
         }

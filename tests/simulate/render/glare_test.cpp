@@ -148,10 +148,10 @@ TEST_F(GlareInScenes, TheSunIsNoiseAroundItUnlessAWallHidesIt) {
     const Config config;
     std::vector<double> elevations_rad;
     for (int beam = 0; beam < 8; ++beam) elevations_rad.push_back(kDegree * (2.5 - 0.5 * beam));
-    const Log sequence = test::make_static_log(elevations_rad, 720);
+    const Log log = test::make_static_log(elevations_rad, 720);
     const Surfels disc = test::make_plate({12.0f, 0.0f, 0.0f}, glm::vec2(2.0f));
-    ScanRenderer renderer(device(), wrap_background(disc), config, sequence);
-    const SimulatedSensor sensor = make_sensor(config, sequence);
+    ScanRenderer renderer(device(), wrap_background(disc), config, log);
+    const SimulatedSensor sensor = make_sensor(config, log);
     const RenderedScan dark = renderer.render(sensor, 0.0, {}, 1);
     const auto noise_in = [&](const Sun& sun) {
         renderer.set_weather({.sun = sun});

@@ -96,16 +96,16 @@ TEST(MergeScans, PointsStayWhereTheyAre) {
     ASSERT_EQ(merged.image.range_m.size(), 4u);
     EXPECT_EQ(merged.image.columns, 4);
     for (std::size_t i = 0; i < 4; ++i) {
-        const RenderedScan& source_scan = scans[i / 2];
-        EXPECT_LT(glm::length(compute_world_point(merged, i) - compute_world_point(source_scan, i % 2)), 1e-4)
+        const RenderedScan& source = scans[i / 2];
+        EXPECT_LT(glm::length(compute_world_point(merged, i) - compute_world_point(source, i % 2)), 1e-4)
             << i;
         const glm::dvec3 normal = merged.firing_pose(i).rotation * glm::dvec3(get_normals(merged)[i]);
-        EXPECT_LT(glm::length(normal - source_scan.firing_pose(i % 2).rotation *
-                                           glm::dvec3(get_normals(source_scan)[i % 2])),
-                  1e-6)
+        EXPECT_LT(
+            glm::length(normal - source.firing_pose(i % 2).rotation * glm::dvec3(get_normals(source)[i % 2])),
+            1e-6)
             << i;
-        EXPECT_EQ(merged.image.intensity[i], source_scan.image.intensity[i % 2]);
-        EXPECT_EQ(merged.instance[i], source_scan.instance[i % 2]);
+        EXPECT_EQ(merged.image.intensity[i], source.image.intensity[i % 2]);
+        EXPECT_EQ(merged.instance[i], source.instance[i % 2]);
     }
     EXPECT_EQ(range_spread(merged), (std::vector<float>{1.0f, 2.0f, 1.0f, 2.0f}));
     EXPECT_EQ(merged.ring, (std::vector<std::uint16_t>{3, 1, 7, 5}))

@@ -15,10 +15,9 @@ namespace {
 
 class Render : public test::DeviceTest {
 protected:
-    RenderedScan render(const Surfels& surfels, const Config& config, const Log& sequence,
-                        double time_s = 0.0) {
-        ScanRenderer renderer(device(), wrap_background(surfels), config, sequence);
-        return renderer.render(make_sensor(config, sequence), time_s);
+    RenderedScan render(const Surfels& surfels, const Config& config, const Log& log, double time_s = 0.0) {
+        ScanRenderer renderer(device(), wrap_background(surfels), config, log);
+        return renderer.render(make_sensor(config, log), time_s);
     }
 };
 
@@ -47,15 +46,15 @@ double compute_strip_share(double value) {
 
 /// The edge of the post is where half of the light passes its Gaussian.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
-    Log sequence = make_cross_sequence(1);
-    sequence.lidars[0].sensor.first_azimuth_rad = 0.0;
-    sequence.lidars[0].sensor.divergence_rad = 0.02;
-    sequence.rolling_shutter = true;
+    Log log = make_cross_sequence(1);
+    log.lidars[0].sensor.first_azimuth_rad = 0.0;
+    log.lidars[0].sensor.divergence_rad = 0.02;
+    log.rolling_shutter = true;
     const auto render_post = [&](int sub_rays, int returns) {
         Config config;
         config.sensor.sub_rays = sub_rays;
         config.sensor.returns = returns;
-        return render(make_post_before_wall(), config, sequence);
+        return render(make_post_before_wall(), config, log);
     };
     EXPECT_NEAR(render_post(1, 1).median_range_m[0], 10.0f, 1e-3f) << "the middle of the beam meets the post";
     EXPECT_TRUE(render_post(9, 1).second_returns.empty());
@@ -91,25 +90,25 @@ TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
 }
 
 TEST_F(Render, SubRaysNeedADivergence) {
-    Log sequence = make_cross_sequence();
+    Log log = make_cross_sequence();
     Config config;
     config.sensor.sub_rays = 5;
-    EXPECT_THROW(render(make_wall_ahead(), config, sequence), UsageError);
+    EXPECT_THROW(render(make_wall_ahead(), config, log), UsageError);
     config.sensor.divergence_mrad = 2.0;
-    EXPECT_EQ(render(make_wall_ahead(), config, sequence).image.range_m.size(), 4u);
+    EXPECT_EQ(render(make_wall_ahead(), config, log).image.range_m.size(), 4u);
     config.sensor.sub_rays = 1;
     config.sensor.returns = 2;
-    EXPECT_THROW(render(make_wall_ahead(), config, sequence), UsageError);
+    EXPECT_THROW(render(make_wall_ahead(), config, log), UsageError);
 }
 
 TEST_F(Render, WallIsWhereItStands) {
-    Log sequence = make_cross_sequence(8);
-    sequence.rolling_shutter = true;
+    Log log = make_cross_sequence(8);
+    log.rolling_shutter = true;
     // 2 m/s towards the wall
-    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}}};
+    log.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}}};
     Config config;
-    ScanRenderer renderer(device(), wrap_background(make_wall_ahead()), config, sequence);
-    const SimulatedSensor sensor = make_sensor(config, sequence);
+    ScanRenderer renderer(device(), wrap_background(make_wall_ahead()), config, log);
+    const SimulatedSensor sensor = make_sensor(config, log);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
     config.render.range = "normalised";
     const RenderedScan at_half = renderer.render(sensor, 0.5);
@@ -128,19 +127,19 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     // At the range of the post, columns are 1 m apart.
     const Surfels post = test::make_plate({10.0f, 0.0f, 0.0f}, {5.0f, 0.1f});
-    Log sequence = make_cross_sequence(kColumns);
-    sequence.lidars[0].sensor.max_range_m = 80.0;
-    sequence.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
-    sequence.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
-    sequence.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
+    Log log = make_cross_sequence(kColumns);
+    log.lidars[0].sensor.max_range_m = 80.0;
+    log.frames = {{0, 0.0, {}}, {1, 1.0, {}}};
+    log.frames[1].azimuth_shift_rad.assign(kColumns, float(kColumn_rad));
+    log.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{}}};
     Config config;
     config.render.follow_sweeps = true;
-    ScanRenderer renderer(device(), wrap_background(post), config, sequence);
+    ScanRenderer renderer(device(), wrap_background(post), config, log);
     const auto column_of_post = [&](const RenderedScan& scan) {
         return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
                    scan.image.drop_prob.begin());
     };
-    const SimulatedSensor configured_sensor = make_sensor(config, sequence);
+    const SimulatedSensor configured_sensor = make_sensor(config, log);
     EXPECT_TRUE(configured_sensor.follows_sweeps);
     const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
     EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.0)), nominal) << "a sweep without a shift";
@@ -151,8 +150,8 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
               nominal)
         << "driven by somebody else";
     config.render.follow_sweeps = false;
-    EXPECT_EQ(column_of_post(renderer.render(make_sensor(config, sequence), 1.0)), nominal);
-    EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
+    EXPECT_EQ(column_of_post(renderer.render(make_sensor(config, log), 1.0)), nominal);
+    EXPECT_FALSE(choose_sensor("HDL-32E", config, log).follows_sweeps);
 }
 
 /// Half of the light is blocked at the second surface, but most returns from the wall.
@@ -163,13 +162,13 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
         scene.append_surfels(test::make_plate({x[i], 0.0f, 0.0f}, glm::vec2(5.0f)));
         scene.opacity_logit[i] = std::log(opacity[i] / (1.0f - opacity[i]));
     }
-    const Log sequence = make_cross_sequence();
+    const Log log = make_cross_sequence();
     const float w[] = {0.3f, 0.245f, 0.2275f, 0.20475f};
     for (const std::string range : {"median", "mode"}) {
         Config config;
         config.render.range = range;
-        ScanRenderer renderer(device(), wrap_background(scene), config, sequence);
-        const SimulatedSensor sensor = make_sensor(config, sequence);
+        ScanRenderer renderer(device(), wrap_background(scene), config, log);
+        const SimulatedSensor sensor = make_sensor(config, log);
         const RenderedScan scan = renderer.render(sensor, 0.0);
         for (std::size_t i = 0; i < 4; ++i) {
             const bool ahead = sensor.rays.direction[i].x > 0.9f;
@@ -184,16 +183,14 @@ TEST_F(Render, ModeIsTheHeaviestSurface) {
 /// Beams belong to the sensor of the log, and do not change a different sensor.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = make_wall_ahead();
-    Log sequence = make_cross_sequence();
-    sequence.lidars[0].sensor.beams = {
-        {.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
-    sequence.lidars[0].sensor.beams[1] = {
-        .intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
-    sequence.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
+    Log log = make_cross_sequence();
+    log.lidars[0].sensor.beams = {{.elevation_rad = 0.1}, {.elevation_rad = 0.0}, {.elevation_rad = -0.1}};
+    log.lidars[0].sensor.beams[1] = {.intensity_gain = 1.4, .intensity_offset = -0.1, .range_offset_m = 0.07};
+    log.lidars[0].sensor.beams[2] = {.elevation_rad = -0.1, .intensity_gain = 3.0};
     Config config;
     config.render.range = "normalised";
-    ScanRenderer renderer(device(), wrap_background(wall), config, sequence);
-    const SimulatedSensor configured_sensor = make_sensor(config, sequence);
+    ScanRenderer renderer(device(), wrap_background(wall), config, log);
+    const SimulatedSensor configured_sensor = make_sensor(config, log);
     const std::size_t ahead = find_ray_towards(configured_sensor.rays, {1, 0, 0}) % 4;
     const RenderedScan scan = renderer.render(configured_sensor, 0.0);
     SimulatedSensor ideal = configured_sensor;
@@ -213,42 +210,41 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
 }
 
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
-    Log sequence = make_cross_sequence();
+    Log log = make_cross_sequence();
     const Scene scene = wrap_background(make_wall_ahead());
     Config config;
-    ScanRenderer renderer(device(), scene, config, sequence);
+    ScanRenderer renderer(device(), scene, config, log);
     const auto dropped = [&](double min_m, double max_m) {
-        SimulatedSensor sensor = make_sensor(config, sequence);
+        SimulatedSensor sensor = make_sensor(config, log);
         sensor.limits = {min_m, max_m};
         const RenderedScan scan = renderer.render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0});
-        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + sequence.lidars[0].sensor.beams[0].range_offset_m,
-                    1e-4);
+        EXPECT_NEAR(scan.image.range_m[ahead], 10.0 + log.lidars[0].sensor.beams[0].range_offset_m, 1e-4);
         return scan.image.drop_prob[ahead] == 1.0f;
     };
     EXPECT_FALSE(dropped(9.9, 10.1));
     EXPECT_TRUE(dropped(0.0, 9.9));
     EXPECT_TRUE(dropped(10.1, 80.0));
-    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits apply to the measured range
+    log.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits apply to the measured range
     EXPECT_TRUE(dropped(0.0, 10.1));
 }
 
 TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
-    Log sequence = make_cross_sequence();
-    sequence.lidars[0].sensor.min_range_m = 0.5;
-    sequence.lidars[0].sensor.max_range_m = 60.0;
+    Log log = make_cross_sequence();
+    log.lidars[0].sensor.min_range_m = 0.5;
+    log.lidars[0].sensor.max_range_m = 60.0;
     Config config;
-    EXPECT_EQ(make_sensor(config, sequence).limits.min_m, 0.5);
-    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 60.0);
+    EXPECT_EQ(make_sensor(config, log).limits.min_m, 0.5);
+    EXPECT_EQ(make_sensor(config, log).limits.max_m, 60.0);
     config.dataset.max_range_m = 30.0;
     config.dataset.min_range_m = 2.0;
-    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 30.0);
-    EXPECT_EQ(choose_sensor("Native", config, sequence).limits.min_m, 2.0);
-    EXPECT_EQ(choose_sensor("VLP-16", config, sequence).limits.max_m, 100.0) << "another sensor has its own";
+    EXPECT_EQ(make_sensor(config, log).limits.max_m, 30.0);
+    EXPECT_EQ(choose_sensor("Native", config, log).limits.min_m, 2.0);
+    EXPECT_EQ(choose_sensor("VLP-16", config, log).limits.max_m, 100.0) << "another sensor has its own";
     config.sensor.grid = "kitti360";
-    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 30.0);
-    config.dataset.max_range_m = sequence.lidars[0].sensor.max_range_m = 200.0;
-    EXPECT_EQ(make_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
+    EXPECT_EQ(make_sensor(config, log).limits.max_m, 30.0);
+    config.dataset.max_range_m = log.lidars[0].sensor.max_range_m = 200.0;
+    EXPECT_EQ(make_sensor(config, log).limits.max_m, 80.0) << "of the grid's convention";
 }
 
 Surfels make_faint_plate_before_wall() {
@@ -262,10 +258,10 @@ Surfels make_faint_plate_before_wall() {
 /// The mean range lies between plate and wall, but the point on the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = make_faint_plate_before_wall();
-    const Log sequence = make_cross_sequence();
+    const Log log = make_cross_sequence();
     Config config;
-    const SimulatedSensor sensor = make_sensor(config, sequence);
-    const RenderedScan scan = render(surfels, config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, log);
+    const RenderedScan scan = render(surfels, config, log);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
     EXPECT_NEAR(scan.image.range_m[ahead], 0.3 * 4.0 + 0.7 * 10.0, 0.05);
@@ -275,7 +271,7 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     EXPECT_EQ(point_ranges(scan, config), scan.image.range_m);
 
     surfels.opacity_logit.assign(2, -1.5f);  // T stays above 0.5
-    const RenderedScan faint = render(surfels, config, sequence);
+    const RenderedScan faint = render(surfels, config, log);
     EXPECT_NEAR(faint.median_range_m[ahead], (4.0 + 0.818 * 10.0) / 1.818, 1e-2)
         << "a point without a surface is no point at the sensor";
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
@@ -284,12 +280,12 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
 /// For any range of the image, relative to the farther surface.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = make_faint_plate_before_wall();
-    const Log sequence = make_cross_sequence();
+    const Log log = make_cross_sequence();
     Config config;
-    const SimulatedSensor sensor = make_sensor(config, sequence);
+    const SimulatedSensor sensor = make_sensor(config, log);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0});
-    const RenderedScan plane = render(make_wall_ahead(), config, sequence);
+    const RenderedScan plane = render(make_wall_ahead(), config, log);
     EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
     // The share of the light is 0.3 for the plate. For the wall, it is the remainder
     // times the maximum opacity of a surfel.
@@ -298,7 +294,7 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     std::vector<RayDropImage> drop_images;
     for (const char* range : {"normalised", "expected", "median", "mode"}) {
         config.render.range = range;
-        const RenderedScan scan = render(surfels, config, sequence);
+        const RenderedScan scan = render(surfels, config, log);
         EXPECT_NEAR(range_spread(scan)[ahead], 10.0 - (0.3 * 4.0 + wall * 10.0) / weight, 1e-3) << range;
         EXPECT_EQ(range_spread(scan)[behind], 0.0f) << range;
         drop_images.push_back(make_drop_image(scan, channels, glm::dvec3(0.0)));
@@ -312,14 +308,14 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
 }
 
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
-    Log sequence = make_cross_sequence(64);
-    sequence.world_from_vehicle = {
-        {0.0, 1.0}, {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
-    sequence.world_offset_m = {100.0, 0.0, 0.0};
+    Log log = make_cross_sequence(64);
+    log.world_from_vehicle = {{0.0, 1.0},
+                              {Pose{}, Pose{glm::angleAxis(1.0, glm::dvec3(0, 0, 1)), {4.0, -1.0, 0.0}}}};
+    log.world_offset_m = {100.0, 0.0, 0.0};
     for (const bool rolling : {true, false}) {
-        sequence.rolling_shutter = rolling;
-        const SimulatedSensor sensor = make_sensor({}, sequence);
-        const RenderedScan scan = ScanRenderer(device(), wrap_background(make_wall_ahead()), {}, sequence)
+        log.rolling_shutter = rolling;
+        const SimulatedSensor sensor = make_sensor({}, log);
+        const RenderedScan scan = ScanRenderer(device(), wrap_background(make_wall_ahead()), {}, log)
                                       .render(sensor, 0.5, {{1, 0, 0, 0}, {-1.0, 0.0, 0.0}});
         std::size_t met = 0;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i) {
@@ -336,16 +332,16 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
 /// For any orientation, motion and binning of the sensor. The test computes the normal
 /// exactly.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
-    Log sequence = make_cross_sequence(64);
-    sequence.rolling_shutter = true;
-    sequence.world_from_vehicle = {
+    Log log = make_cross_sequence(64);
+    log.rolling_shutter = true;
+    log.world_from_vehicle = {
         {0.0, 1.0},
         {Pose{}, Pose{glm::angleAxis(1.0, glm::normalize(glm::dvec3(0.1, 0.2, 1))), {4.0, -1.0, 0.0}}}};
     Config config;
-    const SimulatedSensor sensor = make_sensor(config, sequence);
-    EXPECT_TRUE(render(make_wall_ahead(), config, sequence, 0.5).channels.empty());
+    const SimulatedSensor sensor = make_sensor(config, log);
+    EXPECT_TRUE(render(make_wall_ahead(), config, log, 0.5).channels.empty());
     config.render.channels = "normal";
-    const RenderedScan scan = render(make_wall_ahead(), config, sequence, 0.5);
+    const RenderedScan scan = render(make_wall_ahead(), config, log, 0.5);
     const std::vector<glm::vec3>& normal = *find_values<glm::vec3>(scan.channels, "normal");
     ASSERT_EQ(normal.size(), scan.instance.size());
     std::size_t met = 0;
@@ -365,19 +361,19 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     for (std::size_t i = 0; i < of_cells.size(); ++i)
         EXPECT_NEAR(glm::length(of_cells[i]), binned.instance[i] < 0 ? 0.0f : 1.0f, 1e-6f);
     config.render.channels = "incidence";
-    const RenderedScan again = render(make_wall_ahead(), config, sequence, 0.5);
+    const RenderedScan again = render(make_wall_ahead(), config, log, 0.5);
     const std::vector<float>& incidence = *find_values<float>(again.channels, "incidence");
     for (std::size_t i = 0; i < normal.size(); ++i) {
         const glm::dvec3 in_world = again.firing_pose(i).rotation * glm::dvec3(again.image.direction[i]);
         EXPECT_NEAR(incidence[i], again.instance[i] < 0 ? 0.0 : in_world.x, 1e-5) << "a wall across x";
     }
     config.image.primitive = PrimitiveType::gaussian;
-    EXPECT_THROW(ScanRenderer(device(), wrap_background(make_wall_ahead()), config, sequence), UsageError);
+    EXPECT_THROW(ScanRenderer(device(), wrap_background(make_wall_ahead()), config, log), UsageError);
 }
 
 /// A wall behind the sensor on its right, and a plate ahead and, turned, behind. Its
 /// brightness depends on the direction.
-Scene make_two_placements(Log& sequence) {
+Scene make_two_placements(Log& log) {
     Surfels surfels = test::make_plate({0.0f, -6.0f, 0.0f}, glm::vec2(1.0f));
     surfels.rotation[0] = {std::sqrt(0.5f), std::sqrt(0.5f), 0.0f, 0.0f};  // normal along y
     surfels.append_surfels(test::make_plate({0.5f, 0.0f, 0.0f}, glm::vec2(1.0f)));
@@ -388,19 +384,19 @@ Scene make_two_placements(Log& sequence) {
     scene.models = {{"background", 0, 1}, {"plate", 1, 1}};
     scene.instances = {{0, ""}, {1, "ahead"}, {1, "behind"}};
     const glm::dquat yaw_180_deg = glm::angleAxis(kPi, glm::dvec3(0, 0, 1));
-    sequence.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}},
-                      {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{yaw_180_deg, {-5, 0, 0}}}}}};
+    log.boxes = {{"ahead", "Car", {1, 1, 1}, {{0.0}, {Pose{{1, 0, 0, 0}, {5, 0, 0}}}}},
+                 {"behind", "Car", {1, 1, 1}, {{0.0}, {Pose{yaw_180_deg, {-5, 0, 0}}}}}};
     return scene;
 }
 
 TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
-    Log sequence = make_cross_sequence();
-    const Scene scene = make_two_placements(sequence);
+    Log log = make_cross_sequence();
+    const Scene scene = make_two_placements(log);
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         Config config;
         config.image.sh_direction = direction;
-        const SimulatedSensor sensor = make_sensor(config, sequence);
-        const RenderedScan scan = ScanRenderer(device(), scene, config, sequence).render(sensor, 0.0);
+        const SimulatedSensor sensor = make_sensor(config, log);
+        const RenderedScan scan = ScanRenderer(device(), scene, config, log).render(sensor, 0.0);
         const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                           behind = find_ray_towards(sensor.rays, {-1, 0, 0});
         EXPECT_EQ(scan.instance[ahead], 1);
@@ -412,10 +408,10 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
 }
 
 TEST_F(Render, OnlyVisibleActorsAreHit) {
-    Log sequence = make_cross_sequence();
-    const Scene scene = make_two_placements(sequence);
-    const SimulatedSensor sensor = make_sensor({}, sequence);
-    ScanRenderer renderer(device(), scene, {}, sequence);
+    Log log = make_cross_sequence();
+    const Scene scene = make_two_placements(log);
+    const SimulatedSensor sensor = make_sensor({}, log);
+    ScanRenderer renderer(device(), scene, {}, log);
     const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}),
                       behind = find_ray_towards(sensor.rays, {-1, 0, 0}),
                       right = find_ray_towards(sensor.rays, {0, -1, 0});

@@ -29,13 +29,13 @@ Scene make_van_scene(double rear_y_m) {
 }
 
 Log make_van_sequence() {
-    Log sequence;
-    sequence.world_offset_m = {kOffset_m, 0.0, 0.0};
+    Log log;
+    log.world_offset_m = {kOffset_m, 0.0, 0.0};
     BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
     van.world_from_box.time_s = {0.0, 1.0};
     van.world_from_box.pose.assign(2, {glm::dquat(1, 0, 0, 0), {10.0, 0.0, 0.0}});
-    sequence.boxes = {van};
-    return sequence;
+    log.boxes = {van};
+    return log;
 }
 
 /// Rays to points 0.1 m apart on the plane of the rear, x = 8 m; 20 x 16 are on the rear.

@@ -41,9 +41,9 @@ Log make_sequence_looking_down() {
 /// than the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
-    const Log sequence = make_sequence_looking_down();
-    ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, sequence);
-    const SimulatedSensor sensor = make_sensor(config, sequence);
+    const Log log = make_sequence_looking_down();
+    ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, log);
+    const SimulatedSensor sensor = make_sensor(config, log);
     const RenderedScan dry = renderer.render(sensor, 0.0);
     renderer.set_weather({.wet_mm = 2.0});
     const RenderedScan wet = renderer.render(sensor, 0.0);
@@ -85,12 +85,12 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
 TEST_F(WetGroundOnScans, MirrorImagesHaveTheVelocityOfTheirObjects) {
     Config config;
     config.render.channels = "velocity";
-    Log sequence = make_sequence_looking_down();
-    sequence.world_from_vehicle = {
-        {-1.0, 1.0}, {Pose{{1, 0, 0, 0}, {-8.0, 0.0, 0.0}}, Pose{{1, 0, 0, 0}, {8.0, 0.0, 0.0}}}};
-    ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, sequence);
+    Log log = make_sequence_looking_down();
+    log.world_from_vehicle = {{-1.0, 1.0},
+                              {Pose{{1, 0, 0, 0}, {-8.0, 0.0, 0.0}}, Pose{{1, 0, 0, 0}, {8.0, 0.0, 0.0}}}};
+    ScanRenderer renderer(device(), wrap_background(make_ground_before_wall()), config, log);
     renderer.set_weather({.wet_mm = 2.0});
-    const RenderedScan wet = renderer.render(make_sensor(config, sequence), 0.0);
+    const RenderedScan wet = renderer.render(make_sensor(config, log), 0.0);
     const std::vector<std::int32_t>& source = *find_values<std::int32_t>(wet.channels, "source");
     int mirrored = 0;
     for (std::size_t i = 0; i < source.size(); ++i) {

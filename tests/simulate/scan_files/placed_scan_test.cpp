@@ -42,10 +42,10 @@ RenderedScan make_lane_change() {
     for (std::size_t i = 0; i < places().size(); ++i) {
         const glm::dvec3 point_in_sensor_m = inverse(scan.firing_pose(i)) * places()[i];
         const glm::vec3 origin(0.1f, 0.0f, 0.05f);
-        const glm::dvec3 ray_vector_m = point_in_sensor_m - glm::dvec3(origin);
+        const glm::dvec3 vector_m = point_in_sensor_m - glm::dvec3(origin);
         scan.image.origin.push_back(origin);
-        scan.image.direction.emplace_back(glm::normalize(ray_vector_m));
-        scan.image.range_m.push_back(float(glm::length(ray_vector_m)));
+        scan.image.direction.emplace_back(glm::normalize(vector_m));
+        scan.image.range_m.push_back(float(glm::length(vector_m)));
     }
     return test::complete(std::move(scan));
 }

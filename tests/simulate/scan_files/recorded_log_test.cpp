@@ -177,19 +177,19 @@ void expect_same(const Log& log, bool has_second) {
     ASSERT_EQ(log.frames.size(), std::size_t(kFrames)) << testing::PrintToString(log.notes);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), std::size_t(kRows));
     EXPECT_EQ(log.lidars[0].sensor.columns, kColumns);
-    std::vector<SeenPoint> expected_points = compute_truth();
-    if (!has_second) std::erase_if(expected_points, &SeenPoint::second);
-    const std::vector<SeenPoint> loaded_points = read_again(log, kFirst_s);
-    ASSERT_EQ(loaded_points.size(), expected_points.size());
-    for (std::size_t i = 0; i < expected_points.size(); ++i) {
-        ASSERT_EQ(loaded_points[i].ring, expected_points[i].ring) << i;
-        ASSERT_EQ(loaded_points[i].second, expected_points[i].second) << i;
-        ASSERT_NEAR(loaded_points[i].time_s, expected_points[i].time_s, 2e-6) << i;
-        ASSERT_NEAR(loaded_points[i].intensity, expected_points[i].intensity, 1e-6) << i;
+    std::vector<SeenPoint> expected = compute_truth();
+    if (!has_second) std::erase_if(expected, &SeenPoint::second);
+    const std::vector<SeenPoint> loaded = read_again(log, kFirst_s);
+    ASSERT_EQ(loaded.size(), expected.size());
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+        ASSERT_EQ(loaded[i].ring, expected[i].ring) << i;
+        ASSERT_EQ(loaded[i].second, expected[i].second) << i;
+        ASSERT_NEAR(loaded[i].time_s, expected[i].time_s, 2e-6) << i;
+        ASSERT_NEAR(loaded[i].intensity, expected[i].intensity, 1e-6) << i;
         // Poses of frames would be too coarse: at 10 m/s and 0.5 rad/s, a chord of 0.1 s
         // deviates by 6 mm and extrapolation by 5 cm. A pose every 10 ms deviates by 0.1
         // mm.
-        ASSERT_LT(glm::distance(loaded_points[i].world_m, expected_points[i].world_m), 3e-4) << i;
+        ASSERT_LT(glm::distance(loaded[i].world_m, expected[i].world_m), 3e-4) << i;
     }
 }
 
