@@ -30,7 +30,7 @@ constexpr std::string_view kEveryClass = "all";
 /// Adds the returns of one scan that lie inside boxes, in the frames of the boxes.
 void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
                     bool second_returns, const std::vector<WalkedDistanceTrack>& walked,
-                    std::vector<std::vector<LidarSample>>& samples_per_box) {
+                    std::vector<LidarSamples>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
         if (boxes[b].is_observed(frame.time_s)) present.push_back(b);
@@ -41,27 +41,26 @@ void append_returns(const Log& log, const Frame& frame, const std::vector<BoxTra
             const Pose box_from_world = inverse(boxes[b].world_from_box.pose_at(hit.time_s));
             const glm::dvec3 local = box_from_world * hit.point_m;
             if (local.z < -0.5 * boxes[b].size_m.z + kGroundHeight_m) continue;
-            samples_per_box[b].push_back({glm::vec3(local), hit.intensity,
-                                          glm::vec3(box_from_world.rotation * hit.direction),
-                                          static_cast<float>(walked[b].walked_m(hit.time_s)), frame.index});
+            samples[b].push_back({glm::vec3(local), hit.intensity,
+                                  glm::vec3(box_from_world.rotation * hit.direction),
+                                  static_cast<float>(walked[b].walked_m(hit.time_s)), frame.index});
         }
     });
 }
 
 /// Collects the returns of the training frames that lie inside boxes, [boxes].
-std::vector<std::vector<LidarSample>> collect_samples(const Log& log, const std::vector<int>& frames,
-                                                      const std::vector<BoxTrack>& boxes,
-                                                      const InitOptions& options, const Progress& progress) {
+std::vector<LidarSamples> collect_samples(const Log& log, const std::vector<int>& frames,
+                                          const std::vector<BoxTrack>& boxes, const InitOptions& options,
+                                          const Progress& progress) {
     std::vector<WalkedDistanceTrack> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
-    std::vector<std::vector<LidarSample>> samples(boxes.size());
-    std::vector<std::vector<std::vector<LidarSample>>> of_frame(
-        frames.size(), std::vector<std::vector<LidarSample>>(boxes.size()));
+    std::vector<LidarSamples> samples(boxes.size());
+    std::vector<std::vector<LidarSamples>> of_frame(frames.size(), std::vector<LidarSamples>(boxes.size()));
     progress_for(frames.size(), progress, "collecting the points of actors", [&](std::size_t index) {
         append_returns(log, log.frames[std::size_t(frames[index])], boxes, options.second_returns, walks,
                        of_frame[index]);
     });
-    for (const std::vector<std::vector<LidarSample>>& frame : of_frame)
+    for (const std::vector<LidarSamples>& frame : of_frame)
         for (std::size_t b = 0; b < boxes.size(); ++b)
             samples[b].insert(samples[b].end(), frame[b].begin(), frame[b].end());
     return samples;
@@ -112,8 +111,7 @@ void check_track_names(const Log& log, const std::string& track_names) {
 
 /// Adds random points inside the box until there are `min_count` samples, with the mean
 /// intensity of the existing samples and viewing directions towards the box centre.
-void pad_samples(std::vector<LidarSample>& samples, std::size_t min_count, const BoxTrack& box,
-                 std::uint64_t seed) {
+void pad_samples(LidarSamples& samples, std::size_t min_count, const BoxTrack& box, std::uint64_t seed) {
     double intensity = 0.0;
     for (const LidarSample& s : samples) intensity += s.intensity / double(samples.size());
     Random random(hash_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
@@ -130,10 +128,9 @@ void pad_samples(std::vector<LidarSample>& samples, std::size_t min_count, const
 /// Appends an actor to the scene. Does nothing if the box has too few points.
 /// @param incidence  strength of the dependence on the incidence angle
 /// (IntensityResponse)
-void append_actor(Scene& scene, const BoxTrack& box, const std::vector<LidarSample>& samples,
-                  const InitOptions& options, double incidence, std::vector<std::string>* notes,
-                  const Progress& progress) {
-    std::vector<LidarSample> rigid = thin_samples(samples, std::size_t(options.actor_points));
+void append_actor(Scene& scene, const BoxTrack& box, const LidarSamples& samples, const InitOptions& options,
+                  double incidence, std::vector<std::string>* notes, const Progress& progress) {
+    LidarSamples rigid = thin_samples(samples, std::size_t(options.actor_points));
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     pad_samples(rigid, std::size_t(std::min(options.actor_pad_to, options.actor_points)), box, options.seed);
     const bool is_deformable = options.deform == kEveryClass || has_word(options.deform, box.category) ||
@@ -221,8 +218,7 @@ Scene init_scene(const Log& log, const std::vector<int>& frames, const InitOptio
     Scene scene = wrap_background(init_background(log, frames, options, progress));
     std::vector<BoxTrack> actor_boxes = list_foreground(log, options);
     std::erase_if(actor_boxes, [&](const BoxTrack& box) { return !is_actor(box, options); });
-    std::vector<std::vector<LidarSample>> samples_per_box =
-        collect_samples(log, frames, actor_boxes, options, progress);
+    std::vector<LidarSamples> samples_per_box = collect_samples(log, frames, actor_boxes, options, progress);
     for (std::size_t i = 0; i < actor_boxes.size(); ++i) {
         if (progress) progress("modelling actors", double(i) / double(actor_boxes.size()));
         append_actor(scene, actor_boxes[i], samples_per_box[i], options, log.intensity_response.incidence,

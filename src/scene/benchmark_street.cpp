@@ -59,9 +59,11 @@ struct Rectangle {
     glm::dvec3 normal = glm::normalize(glm::cross(edge_u, edge_v));
     double area = glm::length(glm::cross(edge_u, edge_v));
 };
+using Rectangles = std::vector<Rectangle>;
+using RectangleIndices = std::vector<std::uint16_t>;
 
 /// Adds five faces of a car, whose body begins 0.2 m above the ground.
-void append_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
+void append_car(const glm::dvec3& centre, double intensity, Rectangles& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
     const glm::dvec3 base = centre + glm::dvec3(-0.5 * length, -0.5 * width, 0.2);
@@ -74,10 +76,10 @@ void append_car(const glm::dvec3& centre, double intensity, std::vector<Rectangl
 
 /// Returns the rectangles of the ground, the facades and the parked cars. The seed is
 /// fixed, so the layout is always the same.
-std::vector<Rectangle> make_rectangles() {
+Rectangles make_rectangles() {
     NumpyRandomState random(1);
     const double half = kStreetLength_m / 2;
-    std::vector<Rectangle> rectangles{
+    Rectangles rectangles{
         {{-half, -kHalfWidth_m, 0}, {kStreetLength_m, 0, 0}, {0, 2 * kHalfWidth_m, 0}, 0.2}};
     for (const int side : {-1, 1}) {
         for (double x = -half; x < half - 1e-9;) {
@@ -103,13 +105,13 @@ std::vector<Rectangle> make_rectangles() {
 }
 
 /// Picks a random rectangle for each surfel, with a probability proportional to its area.
-std::vector<std::uint16_t> sample_rectangles(std::size_t count, const std::vector<Rectangle>& rectangles,
-                                             NumpyRandomState& random) {
+RectangleIndices sample_rectangles(std::size_t count, const Rectangles& rectangles,
+                                   NumpyRandomState& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
     for (double& c : cumulative) c /= total;
-    std::vector<std::uint16_t> index(count);
+    RectangleIndices index(count);
     for (std::uint16_t& i : index) {
         const auto at = std::upper_bound(cumulative.begin(), cumulative.end(), random.draw_uniform()) -
                         cumulative.begin();
@@ -118,8 +120,8 @@ std::vector<std::uint16_t> sample_rectangles(std::size_t count, const std::vecto
     return index;
 }
 
-void sample_positions(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& indices,
-                      NumpyRandomState& random, Surfels& surfels) {
+void sample_positions(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
+                      Surfels& surfels) {
     std::vector<glm::dvec2> along(indices.size());
     for (glm::dvec2& ab : along) {
         ab.x = random.draw_uniform();
@@ -149,8 +151,8 @@ glm::dvec4 quaternion_of_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis
 
 /// The normals scatter around the normals of the rectangles. The rotation about the
 /// normal is uniform.
-void sample_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& indices,
-                      NumpyRandomState& random, Surfels& surfels) {
+void sample_rotations(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
+                      Surfels& surfels) {
     std::vector<glm::dvec3> normal(indices.size());
     for (std::size_t i = 0; i < indices.size(); ++i) {
         glm::dvec3 noise;
@@ -180,8 +182,8 @@ void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
 
 /// Rounds to multiples of 1/4096 (degree 0) or 1/256 (other degrees), and half to even,
 /// like scene_gen.py.
-void sample_harmonics(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& indices,
-                      NumpyRandomState& random, Surfels& surfels) {
+void sample_harmonics(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
+                      Surfels& surfels) {
     const auto put_dc = [&](std::size_t surfel, int channel, double value) {
         const double steps = std::clamp(std::nearbyint((value - 0.5) / kShC0 * 4096), -32000.0, 32000.0);
         surfels.sh[surfel * kShFloats + std::size_t(channel) * kShCoefficients] = float(steps / 4096);
@@ -203,11 +205,11 @@ void sample_harmonics(const std::vector<Rectangle>& rectangles, const std::vecto
 }  // namespace
 
 Surfels make_street_surfels(std::uint32_t n_surfels, std::uint32_t seed, bool shrink) {
-    const std::vector<Rectangle> rectangles = make_rectangles();
+    const Rectangles rectangles = make_rectangles();
     NumpyRandomState random(seed);
     Surfels surfels;
     surfels.resize(n_surfels);
-    const std::vector<std::uint16_t> index = sample_rectangles(n_surfels, rectangles, random);
+    const RectangleIndices index = sample_rectangles(n_surfels, rectangles, random);
     sample_positions(rectangles, index, random, surfels);
     sample_rotations(rectangles, index, random, surfels);
     sample_scales(shrink, random, surfels);

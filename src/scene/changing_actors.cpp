@@ -43,7 +43,7 @@ struct FrameSamples {
     double walked_m = 0.0;   ///< Mean walked distance of the samples.
     double spacing_m = 0.0;  ///< Mean difference of walked distance to the previous and the next frame.
 
-    FrameSamples(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> indices)
+    FrameSamples(const LidarSamples& samples, std::vector<std::uint32_t> indices)
         : index(samples, std::move(indices)) {
         for (const std::uint32_t i : index.cloud.of)
             walked_m += double(samples[i].walked_m) / double(index.cloud.of.size());
@@ -51,7 +51,7 @@ struct FrameSamples {
 };
 using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
-SamplesByFrame group_by_frame(const std::vector<LidarSample>& samples) {
+SamplesByFrame group_by_frame(const LidarSamples& samples) {
     SamplesByFrame frames;
     for (auto& [frame, of_frame] : group_samples(samples))
         frames.push_back(std::make_unique<FrameSamples>(samples, std::move(of_frame)));
@@ -66,12 +66,12 @@ SamplesByFrame group_by_frame(const std::vector<LidarSample>& samples) {
 
 /// Estimates how the surface around a sample moves, in metres per frame: the shift that
 /// moves the points around the sample onto those of two earlier and two later frames.
-glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame_index,
-                         const std::vector<LidarSample>& samples, const LidarSample& sample) {
+glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame, const LidarSamples& samples,
+                         const LidarSample& sample) {
     constexpr float kMaxShift_m = 0.3f, kMaxShiftUp_m = 0.08f, kShiftStep_m = 0.04f;
     constexpr double kPatchRadius_m = 0.12, kMaxMatchDistance_m = 0.15;
     constexpr std::size_t kMaxPatchPoints = 6;
-    const FrameSamples& here = *frames[frame_index];
+    const FrameSamples& here = *frames[frame];
     const std::vector<std::uint32_t> patch =
         here.index.find_in_radius(sample.position, kPatchRadius_m, kMaxPatchPoints);
     glm::vec3 best(0.0f);
@@ -81,10 +81,10 @@ glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame_index,
             const glm::vec3 shift(x, 0.0f, z);
             // A small cost selects the smallest of several equally good shifts.
             double sum = 1e-3 * double(glm::length(shift));
-            for (std::size_t f = frame_index - std::min<std::size_t>(frame_index, 2);
-                 f < std::min(frame_index + 3, frames.size()); ++f) {
+            for (std::size_t f = frame - std::min<std::size_t>(frame, 2);
+                 f < std::min(frame + 3, frames.size()); ++f) {
                 const auto n_frames = float((frames[f]->walked_m - here.walked_m) / here.spacing_m);
-                if (f == frame_index || std::abs(n_frames) > 3.0f) continue;
+                if (f == frame || std::abs(n_frames) > 3.0f) continue;
                 for (const std::uint32_t i : patch)
                     sum += frames[f]->index.nearest_m(samples[i].position + n_frames * shift,
                                                       kMaxMatchDistance_m);
@@ -98,8 +98,7 @@ glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame_index,
 }
 
 /// Replaces each shift by the median of the shifts at the nearest samples, per axis.
-std::vector<glm::vec3> smooth_shifts(const std::vector<LidarSample>& samples,
-                                     const std::vector<glm::vec3>& shifts) {
+std::vector<glm::vec3> smooth_shifts(const LidarSamples& samples, const std::vector<glm::vec3>& shifts) {
     constexpr double kSmoothingRadius_m = 0.15;
     constexpr std::size_t kMaxSmoothed = 9;
     std::vector<std::uint32_t> all(samples.size());
@@ -118,7 +117,7 @@ std::vector<glm::vec3> smooth_shifts(const std::vector<LidarSample>& samples,
 }
 
 /// Makes one surfel for each sample, with the gait of the sample.
-Surfels make_gait_surfels(const std::vector<LidarSample>& samples, const std::vector<GaitPhaseWindow>& gaits,
+Surfels make_gait_surfels(const LidarSamples& samples, const std::vector<GaitPhaseWindow>& gaits,
                           const InitOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
     Surfels surfels = make_surfels(samples, options, incidence, {}, &order);
@@ -128,7 +127,7 @@ Surfels make_gait_surfels(const std::vector<LidarSample>& samples, const std::ve
 }
 
 /// Returns true for each sample near which most frames have a point.
-std::vector<char> mark_static(const std::vector<LidarSample>& samples, const SamplesByFrame& frames) {
+std::vector<char> mark_static(const LidarSamples& samples, const SamplesByFrame& frames) {
     std::vector<char> is_static(samples.size());
     const std::size_t step = frames.size() / kMaxComparedFrames + 1;
     parallel_blocks(samples.size(), [&](std::size_t index) {
@@ -142,26 +141,25 @@ std::vector<char> mark_static(const std::vector<LidarSample>& samples, const Sam
 
 /// Makes surfels with the shape of an actor in one frame. Their opacity is a Gaussian of
 /// the walked distance with the standard deviation `FrameSamples::spacing_m`.
-/// @param changing_samples samples of this frame where the shape of the actor changes
+/// @param changing samples of this frame where the shape of the actor changes
 Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_index,
-                           const std::vector<LidarSample>& samples,
-                           const std::vector<LidarSample>& changing_samples, double period_m,
+                           const LidarSamples& samples, const LidarSamples& changing, double period_m,
                            const InitOptions& options, double incidence) {
     const FrameSamples& frame = *by_frame[frame_index];
-    std::vector<glm::vec3> shifts(changing_samples.size());
-    parallel_blocks(changing_samples.size(), [&](std::size_t i) {
-        shifts[i] = estimate_shift(by_frame, frame_index, samples, changing_samples[i]);
+    std::vector<glm::vec3> shifts(changing.size());
+    parallel_blocks(changing.size(), [&](std::size_t i) {
+        shifts[i] = estimate_shift(by_frame, frame_index, samples, changing[i]);
     });
     std::vector<GaitPhaseWindow> gait;
-    for (const glm::vec3& shift : smooth_shifts(changing_samples, shifts))
+    for (const glm::vec3& shift : smooth_shifts(changing, shifts))
         gait.push_back({float(frame.walked_m / period_m), float(period_m / (2.0 * kPi * frame.spacing_m)),
                         float(period_m / (2.0 * kPi * frame.spacing_m)) * shift});
-    return make_gait_surfels(changing_samples, gait, options, incidence);
+    return make_gait_surfels(changing, gait, options, incidence);
 }
 
 }  // namespace
 
-DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, const InitOptions& options,
+DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOptions& options,
                                      double incidence, std::size_t max_count, const Progress& progress) {
     const SamplesByFrame frames = group_by_frame(samples);
     if (frames.size() < kFewestChanging)
@@ -176,7 +174,7 @@ DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, co
     DeformingActorSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
     const std::vector<char> rests = mark_static(samples, frames);
-    std::vector<LidarSample> resting;
+    LidarSamples resting;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (rests[i]) resting.push_back(samples[i]);
     if (!resting.empty()) {
@@ -187,7 +185,7 @@ DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, co
     const std::size_t most_in_frame = std::max((max_count - actor.surfels.size()) / frames.size(), kInFrame);
     for (std::size_t k = 0; k < frames.size(); ++k) {
         if (progress) progress("modelling the walking of actors", double(k) / double(frames.size()));
-        std::vector<LidarSample> changing;
+        LidarSamples changing;
         for (const std::uint32_t i : frames[k]->index.cloud.of)
             if (!rests[i]) changing.push_back(samples[i]);
         if (changing.empty()) continue;

@@ -23,11 +23,10 @@ struct DeformingActorSurfels {
 /// surfels are always visible and do not move.
 /// @param samples  points in the frame of the box, with the distance that the actor
 /// walked
-/// @param max_surfels  maximum number of surfels; each frame may still have 200 surfels
+/// @param max_count  maximum number of surfels; each frame may still have 200 surfels
 /// @return no surfels and period 0 with fewer than three frames, or if the actor walks
 /// less than half a metre
-DeformingActorSurfels make_deforming(const std::vector<LidarSample>& samples, const InitOptions& options,
-                                     double incidence, std::size_t max_surfels,
-                                     const Progress& progress = {});
+DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOptions& options,
+                                     double incidence, std::size_t max_count, const Progress& progress = {});
 
 }  // namespace relidar

@@ -47,9 +47,9 @@ struct CellHash {
 };
 
 /// Returns the points of one frame in the world frame outside `boxes`.
-std::vector<LidarSample> background_samples(const Log& log, const Frame& frame,
-                                            const std::vector<BoxTrack>& boxes, const InitOptions& options) {
-    std::vector<LidarSample> samples;
+LidarSamples background_samples(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
+                                const InitOptions& options) {
+    LidarSamples samples;
     for_each_return(log, frame, options.second_returns, [&](const WorldReturn& hit) {
         const auto is_in = [&](const BoxTrack& box) {
             return box.is_observed(hit.time_s) && box.contains_point(hit.point_m, hit.time_s, kMoverMargin_m);
@@ -73,11 +73,11 @@ std::vector<glm::vec3> frame_positions(const Log& log, const std::vector<int>& f
 
 /// Returns the voxel that contains a point. Its edge is `voxel_m` * 2^level. The level
 /// rises with the distance to the nearest sensor position if `voxel_growth` is not 0.
-VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensor_positions,
+VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<float>& sensors,
                           const InitOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
-        const float nearest2 = sensor_positions.nearest_distance_sq(point_m);
+        const float nearest2 = sensors.nearest_distance_sq(point_m);
         const double edge = std::max(options.voxel_m, options.voxel_growth * std::sqrt(double(nearest2)));
         level = std::max(0, static_cast<int>(std::floor(std::log2(edge / options.voxel_m) + 0.5)));
     }
@@ -115,8 +115,8 @@ struct VoxelHashTable {
 
 /// Returns the mean sample of each voxel, sorted by the first sample of the voxel. Reads
 /// only a few frames at a time, so that memory does not grow with the number of frames.
-std::vector<LidarSample> average_voxels(const Log& log, const std::vector<int>& train_frames,
-                                        const InitOptions& options, const Progress& progress) {
+LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames, const InitOptions& options,
+                            const Progress& progress) {
     constexpr std::size_t kFramesPerBatch = 16;
     const std::vector<BoxTrack> separate = list_foreground(log, options);
     const NearestPointFinder<float> sensors(frame_positions(log, train_frames));
@@ -147,7 +147,7 @@ std::vector<LidarSample> average_voxels(const Log& log, const std::vector<int>& 
     }
     parallel_sort(voxels,
                   [](const VoxelSums& first, const VoxelSums& second) { return first.first < second.first; });
-    std::vector<LidarSample> means;
+    LidarSamples means;
     for (const VoxelSums& v : voxels)
         means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
                          glm::vec3(v.view / std::max(glm::length(v.view), 1e-12))});
@@ -155,9 +155,9 @@ std::vector<LidarSample> average_voxels(const Log& log, const std::vector<int>& 
 }
 
 /// Removes samples at positions where other frames observe empty space.
-std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, const Log& log,
-                                       const std::vector<int>& train_frames, const Progress& progress) {
-    VisibilityChecker visibility(log, train_frames);
+LidarSamples remove_movers(const LidarSamples& samples, const Log& log, const std::vector<int>& frames,
+                           const Progress& progress) {
+    VisibilityChecker visibility(log, frames);
     std::vector<glm::vec3> points;
     for (const LidarSample& sample : samples) points.push_back(sample.position);
     visibility.make_images(points);
@@ -165,7 +165,7 @@ std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, 
     progress_blocks(samples.size(), progress, "removing moving points", [&](std::size_t index) {
         keep[index] = !visibility.count_votes(samples[index].position).is_empty_space(kGoneShare);
     });
-    std::vector<LidarSample> static_samples;
+    LidarSamples static_samples;
     for (std::size_t i = 0; i < samples.size(); ++i)
         if (keep[i]) static_samples.push_back(samples[i]);
     return static_samples;
@@ -173,16 +173,16 @@ std::vector<LidarSample> remove_movers(const std::vector<LidarSample>& samples, 
 
 }  // namespace
 
-Surfels init_background(const Log& log, const std::vector<int>& train_frames, const InitOptions& options,
+Surfels init_background(const Log& log, const std::vector<int>& frames, const InitOptions& options,
                         const Progress& progress) {
-    std::vector<LidarSample> samples = average_voxels(log, train_frames, options, progress);
+    LidarSamples samples = average_voxels(log, frames, options, progress);
     if (options.unlabelled_movers != UnlabelledMoverPolicy::background)
-        samples = remove_movers(samples, log, train_frames, progress);
+        samples = remove_movers(samples, log, frames, progress);
     if (samples.empty())
         fail(
             "cannot initialise the background of {}: its {} training frames have no LiDAR return outside the "
             "boxes of moving objects, expected at least one",
-            log.name, train_frames.size());
+            log.name, frames.size());
     return make_surfels(samples, options, log.intensity_response.incidence, progress);
 }
 

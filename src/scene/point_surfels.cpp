@@ -26,7 +26,7 @@ constexpr double kMinGapRatio = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
 struct SampleKdTreeAdapter {
-    const std::vector<LidarSample>& samples;
+    const LidarSamples& samples;
     std::size_t kdtree_get_point_count() const { return samples.size(); }
     float kdtree_get_pt(std::size_t index, std::size_t axis) const {
         return samples[index].position[static_cast<int>(axis)];
@@ -49,9 +49,8 @@ struct NeighbourPlane {
 /// eigenvalue. If all points lie on one scan line, the normal is the one that faces the
 /// sensor most. If the points form no surface, the normal points to the sensor, because
 /// rays of the next scan would miss a surfel that is edge-on.
-NeighbourPlane fit_neighbours(const std::vector<LidarSample>& samples,
-                              const std::vector<std::size_t>& neighbours, const glm::dvec3& direction,
-                              double max_flatness) {
+NeighbourPlane fit_neighbours(const LidarSamples& samples, const std::vector<std::size_t>& neighbours,
+                              const glm::dvec3& direction, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbours)
         mean += Eigen::Vector3d(samples[j].position.x, samples[j].position.y, samples[j].position.z);
@@ -71,7 +70,7 @@ NeighbourPlane fit_neighbours(const std::vector<LidarSample>& samples,
         const glm::dvec3 line(axes(0, 2), axes(1, 2), axes(2, 2));
         normal = -direction + (values[2] > 0.0 ? glm::dot(direction, line) * line : glm::dvec3(0.0));
     }
-    const bool is_surface = !is_line && values[0] < max_flatness * values[1];
+    const bool is_surface = !is_line && values[0] < flatness * values[1];
     if (!is_line && !is_surface) normal = -direction;
     const double length = glm::length(normal);
     return {
@@ -96,7 +95,7 @@ struct ScanLineGap {
 
 /// @param neighbours indices of points on the surface, sorted by distance; the
 /// first is the point itself
-ScanLineGap measure_gap(const std::vector<LidarSample>& samples, const std::vector<std::size_t>& neighbours,
+ScanLineGap measure_gap(const LidarSamples& samples, const std::vector<std::size_t>& neighbours,
                         const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
@@ -132,8 +131,7 @@ ScanLineGap measure_gap(const std::vector<LidarSample>& samples, const std::vect
 /// cos)) with albedo a and cos = -n . d, where d is the direction of a ray towards the
 /// surface. Grazing angles have a lower limit, because their albedo is inaccurate.
 /// @param normal zero if unknown; then the intensity is the same from all directions
-void set_harmonics(float* sh_coefficients, const LidarSample& sample, const glm::dvec3& normal,
-                   double incidence) {
+void set_harmonics(float* sh, const LidarSample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazingCosine = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
@@ -141,10 +139,10 @@ void set_harmonics(float* sh_coefficients, const LidarSample& sample, const glm:
                  albedo = double(sample.intensity) /
                           (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazingCosine)));
     const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
-    sh_coefficients[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
-    sh_coefficients[1] = static_cast<float>(-slope.y);
-    sh_coefficients[2] = static_cast<float>(slope.z);
-    sh_coefficients[3] = static_cast<float>(-slope.x);
+    sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
+    sh[1] = static_cast<float>(-slope.y);
+    sh[2] = static_cast<float>(slope.z);
+    sh[3] = static_cast<float>(-slope.x);
 }
 
 /// Returns the indices of the `count` nearest samples, sorted by distance.
@@ -165,37 +163,34 @@ struct SurfelPlacement {
 /// Fits a plane to the nearest samples, and measures the gap between scan lines. Uses
 /// more samples if all lie on one scan line, because the plane could rotate about this
 /// line, or if there is no sample on the left or right scan line.
-SurfelPlacement estimate_surface(const Tree& tree, const std::vector<LidarSample>& samples,
-                                 std::size_t sample_index, std::vector<std::size_t> nearest_indices,
-                                 const InitOptions& options) {
+SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, std::size_t sample,
+                                 std::vector<std::size_t> nearest, const InitOptions& options) {
     constexpr int kMaxWidenings = 2;  // maximum number of repeated searches with more neighbours
-    SurfelPlacement placement{
-        fit_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness), {}};
+    SurfelPlacement placement{fit_neighbours(samples, nearest, samples[sample].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return placement;
     const auto widen = [&] {
         std::vector<float> distance2;
-        nearest_indices = find_nearest(tree, samples[sample_index],
-                                       std::min(4 * nearest_indices.size(), samples.size()), distance2);
+        nearest =
+            find_nearest(tree, samples[sample], std::min(4 * nearest.size(), samples.size()), distance2);
     };
     const bool is_line = placement.plane.is_line;
     for (int k = 0; is_line && !placement.plane.is_surface && k < kMaxWidenings; ++k) {
         widen();
-        const NeighbourPlane wider =
-            fit_neighbours(samples, nearest_indices, samples[sample_index].view, options.flatness);
+        const NeighbourPlane wider = fit_neighbours(samples, nearest, samples[sample].view, options.flatness);
         // The position of the wider plane is too coarse. The new plane passes through the
         // sample.
-        if (wider.is_surface) placement.plane = {samples[sample_index].position, wider.normal, true, true};
+        if (wider.is_surface) placement.plane = {samples[sample].position, wider.normal, true, true};
     }
     if (!placement.plane.is_surface) return placement;
-    placement.gap = measure_gap(samples, nearest_indices, placement.plane.normal);
+    placement.gap = measure_gap(samples, nearest, placement.plane.normal);
     if (is_line || !placement.gap.is_line_missing()) return placement;
     widen();
-    placement.gap = measure_gap(samples, nearest_indices, placement.plane.normal);
+    placement.gap = measure_gap(samples, nearest, placement.plane.normal);
     return placement;
 }
 
-void set_surfel(Surfels& surfels, std::size_t surfel, const std::vector<LidarSample>& samples,
-                const Tree& tree, const InitOptions& options, double incidence) {
+void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
+                const InitOptions& options, double incidence) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
@@ -239,8 +234,8 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const std::vector<LidarSam
 
 }  // namespace
 
-Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options, double incidence,
-                     const Progress& progress, std::vector<std::uint32_t>* sample_order) {
+Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, double incidence,
+                     const Progress& progress, std::vector<std::uint32_t>* order) {
     const SampleKdTreeAdapter cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
@@ -250,12 +245,12 @@ Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions&
         set_surfel(surfels, index, samples, tree, options, incidence);
     });
     const std::vector<std::uint32_t> sorted = kd_tree_order(surfels.mean);
-    if (sample_order) *sample_order = sorted;
+    if (order) *order = sorted;
     return surfels.reorder(sorted);
 }
 
-std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, std::size_t max_count,
-                                      std::vector<std::uint32_t>* selected) {
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
+                          std::vector<std::uint32_t>* selected) {
     // The jitter of labelled boxes blurs smaller details.
     constexpr double kThinningVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
@@ -277,7 +272,7 @@ std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, s
                   [&](std::uint32_t left, std::uint32_t right) { return order(left) < order(right); });
         first.resize(max_count);
     }
-    std::vector<LidarSample> thin;
+    LidarSamples thin;
     for (const std::uint32_t i : first) thin.push_back(samples[i]);
     if (selected) *selected = std::move(first);
     return thin;

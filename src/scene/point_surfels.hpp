@@ -18,6 +18,7 @@ struct LidarSample {
     float walked_m = 0.0f;  ///< distance that the actor had walked
     int frame = 0;          ///< index in the log of the point's frame; used only for actors
 };
+using LidarSamples = std::vector<LidarSample>;
 
 /// Calls `work` with each return of a frame (as a WorldReturn), ray by ray.
 /// @param second_returns if true, also calls `work` with second returns
@@ -38,13 +39,13 @@ void for_each_return(const Log& log, const Frame& frame, bool second_returns, co
 /// @param samples must not be empty
 /// @param incidence strength of this dependence (IntensityResponse)
 /// @param order output [n]: the index of each surfel's sample
-Surfels make_surfels(const std::vector<LidarSample>& samples, const InitOptions& options, double incidence,
+Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, double incidence,
                      const Progress& progress = {}, std::vector<std::uint32_t>* order = nullptr);
 
 /// Returns the first sample of each voxel of an actor, at most `max_count`. The samples
 /// of a voxel are not averaged: labels jitter, so averages would shrink the actor.
-/// @param selected_indices output: indices of the returned samples
-std::vector<LidarSample> thin_samples(const std::vector<LidarSample>& samples, std::size_t max_count,
-                                      std::vector<std::uint32_t>* selected_indices = nullptr);
+/// @param selected output: indices of the returned samples
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
+                          std::vector<std::uint32_t>* selected = nullptr);
 
 }  // namespace relidar

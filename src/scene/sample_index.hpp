@@ -17,7 +17,7 @@
 
 namespace relidar {
 
-inline std::map<int, std::vector<std::uint32_t>> group_samples(const std::vector<LidarSample>& samples) {
+inline std::map<int, std::vector<std::uint32_t>> group_samples(const LidarSamples& samples) {
     std::map<int, std::vector<std::uint32_t>> groups;
     for (std::size_t i = 0; i < samples.size(); ++i) groups[samples[i].frame].push_back(std::uint32_t(i));
     return groups;
@@ -25,7 +25,7 @@ inline std::map<int, std::vector<std::uint32_t>> group_samples(const std::vector
 
 /// Adapter that gives nanoflann access to some of the samples.
 struct SampleCloud {
-    const std::vector<LidarSample>& samples;
+    const LidarSamples& samples;
     std::vector<std::uint32_t> of;  ///< indices of the samples
     std::size_t kdtree_get_point_count() const { return of.size(); }
     float kdtree_get_pt(std::size_t index, std::size_t axis) const {
@@ -40,7 +40,7 @@ using SampleTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adap
 struct SampleIndex {
     SampleCloud cloud;
     SampleTree tree;
-    SampleIndex(const std::vector<LidarSample>& samples, std::vector<std::uint32_t> indices)
+    SampleIndex(const LidarSamples& samples, std::vector<std::uint32_t> indices)
         : cloud{samples, std::move(indices)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
     /// Limited to `max_distance_m`.

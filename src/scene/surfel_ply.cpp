@@ -27,6 +27,8 @@
 namespace relidar {
 namespace {
 
+namespace fs = std::filesystem;
+
 constexpr std::uint32_t kColourChannels = 3;
 constexpr std::uint32_t kRestCoefficients = kShCoefficients - 1;
 // Logarithm of the thickness of a surfel in metres, which viewers of ellipsoids need.
@@ -82,7 +84,7 @@ glm::vec3 quaternion_normal(const glm::vec4& wxyz) {
 }
 
 float property_value(const PlyProperty& property, const Surfels& surfels, std::size_t surfel,
-                     std::size_t model_index) {
+                     std::size_t model) {
     switch (property.kind) {
         case PlyProperty::parameter:
             return property.group->values(surfels)[surfel * property.group->count_floats() + property.index];
@@ -91,7 +93,7 @@ float property_value(const PlyProperty& property, const Surfels& surfels, std::s
         case PlyProperty::thickness:
             return kFlatLogScale;
         case PlyProperty::model:
-            return float(model_index);
+            return float(model);
     }
     return 0.0f;
 }
@@ -213,9 +215,9 @@ std::vector<std::uint32_t> list_models(const Scene& scene) {
 /// Finds the surfels of a run that surfels of an edited file come from.
 class SurfelMatcher {
 public:
-    /// @param run_model  model of each surfel of the run
-    SurfelMatcher(const Surfels& run_surfels, const std::vector<std::uint32_t>& run_model)
-        : run_(run_surfels), run_model_(run_model), used_(run_surfels.size()) {
+    /// @param models  model of each surfel of the run
+    SurfelMatcher(const Surfels& surfels, const std::vector<std::uint32_t>& models)
+        : run_(surfels), run_model_(models), used_(surfels.size()) {
         for (std::uint32_t i = 0; i < run_.size(); ++i) cells_.emplace(key_of(run_.mean[i]), i);
     }
 
@@ -270,9 +272,9 @@ private:
 /// Copies the missing properties from the surfels of the run at the same positions.
 /// @return a note about the surfels that were matched
 std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model, const PlyColumns& columns,
-                            const Scene& run_scene) {
-    const std::vector<std::uint32_t> run_model = list_models(run_scene);
-    SurfelMatcher matcher(run_scene.surfels, run_model);
+                            const Scene& scene) {
+    const std::vector<std::uint32_t> run_model = list_models(scene);
+    SurfelMatcher matcher(scene.surfels, run_model);
     std::size_t n_moved = 0, first_moved = 0;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         const std::optional<std::uint32_t> match = matcher.find_match(surfels, i);
@@ -282,13 +284,13 @@ std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model,
             if (p.kind == PlyProperty::model) model[i] = run_model[*match];
             else
                 p.group->mutable_values(surfels)[i * p.group->count_floats() + p.index] =
-                    p.group->values(run_scene.surfels)[*match * p.group->count_floats() + p.index];
+                    p.group->values(scene.surfels)[*match * p.group->count_floats() + p.index];
         }
     }
     if (n_moved > 0) {
         const glm::vec3& at = surfels.mean[first_moved];
         float nearest_m = std::numeric_limits<float>::infinity();
-        for (const glm::vec3& mean : run_scene.surfels.mean)
+        for (const glm::vec3& mean : scene.surfels.mean)
             nearest_m = std::min(nearest_m, glm::distance(mean, at));
         fail(
             "the property {} is missing, and {} of {} surfels are not at the position of a surfel of the run "
@@ -305,24 +307,22 @@ std::string restore_columns(Surfels& surfels, std::vector<std::uint32_t>& model,
     return fmt::format(
         "the file lacks {} properties, such as {}; they are those of the run's surfels at the same "
         "positions; {} of {} surfels of the run are not in the file",
-        columns.missing.size(), columns.missing.front().name, matcher.count_unused(),
-        run_scene.surfels.size());
+        columns.missing.size(), columns.missing.front().name, matcher.count_unused(), scene.surfels.size());
 }
 
 /// Sorts the surfels by model. Keeps the order of the file within each model.
-Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& model_per_surfel,
-                     const Scene& scene_layout) {
-    std::vector<std::uint32_t> order(model_per_surfel.size());
+Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& models, const Scene& layout) {
+    std::vector<std::uint32_t> order(models.size());
     std::iota(order.begin(), order.end(), 0u);
     std::stable_sort(order.begin(), order.end(), [&](std::uint32_t first, std::uint32_t second) {
-        return model_per_surfel[first] < model_per_surfel[second];
+        return models[first] < models[second];
     });
-    Scene scene = strip_surfels(scene_layout);
+    Scene scene = strip_surfels(layout);
     scene.surfels = surfels.reorder(order);
     std::uint32_t first = 0;
     for (std::size_t k = 0; k < scene.models.size(); ++k) {
         const auto count = static_cast<std::uint32_t>(
-            std::count(model_per_surfel.begin(), model_per_surfel.end(), static_cast<std::uint32_t>(k)));
+            std::count(models.begin(), models.end(), static_cast<std::uint32_t>(k)));
         scene.models[k].first = first;
         scene.models[k].count = count;
         first += count;
@@ -375,10 +375,9 @@ std::string make_header(const Surfels& surfels, const std::vector<PlyProperty>& 
 }
 
 /// Writes the surfels of `models`, in the order of the models.
-void write_file(const std::filesystem::path& path, const Surfels& surfels,
-                const std::vector<SurfelModel>& models, const std::vector<PlyProperty>& properties,
-                const std::string& header) {
-    write_atomically(path, [&](const std::filesystem::path& temporary) {
+void write_file(const fs::path& path, const Surfels& surfels, const std::vector<SurfelModel>& models,
+                const std::vector<PlyProperty>& properties, const std::string& header) {
+    write_atomically(path, [&](const fs::path& temporary) {
         surfels.check_lengths();
         codecs::OutputFile file(temporary);
         file.write(header);
@@ -395,28 +394,27 @@ void write_file(const std::filesystem::path& path, const Surfels& surfels,
 
 }  // namespace
 
-void write_surfels(const std::filesystem::path& path, const Scene& scene) {
+void write_surfels(const fs::path& path, const Scene& scene) {
     check_layout(scene);
     const std::vector<PlyProperty> list = list_properties(scene.surfels.parameters_used());
     write_file(path, scene.surfels, scene.models, list,
                make_header(scene.surfels, list, "frame of each model"));
 }
 
-void write_surfels(const std::filesystem::path& path, const Surfels& surfels, const FileMetadata& comments) {
+void write_surfels(const fs::path& path, const Surfels& surfels, const FileMetadata& comments) {
     std::vector<PlyProperty> list = list_properties(surfels.parameters_used());
     list.pop_back();  // the model
     write_file(path, surfels, {{"", 0, static_cast<std::uint32_t>(surfels.size())}}, list,
                make_header(surfels, list, "world", comments));
 }
 
-Scene read_surfel_ply(const std::filesystem::path& path, const Scene& scene_layout, PrimitiveType primitive,
-                      std::string* note) {
+Scene read_surfel_ply(const fs::path& path, const Scene& layout, PrimitiveType primitive, std::string* note) {
     std::string ignored_note;
     const std::vector<std::byte> file = codecs::read_file(path);
     try {
         const bool walks = std::ranges::any_of(
-            scene_layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
-        return parse_ply(file, scene_layout, {primitive, walks}, note ? *note : ignored_note);
+            layout.models, [](const SurfelModel& model) { return model.stride_m > 0.0f; });
+        return parse_ply(file, layout, {primitive, walks}, note ? *note : ignored_note);
     } catch (const DataError& error) {
         fail("cannot read PLY '{}': {}", path.string(), error.what());
     }

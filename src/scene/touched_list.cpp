@@ -24,15 +24,15 @@ TouchedSurfelList::TouchedSurfelList(Device& device)
 TouchedSurfelList::~TouchedSurfelList() = default;
 
 void TouchedSurfelList::compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched,
-                                std::uint32_t n_rows) {
+                                std::uint32_t n) {
     Impl& l = *impl_;
-    if (l.rows.size() < n_rows) {
+    if (l.rows.size() < n) {
         stream.submit_and_wait();  // earlier submissions may still use the old array
-        l.rows.reserve(l.device, n_rows, "rows with a gradient");
+        l.rows.reserve(l.device, n, "rows with a gradient");
     }
     stream.fill(l.count);
-    run(stream, l.kernel, (n_rows + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
-        {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n_rows});
+    run(stream, l.kernel, (n + RELIDAR_LIST_STRETCH - 1) / RELIDAR_LIST_STRETCH,
+        {.touched = touched, .rows = l.rows.address(), .count = l.count.address(), .n_rows = n});
 }
 
 Address<std::uint32_t, shared::TouchedRows> TouchedSurfelList::rows_address() const {

@@ -235,9 +235,9 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
                                                                    : PointVisibility::unknown;
 }
 
-bool VisibilityChecker::has_return_at(std::uint32_t view_index, const glm::dvec3& point_m,
+bool VisibilityChecker::has_return_at(std::uint32_t view, const glm::dvec3& point_m,
                                       double tolerance_m) const {
-    const NeighbourRanges here = ranges_around(views_[view_index], point_m);
+    const NeighbourRanges here = ranges_around(views_[view], point_m);
     return std::any_of(here.returned_m, here.returned_m + here.n,
                        [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
 }

@@ -116,7 +116,7 @@ template <auto kHost, auto kDevice>
 constexpr SurfelParameterGroup make_group(
     const char* name, std::array<std::uint32_t, 2> shape_per_surfel, double LearningRates::*learning_rate,
     bool has_harmonics = false, bool has_scales = false,
-    SurfelParameterGroup::SceneRequirement scene_requirement = SurfelParameterGroup::SceneRequirement::all) {
+    SurfelParameterGroup::SceneRequirement of = SurfelParameterGroup::SceneRequirement::all) {
     using Element = typename std::remove_reference_t<decltype(std::declval<Surfels&>().*kHost)>::value_type;
     // Element is not a pointer. NOLINTNEXTLINE(bugprone-sizeof-expression)
     constexpr std::size_t kFloatsPerElement = sizeof(Element) / sizeof(float);
@@ -125,7 +125,7 @@ constexpr SurfelParameterGroup make_group(
             learning_rate,
             has_harmonics,
             has_scales,
-            scene_requirement,
+            of,
             [](const SurfelArrays& arrays) -> const Array<float>& { return arrays.*kDevice; },
             [](SurfelArrays& arrays) -> Array<float>& { return arrays.*kDevice; },
             [](const Surfels& surfels) {
@@ -198,8 +198,7 @@ public:
     ~TouchedSurfelList();
     /// Lists the rows whose flag is 1, [n_rows]. Waits for the stream if there are more
     /// rows than in any earlier call.
-    void compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched_flags,
-                 std::uint32_t n_rows);
+    void compact(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n);
     /// [count] indices of the listed rows, in no particular order
     Address<std::uint32_t, shared::TouchedRows> rows_address() const;
     Address<std::uint32_t, shared::TouchedCount> count_address() const;  ///< [1]
@@ -271,7 +270,7 @@ public:
     /// Converts gradients with respect to the SurfelRecords to gradients with respect to
     /// the parameters (chain rule). Writes the gradients of the SH coefficients only with
     /// ShDirection::surfel. Otherwise the backward pass has already written them.
-    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
+    void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
                       const ActivationGradients& gradients);
 
     /// Enlarges all arrays to at least `capacity` surfels. Existing values are kept.

@@ -27,13 +27,13 @@ struct ActorObservations {
     std::vector<glm::vec3> directions;                           ///< [n,3] directions of the rays, box frame
     double nearest_m = std::numeric_limits<double>::infinity();  ///< shortest range of a hit
 };
+using ObservationsByTrack = std::map<std::string, ActorObservations>;
 /// Marks the patches of an actor's box that rays of the log have hit.
 ObservedBoxSurface observed_surface(const glm::dvec3& box_size_m, const ActorObservations& observations);
 /// Returns the points at which rays of the log hit each actor, by track. Renders the
 /// training frames again, so that an object that hid an actor in the log also hides it
 /// here. A LiDAR without a nominal ray pattern is replaced by an HDL-64E.
-std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
-                                                        const Progress& progress = {});
+ObservationsByTrack observe_actors(Device& device, const Run& run, const Progress& progress = {});
 
 struct AssetDescription {
     std::string name;      ///< name of its folder and its track, for example "car-3"

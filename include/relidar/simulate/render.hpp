@@ -137,9 +137,9 @@ std::vector<float> range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
-/// @param channel_names the network's inputs
+/// @param infos the network's inputs
 /// @param origin_m [3] from first_position()
-RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channel_names,
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& infos,
                              const glm::dvec3& origin_m);
 
 /// [3] First position of the log's vehicle in metres, in the dataset's world frame.
@@ -153,11 +153,10 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan);
 /// of incidence, from neighbouring pixels. Afterwards `drop_prob` is 0 or 1, and
 /// `image.range_m` equals `median_range_m`. Second returns keep their intensities. The
 /// result depends only on seed and time, not on the device.
-/// @param intensity_scatter if empty, intensities keep their expected values
+/// @param scatter if empty, intensities keep their expected values
 /// @param limits returns whose noise exceeds these limits are dropped
-void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                    const IntensityScatterModel& intensity_scatter, std::uint64_t seed,
-                    const RangeLimits& limits = {});
+void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const IntensityScatterModel& scatter,
+                    std::uint64_t seed, const RangeLimits& limits = {});
 
 struct RenderedPoints {
     LidarPoints points;      ///< all returns, in the order of place_points()
@@ -208,8 +207,7 @@ SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Fram
 SimulatedSensor make_sensor(const Config& config, const Log& log, int lidar = 0);
 /// Returns "native" (the log's LiDAR), a built-in sensor, the sensor in a file, or a
 /// range grid; `sensor.grid_method` applies to the grid "kitti360".
-SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& log,
-                              int lidar = 0);
+SimulatedSensor choose_sensor(const std::string& name, const Config& config, const Log& log, int lidar = 0);
 
 /// A sensor that replaces a LiDAR of the log.
 SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar = 0);
@@ -233,6 +231,7 @@ struct ScanRequest {
     /// All actors that are present. If not set, the tracks of the run apply.
     std::optional<ActorTracksByName> dataset_from_actor = {};
 };
+using SampleSeed = std::optional<std::uint64_t>;  ///< empty: without noise
 
 /// Only one thread may use a renderer, and two renderers of the same device must not be
 /// used simultaneously. With ShDirection::surfel, each instance needs a copy of its
@@ -279,30 +278,28 @@ public:
     void set_weather(const Weather& weather);
     bool has_network_for(const SimulatedSensor& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
-    /// @param sensor_offset pose of the sensor in the frame of the log's LiDAR
+    /// @param offset pose of the sensor in the frame of the log's LiDAR
     /// @param sample random seed for sample_returns(). If not set,
     /// the scan has expected values
-    RenderedScan render(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset = {},
-                        std::optional<std::uint64_t> sample = {});
+    RenderedScan render(const SimulatedSensor& sensor, double time_s, const Pose& offset = {},
+                        SampleSeed sample = {});
     /// @throws DataError if poses or times are not finite or exceed 1e10 m or s, or if
     /// times do not increase
     /// @throws UsageError for an actor that is not in the scene
-    RenderedScan render(const SimulatedSensor& sensor, const ScanRequest& request,
-                        std::optional<std::uint64_t> sample = {});
+    RenderedScan render(const SimulatedSensor& sensor, const ScanRequest& request, SampleSeed sample = {});
     enum class SubmissionTiming { now, with_next };
     /// Requests the points of a scan without waiting. While the device renders, the
     /// caller can request more scans and collect earlier points. The device computes the
     /// points if the scan has no sub-rays, grid, channels, weather or sample, otherwise
     /// place_points() does. Both are bitwise equal.
-    /// @param point_frame_time_s time of the sensor frame in which the points are
+    /// @param points_time_s time of the sensor frame in which the points are
     /// expressed
     /// @param timing with `with_next`, the scan is submitted together with the
     /// next request, and rendered in parallel if the device computes its points
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
-    void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double point_frame_time_s,
-                       std::optional<std::uint64_t> sample_seed = {},
-                       SubmissionTiming timing = SubmissionTiming::now);
+    void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double points_time_s,
+                       SampleSeed seed = {}, SubmissionTiming timing = SubmissionTiming::now);
     /// Maximum number of requested scans. Two keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Scans that the device renders in parallel: 4 on a GPU, 1 on a CPU and for a scene

@@ -219,8 +219,7 @@ private:
 };
 
 /// Arrays of an npz file, in the order of the file.
-std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame_number,
-                                    const ScanOutputOptions& format);
+std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanOutputOptions& format);
 
 /// Files that an earlier rendering has written: those in its scans.json, or all of an
 /// unfinished rendering.

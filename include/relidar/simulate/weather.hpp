@@ -117,7 +117,7 @@ double water_reflectance(double cosine);
 /// is absorbed. F_mean is the mean of F over the light of a diffuse surface:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
 /// @param cosine  of the angle of incidence in air, 0..1
-/// @param albedo_or_0  albedo of the dry ground, 0..1
+/// @param albedo  albedo of the dry ground, 0..1
 double wet_ratio(double cosine, double albedo);
 /// 1 if the water is at least 1 mm deep, the assumed texture depth of asphalt.
 double film_fraction(double water_depth_mm);
@@ -132,7 +132,7 @@ double film_fraction(double water_depth_mm);
 double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_rad, double albedo_or_0,
                  bool sees_sky);
 /// How often noise exceeds a threshold, per metre of range (2 / c seconds):
-/// exp(-threshold_sigmas^2 / 2) / (2 sqrt(3) tau) times per second, where tau is the
+/// exp(-sigmas^2 / 2) / (2 sqrt(3) tau) times per second, where tau is the
 /// pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
 /// @param sigmas  in standard deviations of the noise
 double false_returns_per_m(const WeatherSensorProperties& sensor, double sigmas);

@@ -75,21 +75,20 @@ std::optional<BoxTrack> fit_moved_box(const VisibilityChecker& visibility, Mover
 
 /// Extends a labelled box to the times before its first and after its last label. Uses
 /// each of the two parts only if other frames prove that the object moved in it.
-std::optional<BoxTrack> extend_box(const VisibilityChecker& visibility, MoverTrack& track,
-                                   const BoxTrack& labelled_box) {
-    const BoxTrack box = extend_in_time(track, labelled_box);
-    const double first_s = labelled_box.world_from_box.time_s.front();
+std::optional<BoxTrack> extend_box(const VisibilityChecker& view, MoverTrack& track, const BoxTrack& label) {
+    const BoxTrack box = extend_in_time(track, label);
+    const double first_s = label.world_from_box.time_s.front();
     TrackMotionEvidence before, after;
     for (MoverObservation& o : track.observations)
         if (!is_labelled(o))
-            (o.frame_time_s < first_s ? before : after) += remove_static(visibility, o.cluster, box);
+            (o.frame_time_s < first_s ? before : after) += remove_static(view, o.cluster, box);
     std::erase_if(track.observations, [&](const MoverObservation& observation) {
         return !is_labelled(observation) &&
                (observation.cluster.points_m.size() < kMinMoverPoints ||
                 !(observation.frame_time_s < first_s ? before : after).is_moving());
     });
     if (std::ranges::all_of(track.observations, is_labelled)) return std::nullopt;
-    return extend_in_time(track, labelled_box);
+    return extend_in_time(track, label);
 }
 
 /// Fixed-size data of a box, for the exchange between processes.
@@ -102,7 +101,7 @@ struct BoxRecord {
 
 /// Collects the boxes from all processes. A labelled track has the id and class of its
 /// label.
-std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
+std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const MoverTracks& tracks,
                                    const std::vector<std::optional<BoxTrack>>& found, std::size_t first_track,
                                    const Log& log) {
     std::vector<BoxRecord> heads;
@@ -141,19 +140,19 @@ std::vector<BoxTrack> gather_boxes(const ProcessGroup& group, const std::vector<
 
 /// Returns the boxes of all objects that are proven to have moved. Each process of the
 /// group checks a share of the tracks.
-std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& visibility, std::vector<MoverTrack>& tracks,
-                                      const Log& log, const Progress& progress, const ProcessGroup& group) {
+std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& tracks, const Log& log,
+                                      const Progress& progress, const ProcessGroup& group) {
     const ProcessGroup::PartRange share = group.part_range(tracks.size());
     for (std::size_t i = share.begin; i < share.end; ++i)
-        for (const MoverObservation& o : tracks[i].observations) visibility.make_images(o.cluster.points_m);
+        for (const MoverObservation& o : tracks[i].observations) view.make_images(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> proven_boxes(share.end - share.begin);
-    progress_for(
-        proven_boxes.size(), progress, "computing the paths of moving objects", [&](std::size_t index) {
-            MoverTrack& track = tracks[share.begin + index];
-            proven_boxes[index] = track.label == kNoLabel
-                                      ? fit_moved_box(visibility, track)
-                                      : extend_box(visibility, track, log.boxes[std::size_t(track.label)]);
-        });
+    progress_for(proven_boxes.size(), progress, "computing the paths of moving objects",
+                 [&](std::size_t index) {
+                     MoverTrack& track = tracks[share.begin + index];
+                     proven_boxes[index] = track.label == kNoLabel
+                                               ? fit_moved_box(view, track)
+                                               : extend_box(view, track, log.boxes[std::size_t(track.label)]);
+                 });
     return gather_boxes(group, tracks, proven_boxes, share.begin, log);
 }
 
@@ -198,15 +197,13 @@ bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle
 }
 
 /// Returns the boxes of the moving objects that one LiDAR observed.
-std::vector<BoxTrack> discover_in_lidar(int lidar_index, const Log& log, std::vector<int> frame_indices,
+std::vector<BoxTrack> discover_in_lidar(int lidar, const Log& log, std::vector<int> frames,
                                         const Progress& progress, const ProcessGroup& group) {
-    std::erase_if(frame_indices,
-                  [&](int position) { return log.frames[std::size_t(position)].lidar != lidar_index; });
+    std::erase_if(frames, [&](int position) { return log.frames[std::size_t(position)].lidar != lidar; });
     std::vector<double> times;
-    for (const int position : frame_indices) times.push_back(log.frames[std::size_t(position)].time_s);
-    VisibilityChecker visibility(log, frame_indices);
-    std::vector<MoverTrack> tracks =
-        link_clusters(find_clusters(log, frame_indices, visibility, progress, group), times, log);
+    for (const int position : frames) times.push_back(log.frames[std::size_t(position)].time_s);
+    VisibilityChecker visibility(log, frames);
+    MoverTracks tracks = link_clusters(find_clusters(log, frames, visibility, progress, group), times, log);
     std::erase_if(tracks,
                   [&](const MoverTrack& track) { return !should_fit_box(track, log.world_from_vehicle); });
     merge_tracks(tracks);

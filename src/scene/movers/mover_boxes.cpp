@@ -45,6 +45,7 @@ struct GroundPose {
                glm::dvec3(0.0, 0.0, local_point_m.z);
     }
 };
+using GroundPath = std::vector<GroundPose>;
 
 double yaw_of(const Pose& pose) {
     const glm::dvec3 forward = pose.rotation * glm::dvec3(1.0, 0.0, 0.0);
@@ -53,15 +54,14 @@ double yaw_of(const Pose& pose) {
 
 /// Returns the positions on a path with their headings: at the times of the observations,
 /// or at the reference times of their frames.
-std::vector<GroundPose> compute_ground_poses(const std::vector<KinematicState>& path, const MoverTrack& track,
-                                             bool at_frames = false) {
+GroundPath compute_ground_poses(const KinematicPath& path, const MoverTrack& track, bool at_frames = false) {
     std::vector<glm::dvec3> positions;
     for (std::size_t k = 0; k < path.size(); ++k)
         positions.push_back(at_frames ? path[k].position_after(track.observations[k].frame_time_s -
                                                                track.observations[k].cluster.time_s)
                                       : path[k].position_m);
     const std::vector<double> yaw = path_headings_rad(positions);
-    std::vector<GroundPose> placed;
+    GroundPath placed;
     for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({positions[k], yaw[k]});
     return placed;
 }
@@ -119,10 +119,10 @@ std::vector<double> top_heights_m(const MoverTrack& track) {
 /// Returns the position of the object in each observation: its centre in x and y, and its
 /// top in z.
 /// @param size_m length and width; if empty, the visible size is used
-std::vector<glm::dvec3> place_object(const MoverTrack& track, const std::vector<GroundPose>& ground_poses,
+std::vector<glm::dvec3> place_object(const MoverTrack& track, const GroundPath& poses,
                                      std::optional<glm::dvec2> size_m = {}) {
     std::vector<glm::dvec3> along, across, positions_m;
-    for (const GroundPose& p : ground_poses) {
+    for (const GroundPose& p : poses) {
         along.push_back(p.forward_axis());
         across.push_back(p.lateral_axis());
     }
@@ -130,19 +130,18 @@ std::vector<glm::dvec3> place_object(const MoverTrack& track, const std::vector<
     const std::vector<double> x = centres_along(track, along, size_of(0)),
                               y = centres_along(track, across, size_of(1));
     const std::vector<double> top = top_heights_m(track);
-    for (std::size_t k = 0; k < ground_poses.size(); ++k)
+    for (std::size_t k = 0; k < poses.size(); ++k)
         positions_m.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
     return positions_m;
 }
 
 /// Returns the low and high corner of the box around all returns of a track, in the frame
 /// of the object. Ignores the outermost 1 % of the points at each end, and adds a margin.
-std::pair<glm::dvec3, glm::dvec3> bounding_corners(const MoverTrack& track,
-                                                   const std::vector<GroundPose>& ground_poses) {
+std::pair<glm::dvec3, glm::dvec3> bounding_corners(const MoverTrack& track, const GroundPath& poses) {
     std::vector<double> along[3];
     for (std::size_t k = 0; k < track.observations.size(); ++k)
         for (const glm::dvec3& p : track.observations[k].cluster.points_m) {
-            const glm::dvec3 local = ground_poses[k].to_object(p);
+            const glm::dvec3 local = poses[k].to_object(p);
             for (int axis = 0; axis < 3; ++axis) along[axis].push_back(local[axis]);
         }
     glm::dvec3 low, high;
@@ -196,14 +195,14 @@ double median(std::vector<double> values) {
 /// Returns the median pose of a labelled box in the frame of the visible points.
 /// @param indices indices of the labelled observations to use
 GroundPose median_offset(const MoverTrack& track, const std::vector<std::size_t>& indices,
-                         const std::vector<GroundPose>& ground_poses,
-                         const std::vector<glm::dvec3>& positions_m, const BoxTrack& label) {
+                         const GroundPath& poses, const std::vector<glm::dvec3>& positions_m,
+                         const BoxTrack& label) {
     std::vector<double> values[4];
     for (const std::size_t k : indices) {
         const Pose pose = label.world_from_box.pose_at(track.observations[k].cluster.time_s);
-        const glm::dvec3 local = GroundPose{positions_m[k], ground_poses[k].yaw}.to_object(pose.translation);
+        const glm::dvec3 local = GroundPose{positions_m[k], poses[k].yaw}.to_object(pose.translation);
         for (int axis = 0; axis < 3; ++axis) values[axis].push_back(local[axis]);
-        values[3].push_back(std::remainder(yaw_of(pose) - ground_poses[k].yaw, 2.0 * kPi));
+        values[3].push_back(std::remainder(yaw_of(pose) - poses[k].yaw, 2.0 * kPi));
     }
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
@@ -214,11 +213,11 @@ BoxTrack fit_box(const MoverTrack& track) {
     const std::vector<double> times = track.times_s();
     std::vector<glm::dvec3> positions_m;
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
-    std::vector<KinematicState> path = smooth_path(times, positions_m);
+    KinematicPath path = smooth_path(times, positions_m);
     for (int round = 0; round < kPathCorrections; ++round)
         path = smooth_path(times, place_object(track, compute_ground_poses(path, track)));
     const auto [low, high] = bounding_corners(track, compute_ground_poses(path, track));
-    const std::vector<GroundPose> at_frames = compute_ground_poses(path, track, true);
+    const GroundPath at_frames = compute_ground_poses(path, track, true);
     BoxTrack box;
     box.category = kDiscoveredCategory;
     box.size_m = high - low;
@@ -262,10 +261,10 @@ BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label) {
     const auto is_before = [&](std::size_t index) { return index < first_labels.front(); };
     std::vector<glm::dvec3> positions_m;
     for (const MoverObservation& o : track.observations) positions_m.push_back(o.cluster.centre_m);
-    std::vector<KinematicState> path = smooth_path(times, positions_m);
+    KinematicPath path = smooth_path(times, positions_m);
     GroundPose before, after;
     for (int round = 0; round < kPathCorrections; ++round) {
-        const std::vector<GroundPose> ground_poses = compute_ground_poses(path, track);
+        const GroundPath ground_poses = compute_ground_poses(path, track);
         positions_m = place_object(track, ground_poses, glm::dvec2(label.size_m));
         before = median_offset(track, first_labels, ground_poses, positions_m, label);
         after = median_offset(track, last_labels, ground_poses, positions_m, label);
@@ -276,7 +275,7 @@ BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label) {
                                        (is_before(k) ? before : after).position_m);
         path = smooth_path(times, positions_m);
     }
-    const std::vector<GroundPose> at_frames = compute_ground_poses(path, track, true);
+    const GroundPath at_frames = compute_ground_poses(path, track, true);
     BoxTrack box = label;
     PoseTrack poses[2];  // [0] poses before the labels, [1] poses after the labels
     for (std::size_t k = 0; k < at_frames.size(); ++k) {

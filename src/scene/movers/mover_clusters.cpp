@@ -210,21 +210,18 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
     return clusters;
 }
 
-using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  // [frames]
-
 /// Returns the clusters of points on moving objects in consecutive frames.
-ClustersByFrame cluster_frames(const Log& log, std::span<const int> frame_indices,
-                               VisibilityChecker& visibility) {
+ClustersByFrame cluster_frames(const Log& log, std::span<const int> frame_indices, VisibilityChecker& view) {
     std::vector<FrameMoverReturns> frames(frame_indices.size());
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
         frames[std::size_t(index)] =
             split_by_boxes(log, log.frames[std::size_t(frame_indices[std::size_t(index)])]);
     });
     const std::vector<glm::vec3> cells = assign_cells(frames);
-    visibility.make_images(cells);
+    view.make_images(cells);
     std::vector<CellMotionState> motion(cells.size());
     parallel_blocks(cells.size(), [&](std::size_t index) {
-        const VisibilityChecker::VisibilityVotes votes = visibility.count_votes(cells[index]);
+        const VisibilityChecker::VisibilityVotes votes = view.count_votes(cells[index]);
         if (votes.is_empty_space(kMinEmptyShare)) motion[index] = CellMotionState::moved;
         else if (votes.n_occupied <= kTooFewFrames) motion[index] = CellMotionState::rarely_observed;
         else motion[index] = CellMotionState::rests;
@@ -284,19 +281,18 @@ void MoverCluster::merge_cluster(const MoverCluster& other) {
     points_m.insert(points_m.end(), other.points_m.begin(), other.points_m.end());
 }
 
-std::vector<std::vector<MoverCluster>> find_clusters(const Log& log, const std::vector<int>& frame_indices,
-                                                     VisibilityChecker& visibility, const Progress& progress,
-                                                     const ProcessGroup& group) {
-    const std::size_t n_stretches = std::max<std::size_t>(1, frame_indices.size() / kFramesPerGroup);
-    const auto first_of = [&](std::size_t stretch) { return frame_indices.size() * stretch / n_stretches; };
+ClustersByFrame find_clusters(const Log& log, const std::vector<int>& frames, VisibilityChecker& view,
+                              const Progress& progress, const ProcessGroup& group) {
+    const std::size_t n_stretches = std::max<std::size_t>(1, frames.size() / kFramesPerGroup);
+    const auto first_of = [&](std::size_t stretch) { return frames.size() * stretch / n_stretches; };
     const ProcessGroup::PartRange share = group.part_range(n_stretches);
     ClustersByFrame process_clusters;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress)
             progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
-            std::span(frame_indices).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        ClustersByFrame section_clusters = cluster_frames(log, stretch, visibility);
+            std::span(frames).subspan(first_of(s), first_of(s + 1) - first_of(s));
+        ClustersByFrame section_clusters = cluster_frames(log, stretch, view);
         std::move(section_clusters.begin(), section_clusters.end(), std::back_inserter(process_clusters));
     }
     return gather_clusters(group, process_clusters);

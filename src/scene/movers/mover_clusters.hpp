@@ -24,12 +24,12 @@ struct MoverCluster {
     /// Adds the returns of another cluster of the same frame.
     void merge_cluster(const MoverCluster& other);
 };
+using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  ///< [frames]
 
 /// Finds the clusters of points on moving objects in the given frames (ascending). The
 /// processes of the group share a long log.
 /// @return [frames] clusters of each frame, identical in all processes
-std::vector<std::vector<MoverCluster>> find_clusters(const Log& log, const std::vector<int>& frames,
-                                                     VisibilityChecker& visibility, const Progress& progress,
-                                                     const ProcessGroup& group);
+ClustersByFrame find_clusters(const Log& log, const std::vector<int>& frames, VisibilityChecker& view,
+                              const Progress& progress, const ProcessGroup& group);
 
 }  // namespace relidar

@@ -54,12 +54,11 @@ bool TrackMotionEvidence::is_moving() const {
            double(n_moved_frames) >= kMinMovedFrameShare * double(n_frames);
 }
 
-TrackMotionEvidence remove_static(const VisibilityChecker& visibility, MoverCluster& cluster,
-                                  const BoxTrack& box) {
+TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& cluster, const BoxTrack& box) {
     TrackMotionEvidence sum;
     std::vector<glm::dvec3> remaining_points_m;
     for (const glm::dvec3& p : cluster.points_m) {
-        const MotionEvidence evidence = weigh_point(visibility, p, box);
+        const MotionEvidence evidence = weigh_point(view, p, box);
         sum.frame_evidence += evidence;
         sum.n_decided_returns += evidence.is_observed();
         sum.n_moved_returns += evidence.is_moving();

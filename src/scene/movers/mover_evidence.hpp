@@ -45,12 +45,10 @@ struct TrackMotionEvidence {
 /// Counts the frames that show whether the object at a point (world) moved. Skips frames
 /// in which the box of the track contains the point. The box stays at its first pose
 /// before the track, and at its last pose after it.
-MotionEvidence weigh_point(const VisibilityChecker& visibility, const glm::dvec3& point_m,
-                           const BoxTrack& box);
+MotionEvidence weigh_point(const VisibilityChecker& view, const glm::dvec3& point_m, const BoxTrack& box);
 
 /// Removes the returns of a cluster that other frames prove to be static.
 /// @return evidence of motion, summed over all returns of the cluster before the removal
-TrackMotionEvidence remove_static(const VisibilityChecker& visibility, MoverCluster& cluster,
-                                  const BoxTrack& box);
+TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& cluster, const BoxTrack& box);
 
 }  // namespace relidar

@@ -41,9 +41,8 @@ glm::dmat3 process_noise(double dt_s) {
                                      d3 / 6.0, d2 / 2.0, dt_s);
 }
 
-std::vector<KinematicState> run_smoother(const std::vector<double>& times_s,
-                                         const std::vector<glm::dvec3>& positions_m,
-                                         const std::vector<double>& weights) {
+KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m,
+                           const std::vector<double>& weights) {
     const std::size_t n = times_s.size();
     std::vector<KalmanState> filtered(n), before(n);
     before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
@@ -63,7 +62,7 @@ std::vector<KinematicState> run_smoother(const std::vector<double>& times_s,
             filtered[k].state[axis] += gain * (positions_m[k][axis] - before[k].state[axis][0]);
         filtered[k].covariance -= glm::outerProduct(gain, column);
     }
-    std::vector<KinematicState> path(n);
+    KinematicPath path(n);
     glm::dmat3 state = filtered[n - 1].state;
     for (std::size_t k = n; k-- > 0;) {
         if (k + 1 < n) {
@@ -98,10 +97,9 @@ glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t sta
 
 }  // namespace
 
-std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
-                                        const std::vector<glm::dvec3>& positions_m) {
+KinematicPath smooth_path(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m) {
     std::vector<double> weights(times_s.size(), 1.0);
-    std::vector<KinematicState> path;
+    KinematicPath path;
     for (int round = 0; round < kPathRounds; ++round) {
         path = run_smoother(times_s, positions_m, weights);
         for (std::size_t k = 0; k < path.size(); ++k) {

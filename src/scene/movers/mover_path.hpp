@@ -16,12 +16,12 @@ struct KinematicState {
         return position_m + seconds * (velocity_mps + 0.5 * seconds * acceleration_mps2);
     }
 };
+using KinematicPath = std::vector<KinematicState>;
 
 /// Fits a smooth path through the observed positions of a track at ascending times. The
 /// path is a smoothing spline of the fifth degree that penalizes changes of the
 /// acceleration (docs/method.md section 6). Positions far from it get a low weight.
-std::vector<KinematicState> smooth_path(const std::vector<double>& times_s,
-                                        const std::vector<glm::dvec3>& positions_m);
+KinematicPath smooth_path(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m);
 
 /// Returns the heading in radians at each position of a path on the ground: the direction
 /// from the point 1.5 m earlier on the path to the point 1.5 m later. An object that

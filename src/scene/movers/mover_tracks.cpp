@@ -110,11 +110,11 @@ public:
         }
     }
 
-    std::vector<MoverTrack> release_tracks() && { return std::move(tracks_); }
+    MoverTracks release_tracks() && { return std::move(tracks_); }
 
 private:
     const Log& sequence_;
-    std::vector<MoverTrack> tracks_;
+    MoverTracks tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
     std::vector<Match> list_matches(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
@@ -202,7 +202,7 @@ double gap_cost(const MoverTrack& earlier, const MoverTrack& later_track) {
 /// Returns the pairs of tracks that may be parts of the same object, with a gap in time
 /// between them. The second track begins after the end of the first.
 /// @param tracks sorted by their first frames
-std::vector<Match> find_gap_pairs(const std::vector<MoverTrack>& tracks) {
+std::vector<Match> find_gap_pairs(const MoverTracks& tracks) {
     std::vector<Match> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].observations.front().frame_time_s; };
     std::vector<std::size_t> all(tracks.size());
@@ -218,7 +218,7 @@ std::vector<Match> find_gap_pairs(const std::vector<MoverTrack>& tracks) {
 }
 
 /// Joins tracks of the same object across gaps, unless their labels differ.
-std::vector<MoverTrack> join_gaps(std::vector<MoverTrack> tracks) {
+MoverTracks join_gaps(MoverTracks tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
     for (const auto& [mismatch, before, after] : find_gap_pairs(tracks))
@@ -226,7 +226,7 @@ std::vector<MoverTrack> join_gaps(std::vector<MoverTrack> tracks) {
             next[before] = after;
             follows[after] = 1;
         }
-    std::vector<MoverTrack> joined;
+    MoverTracks joined;
     for (std::size_t first = 0; first < tracks.size(); ++first) {
         if (follows[first]) continue;
         joined.push_back(std::move(tracks[first]));
@@ -251,11 +251,10 @@ std::vector<double> MoverTrack::times_s() const {
     return times;
 }
 
-std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters_per_frame,
-                                      const std::vector<double>& times_s, const Log& log) {
+MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<double>& times_s,
+                          const Log& log) {
     OpenTrackSet open(log);
-    for (std::size_t f = 0; f < clusters_per_frame.size(); ++f)
-        open.link_frame(times_s[f], clusters_per_frame[f]);
+    for (std::size_t f = 0; f < clusters.size(); ++f) open.link_frame(times_s[f], clusters[f]);
     return join_gaps(std::move(open).release_tracks());
 }
 
@@ -264,7 +263,7 @@ bool is_moving_track(const MoverTrack& track) {
     std::vector<glm::dvec3> centres;
     for (const MoverObservation& o : track.observations)
         centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
-    const std::vector<KinematicState> path = smooth_path(track.times_s(), centres);
+    const KinematicPath path = smooth_path(track.times_s(), centres);
     double length = 0.0;
     for (std::size_t i = 1; i < path.size(); ++i)
         length += glm::distance(path[i - 1].position_m, path[i].position_m);
@@ -286,7 +285,7 @@ bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
                          is_near_middle_position) > std::ptrdiff_t(positions_in_vehicle_m.size() * 3 / 4);
 }
 
-void merge_tracks(std::vector<MoverTrack>& tracks) {
+void merge_tracks(MoverTracks& tracks) {
     std::stable_sort(tracks.begin(), tracks.end(), [](const MoverTrack& first, const MoverTrack& second) {
         return first.observations.size() > second.observations.size();
     });

@@ -28,14 +28,15 @@ struct MoverTrack {
     /// Returns the time of each observation.
     std::vector<double> times_s() const;
 };
+using MoverTracks = std::vector<MoverTrack>;
 
 /// Links clusters of points in successive frames to tracks of objects. In each frame,
 /// links the best matches first. A cluster matches an object if it is near the predicted
 /// position of the object. In frames with a label for the object, the cluster must have
 /// this label instead.
 /// @param clusters [frames]
-std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
-                                      const std::vector<double>& frame_times_s, const Log& log);
+MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<double>& times_s,
+                          const Log& log);
 
 /// Returns true if a track has enough observations, moves far enough, and is straight.
 bool is_moving_track(const MoverTrack& track);
@@ -45,6 +46,6 @@ bool is_moving_track(const MoverTrack& track);
 bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle);
 
 /// Merges tracks that are parts of one object into the longest of them.
-void merge_tracks(std::vector<MoverTrack>& tracks);
+void merge_tracks(MoverTracks& tracks);
 
 }  // namespace relidar

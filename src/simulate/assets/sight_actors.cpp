@@ -35,13 +35,11 @@ std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxT
     return positions;
 }
 
-void add_observations(const RenderedScan& scan, const Run& run,
-                      const std::vector<const BoxTrack*>& box_per_instance,
-                      std::map<std::string, ActorObservations>& observed) {
+void add_observations(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
+                      ObservationsByTrack& observed) {
     FiringPoseInterpolator firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
-        const BoxTrack* box =
-            scan.instance[i] > 0 ? box_per_instance[std::size_t(scan.instance[i])] : nullptr;
+        const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
         if (!box || !(scan.median_range_m[i] > 0.0f) || !(scan.image.drop_prob[i] < 0.5f)) continue;
         const Pose box_from_world =
             inverse(box->world_from_box.pose_at(scan.time_s + double(scan.time_offset_s[i])));
@@ -61,14 +59,13 @@ void add_observations(const RenderedScan& scan, const Run& run,
 
 }  // namespace
 
-std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
-                                                        const Progress& progress) {
+ObservationsByTrack observe_actors(Device& device, const Run& run, const Progress& progress) {
     std::vector<const BoxTrack*> boxes;
     for (const ModelInstance& instance : run.scene.instances)
         boxes.push_back(find_box(run.sequence, instance.track));
     const std::vector<int> positions = frames_with_actors(run, boxes);
     const std::vector<SimulatedSensor> sensors = sensors_of_log(run);
-    std::map<std::string, ActorObservations> sightings;
+    ObservationsByTrack sightings;
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     for (std::size_t k = 0; k < positions.size(); ++k) {
         if (progress) progress("measuring the visibility of actors", double(k) / double(positions.size()));

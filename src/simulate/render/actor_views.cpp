@@ -26,14 +26,13 @@ std::vector<FiredRay> fired_rays(const SimulatedSweep& sweep) {
 }
 
 /// The test uses a sphere that contains the model during the full sweep.
-std::vector<std::size_t> rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sweep,
-                                   const InstancePose& instance_pose, double model_radius_m) {
+RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sweep, const InstancePose& pose,
+                     double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
-    const glm::dvec3
-        begin_m = instance_pose.motion.pose_at(instance_pose.world_from_model, double(first_s)).translation,
-        end_m = instance_pose.motion.pose_at(instance_pose.world_from_model, double(last_s)).translation;
+    const glm::dvec3 begin_m = pose.motion.pose_at(pose.world_from_model, double(first_s)).translation,
+                     end_m = pose.motion.pose_at(pose.world_from_model, double(last_s)).translation;
     const double radius_m = model_radius_m + 0.5 * glm::distance(begin_m, end_m);
-    std::vector<std::size_t> nearby;
+    RayIndices nearby;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 to_centre_m = 0.5 * (begin_m + end_m) - rays[i].origin;
         const double along_m = glm::dot(to_centre_m, rays[i].direction);
@@ -60,23 +59,23 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits(const Rendered
 
 /// Traces the rays near each actor in a scene that contains only this actor.
 void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                                          std::vector<ActorVisibility>& actor_views) {
+                                          std::vector<ActorVisibility>& views) {
     const std::vector<FiredRay> rays = fired_rays(sweep);
-    for (std::size_t i = 0; i < actor_views.size() && !rays.empty(); ++i) {
-        if (actor_views[i].track.empty() || !sweep.instances[i].present) continue;
+    for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
+        if (views[i].track.empty() || !sweep.instances[i].present) continue;
         const SurfelModel& model = sweeps.layout().models[sweeps.layout().instances[i].model];
-        const std::vector<std::size_t> nearby =
+        const RayIndices nearby =
             rays_near(rays, sweep, sweep.instances[i], double(glm::length(model.half_size_m)));
         if (nearby.empty()) continue;
         SimulatedSweep alone = sweep;
         alone.changed_rays = select_rays(sweep.rays(), nearby);
-        for (std::size_t k = 0; k < actor_views.size(); ++k) alone.instances[k].present = k == i;
+        for (std::size_t k = 0; k < views.size(); ++k) alone.instances[k].present = k == i;
         prepare_scene(lanes->single_lane(), alone);
         const RenderedScan scan =
             plan.has_sub_rays() ? trace_footprint(alone, plan.beams) : trace_rays(alone, alone.rays()).scan;
-        actor_views[i].n_rays_alone = count_first_hits(scan)[i].n_rays;
+        views[i].n_rays_alone = count_first_hits(scan)[i].n_rays;
     }
-    std::erase_if(actor_views,
+    std::erase_if(views,
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
     prepare_scene(lanes->single_lane(), sweep);
 }

@@ -40,11 +40,9 @@ void copy_points(std::span<const shared::ReturnedPoint> returned, const Intensit
 }  // namespace
 
 PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
-                                                const ScanRenderPlan& plan,
-                                                SubmissionTiming submit_mode) try {
+                                                const ScanRenderPlan& plan, SubmissionTiming timing) try {
     const int side_by_side = sweeps.layout().blocks.empty() ? lanes->parallel_limit() : 1;
-    const bool joins =
-        side_by_side > 1 && (lanes->has_open_batch() || submit_mode == SubmissionTiming::with_next);
+    const bool joins = side_by_side > 1 && (lanes->has_open_batch() || timing == SubmissionTiming::with_next);
     ParallelScanResources& lane = joins ? lanes->next_lane() : lanes->single_lane();
     prepare_scene(lane, sweep);
     const bool corrects_drops = plan.network == ScanRenderPlan::RayDropStage::device;
@@ -65,40 +63,39 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
                                       .refined = corrects_drops},
                                      scan.renderer->forward_pass().n_truncated_rays());
     if (!joins) scan.renderer->stream().submit_commands();
-    else if (submit_mode == SubmissionTiming::now) lanes->submit_batch();
+    else if (timing == SubmissionTiming::now) lanes->submit_batch();
     return scan;
 } catch (...) {
     wait_for_device();  // waits, because the next scan may replace arrays that recorded commands use
     throw;
 }
 
-RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending_points,
-                                                  LidarPoints reusable_memory) {
-    if (pending_points.ready) return std::move(*pending_points.ready);
+RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending, LidarPoints memory) {
+    if (pending.ready) return std::move(*pending.ready);
     lanes->submit_batch();
     const DevicePointComputer::GatheredPoints gathered =
-        DevicePointComputer::wait(pending_points.renderer->stream(), *pending_points.points);
-    if (gathered.n_capped > 0) pending_points.renderer->check_truncation();
-    const RayTable& rays = pending_points.rays->ray_table();
+        DevicePointComputer::wait(pending.renderer->stream(), *pending.points);
+    if (gathered.n_capped > 0) pending.renderer->check_truncation();
+    const RayTable& rays = pending.rays->ray_table();
     IntensityScatterModel steps;
-    steps.step = pending_points.step;
-    RenderedPoints result{std::move(reusable_memory), rays.size()};
+    steps.step = pending.step;
+    RenderedPoints result{std::move(memory), rays.size()};
     result.points.return_number.clear();
     result.points.firing.clear();
     result.points.channels.clear();
-    result.points.world_from_points = pending_points.dataset_from_points;
-    result.points.time_s = pending_points.time_s;
+    result.points.world_from_points = pending.dataset_from_points;
+    result.points.time_s = pending.time_s;
     copy_points(gathered.points, steps, result.points);
-    if (settings.coverage.empty() || !pending_points.is_background_shown) return result;
+    if (settings.coverage.empty() || !pending.is_background_shown) return result;
     const auto ray_at = [&](std::size_t index) {
         const std::size_t i = DevicePointComputer::sample_ray(index, rays.size());
         return RayWithSurfaceRange{
-            pending_points.dataset_from_sensor.pose_at(pending_points.time_s + double(rays.time_offset_s[i])),
+            pending.dataset_from_sensor.pose_at(pending.time_s + double(rays.time_offset_s[i])),
             glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.requested_m[index]};
     };
-    result.unseen_share = relidar::unobserved_share(
-        gathered.requested_m.size(), ray_at,
-        {settings.coverage, sweeps.sequence().world_offset_m, pending_points.max_range_m});
+    result.unseen_share =
+        relidar::unobserved_share(gathered.requested_m.size(), ray_at,
+                                  {settings.coverage, sweeps.sequence().world_offset_m, pending.max_range_m});
     return result;
 }
 
@@ -107,15 +104,14 @@ void ScanRenderer::Impl::finish_pending() {
 }
 
 void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanRequest& request,
-                                 double point_frame_time_s, std::optional<std::uint64_t> seed,
-                                 SubmissionTiming timing) {
+                                 double points_time_s, SampleSeed seed, SubmissionTiming timing) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         fail<UsageError>(
             "{} requested scans have not been read yet, expected fewer than {}: call wait_for_points()",
             s.pending.size(), kScansInFlight);
     const SimulatedSweep sweep = s.sweeps.of_request(sensor, request);
-    const Pose dataset_from_points = request.dataset_from_sensor.pose_at(point_frame_time_s);
+    const Pose dataset_from_points = request.dataset_from_sensor.pose_at(points_time_s);
     const ScanRenderPlan plan = s.plan_sweep(sweep, seed.has_value());
     if (plan.points_on_device) {
         s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, timing));

@@ -120,20 +120,19 @@ bool needs_rendering(const std::vector<ChannelInfo>& channels) {
 }
 
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
-                      const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels) {
-    for (const ChannelInfo& channel : channels) {
+                      const RenderedRayValues& values, const std::vector<ChannelInfo>& infos) {
+    for (const ChannelInfo& channel : infos) {
         const ChannelComputation maker = find_maker(channel);
-        if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(rendering, scan)});
+        if (maker.of_rendering) scan.channels.push_back({channel, maker.of_rendering(values, scan)});
         if (maker.of_measured) scan.channels.push_back({channel, maker.of_measured(measured)});
     }
 }
 
-void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,
-                       const std::vector<ChannelInfo>& channels) {
-    for (const ChannelInfo& channel : channels) {
+void add_beam_channels(RenderedScan& scan, const ChannelInputs& in, const std::vector<ChannelInfo>& infos) {
+    for (const ChannelInfo& channel : infos) {
         const ChannelComputation maker = find_maker(channel);
         if (!maker.of_scan) continue;
-        ChannelValues values = maker.of_scan(scan, context);
+        ChannelValues values = maker.of_scan(scan, in);
         if (count_values(values) == scan.image.range_m.size())
             scan.channels.push_back({channel, std::move(values)});
     }

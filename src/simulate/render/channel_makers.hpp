@@ -35,12 +35,11 @@ inline constexpr const char* kIncidenceChannel = "incidence";
 /// 0 for the background, otherwise 1 + ObjectKind. [instances]
 std::vector<std::int32_t> instance_classes(const Scene& scene, const Log& sequence);
 bool needs_rendering(const std::vector<ChannelInfo>& channels);
-/// @param rendering may be empty if needs_rendering() returns false
+/// @param values may be empty if needs_rendering() returns false
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
-                      const RenderedRayValues& rendering, const std::vector<ChannelInfo>& channels);
+                      const RenderedRayValues& values, const std::vector<ChannelInfo>& infos);
 /// Must run before a network or random sampling changes the drop probabilities. Leaves
 /// out channels without values.
-void add_beam_channels(RenderedScan& scan, const ChannelInputs& context,
-                       const std::vector<ChannelInfo>& channels);
+void add_beam_channels(RenderedScan& scan, const ChannelInputs& in, const std::vector<ChannelInfo>& infos);
 
 }  // namespace relidar

@@ -18,30 +18,30 @@ constexpr float kLeastProbability = 1e-4f;
 
 /// Value RELIDAR_DROP_* of a ray. The kernel simulate/render/drop_channels computes equal
 /// values.
-std::function<float(std::size_t)> drop_input(const RenderedScan& scan, std::uint32_t channel_index,
+std::function<float(std::size_t)> drop_input(const RenderedScan& scan, std::uint32_t channel,
                                              const glm::vec3& origin_m) {
-    if (channel_index == RELIDAR_DROP_LOG_RANGE)
+    if (channel == RELIDAR_DROP_LOG_RANGE)
         return [&](std::size_t index) { return std::log1p(std::max(scan.median_range_m[index], 0.0f)); };
-    if (channel_index == RELIDAR_DROP_INTENSITY)
+    if (channel == RELIDAR_DROP_INTENSITY)
         return [&](std::size_t index) { return scan.image.intensity[index]; };
-    if (channel_index == RELIDAR_DROP_LOGIT)
+    if (channel == RELIDAR_DROP_LOGIT)
         return [&](std::size_t index) {
             const float p =
                 std::clamp(scan.image.drop_prob[index], kLeastProbability, 1.0f - kLeastProbability);
             return std::log(p / (1.0f - p));
         };
-    if (channel_index == RELIDAR_DROP_WEIGHT) return [&](std::size_t index) { return scan.weight[index]; };
-    if (channel_index == RELIDAR_DROP_SPREAD)
+    if (channel == RELIDAR_DROP_WEIGHT) return [&](std::size_t index) { return scan.weight[index]; };
+    if (channel == RELIDAR_DROP_SPREAD)
         return [&](std::size_t index) {
             return std::log1p(std::abs(scan.median_range_m[index] - scan.mean_range_m[index]));
         };
-    if (channel_index == RELIDAR_DROP_COSINE) {
+    if (channel == RELIDAR_DROP_COSINE) {
         const std::vector<float>* cosine = find_values<float>(scan.channels, kIncidenceChannel);
         return [cosine](std::size_t index) { return cosine ? (*cosine)[index] : 0.0f; };
     }
-    if (channel_index == RELIDAR_DROP_ELEVATION)
+    if (channel == RELIDAR_DROP_ELEVATION)
         return [&](std::size_t index) { return scan.image.direction[index].z; };
-    return [of_all = origin_m[int(channel_index - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
+    return [of_all = origin_m[int(channel - RELIDAR_DROP_ORIGIN)]](std::size_t) { return of_all; };
 }
 
 }  // namespace
@@ -51,15 +51,15 @@ glm::dvec3 first_position(const Log& log) {
     return log.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
 }
 
-RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& infos,
                              const glm::dvec3& first_vehicle_position_m) {
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
     image.circular = is_full_turn(image.rows, image.columns, scan.image.direction);
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
-    image.channels.resize(channels.size() * n);
+    image.channels.resize(infos.size() * n);
     std::size_t first = 0;
-    for (const std::uint32_t number : channel_numbers(channels)) {
+    for (const std::uint32_t number : channel_numbers(infos)) {
         const auto channel = drop_input(scan, number, origin_m);
         parallel_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
         first += n;

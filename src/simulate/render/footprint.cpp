@@ -17,37 +17,34 @@ namespace {
 constexpr float kMinIntensity = 1e-3f;
 
 struct SubRayReturn {
-    std::vector<std::size_t> parts;  ///< indices of the sub-rays in their scan, sorted by range
-    float light = 0.0f;              ///< sum of the intensities
+    RayIndices parts;    ///< indices of the sub-rays in their scan, sorted by range
+    float light = 0.0f;  ///< sum of the intensities
 };
 
 /// True if at least five sub-rays hit the same plane. On a plane, 1 / range is a linear
 /// function of the sub-ray offsets.
-bool is_coplanar(const std::vector<std::size_t>& sub_ray_indices, const std::vector<float>& ranges_m,
-                 std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
-                 double tolerance_m) {
-    if (sub_ray_indices.size() < 5) return false;
+bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, std::size_t first,
+                 const std::vector<glm::dvec2>& offsets, double tolerance_m) {
+    if (parts.size() < 5) return false;
     glm::dmat3 normal_matrix(0.0);
     glm::dvec3 right(0.0);
     const auto row = [&](std::size_t index) {
-        return glm::dvec3(1.0, sub_ray_offsets[index - first_sub_ray].x,
-                          sub_ray_offsets[index - first_sub_ray].y);
+        return glm::dvec3(1.0, offsets[index - first].x, offsets[index - first].y);
     };
-    for (const std::size_t i : sub_ray_indices) {
+    for (const std::size_t i : parts) {
         normal_matrix += glm::outerProduct(row(i), row(i));
         right += row(i) / double(ranges_m[i]);
     }
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
-    return std::ranges::all_of(sub_ray_indices, [&](std::size_t index) {
+    return std::ranges::all_of(parts, [&](std::size_t index) {
         const double inverse_m = glm::dot(plane, row(index));
         return inverse_m > 0.0 && std::abs(1.0 / inverse_m - double(ranges_m[index])) < tolerance_m;
     });
 }
 
-void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m,
-                   std::size_t first_sub_ray, const std::vector<glm::dvec2>& sub_ray_offsets,
-                   double tolerance_m) {
+void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m, std::size_t first,
+                   const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     // Tries the longest sequences first.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
@@ -56,7 +53,7 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
                 joined.parts.insert(joined.parts.end(), groups[g].parts.begin(), groups[g].parts.end());
                 joined.light += groups[g].light;
             }
-            if (!is_coplanar(joined.parts, ranges_m, first_sub_ray, sub_ray_offsets, tolerance_m)) continue;
+            if (!is_coplanar(joined.parts, ranges_m, first, offsets, tolerance_m)) continue;
             groups[begin] = std::move(joined);
             groups.erase(groups.begin() + std::ptrdiff_t(begin) + 1,
                          groups.begin() + std::ptrdiff_t(begin + length));
@@ -64,11 +61,11 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
     }
 }
 
-std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first_sub_ray,
-                                         const std::vector<glm::dvec2>& sub_ray_offsets, float separation_m) {
+std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first,
+                                         const std::vector<glm::dvec2>& offsets, float separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
-    std::vector<std::size_t> hits;
-    for (std::size_t i = first_sub_ray; i < first_sub_ray + sub_ray_offsets.size(); ++i)
+    RayIndices hits;
+    for (std::size_t i = first; i < first + offsets.size(); ++i)
         if (is_ray_returned(scan.image.drop_prob[i], range_m[i])) hits.push_back(i);
     std::ranges::stable_sort(hits, {}, [&](std::size_t index) { return range_m[index]; });
     std::vector<SubRayReturn> groups;
@@ -78,7 +75,7 @@ std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t f
         groups.back().parts.push_back(i);
         groups.back().light += std::max(scan.image.intensity[i], kMinIntensity);
     }
-    join_coplanar(groups, range_m, first_sub_ray, sub_ray_offsets, 0.5 * double(separation_m));
+    join_coplanar(groups, range_m, first, offsets, 0.5 * double(separation_m));
     return groups;
 }
 
@@ -101,17 +98,15 @@ float mean_of_slice(const std::vector<float>& values, std::size_t first_index, i
     return sum / static_cast<float>(count);
 }
 
-const SubRayReturn* second_group(const std::vector<SubRayReturn>& groups,
-                                 const SubRayReturn& strongest_group) {
+const SubRayReturn* second_group(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
     const SubRayReturn* second = nullptr;
-    if (&strongest_group != &groups.back()) {
+    if (&strongest != &groups.back()) {
         second = &groups.back();
     } else {
         for (const SubRayReturn& group : groups)
-            if (&group != &strongest_group && (!second || group.light > second->light)) second = &group;
+            if (&group != &strongest && (!second || group.light > second->light)) second = &group;
     }
-    return second && double(second->light) >= kSecondReturnShare * double(strongest_group.light) ? second
-                                                                                                 : nullptr;
+    return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
 }
 
 class SubRayMerger {
@@ -192,29 +187,26 @@ RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergenc
     return parts;
 }
 
-RenderedScan join_sub_rays(const RenderedScan& sub_ray_scan, const RayTable& beams,
-                           const SensorConfig& config) {
-    SubRayMerger joiner(sub_ray_scan, beams, config);
+RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config) {
+    SubRayMerger joiner(parts, beams, config);
     for (std::size_t ray = 0; ray < beams.size(); ++ray) joiner.append_beam(ray);
     return joiner.joined_scan();
 }
 
-std::vector<std::size_t> find_edge_beams(const RenderedScan& sub_ray_scan, const RayTable& beams,
-                                         const SensorConfig& config) {
+RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config) {
     const std::vector<glm::dvec2> offsets = spread_sub_rays(config.sub_rays);
-    std::vector<std::size_t> edges;
+    RayIndices edges;
     for (std::size_t ray = 0; ray < beams.size(); ++ray)
-        if (group_sub_rays(sub_ray_scan, ray * offsets.size(), offsets,
+        if (group_sub_rays(parts, ray * offsets.size(), offsets,
                            static_cast<float>(config.return_separation_m))
                 .size() > 1)
             edges.push_back(ray);
     return edges;
 }
 
-void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                  const RenderedScan& replacement) {
+void replace_rays(RenderedScan& scan, const RayIndices& rays, const RenderedScan& replacement) {
     const auto replace = [&](const auto& from, auto& to) {
-        for (std::size_t i = 0; i < ray_indices.size(); ++i) to[ray_indices[i]] = from[i];
+        for (std::size_t i = 0; i < rays.size(); ++i) to[rays[i]] = from[i];
     };
     for_all_channels(replacement, scan,
                      [&](const ChannelInfo&, const auto& from, auto& to) { replace(from, to); });

@@ -8,6 +8,8 @@
 
 namespace relidar {
 
+using RayIndices = std::vector<std::size_t>;
+
 /// @param sub_rays_per_ray 1, 5 or 9; with any other number, the sub-rays form a spiral
 /// @param divergence_rad full divergence of all rays; if 0, each ray has its own
 /// divergence
@@ -37,10 +39,8 @@ RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, con
 /// a second return, even if the surface fills a tiny part of the beam.
 inline constexpr int kEdgeParts = 40;
 
-std::vector<std::size_t> find_edge_beams(const RenderedScan& parts, const RayTable& beams,
-                                         const SensorConfig& config);
-/// @param ray_indices [rays of `replacement`] indices of the replaced rays
-void replace_rays(RenderedScan& scan, const std::vector<std::size_t>& ray_indices,
-                  const RenderedScan& replacement);
+RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config);
+/// @param rays [rays of `replacement`] indices of the replaced rays
+void replace_rays(RenderedScan& scan, const RayIndices& rays, const RenderedScan& replacement);
 
 }  // namespace relidar

@@ -74,10 +74,10 @@ private:
     FiringPoseInterpolator world_from_rig_, world_from_firing_;
 };
 
-void append_channels(RenderedScan& merged_scan, const RenderedScan& scan, RigPoseInterpolator& rig_poses,
-                     std::size_t first_ray_index) {
+void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoseInterpolator& rig,
+                     std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
-    for (ScanChannel& channel : merged_scan.channels) {
+    for (ScanChannel& channel : merged.channels) {
         // clang 14 cannot capture structured bindings in lambdas.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
@@ -86,13 +86,13 @@ void append_channels(RenderedScan& merged_scan, const RenderedScan& scan, RigPos
                 all.push_back(scan_values ? (*scan_values)[i] : empty_value<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; scan_values && info.turns && i < n; ++i)
-                    all[first_ray_index + i] =
-                        glm::vec3(rig_poses.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
+                    all[first_ray + i] =
+                        glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& scan_channel : scan.channels)
             if (scan_channel.info.name == info.name && count_values(scan_channel.second) > 0)
-                append_second(channel, scan_channel, first_ray_index);
+                append_second(channel, scan_channel, first_ray);
     }
 }
 
@@ -129,15 +129,14 @@ void merge_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
     }
 }
 
-/// @param first_ring number of this scan's ring 0 in the merged scan
-void append_rays(RenderedScan& merged_scan, const RenderedScan& scan, RigPoseInterpolator& rig_poses,
-                 std::size_t first_ring) {
+/// @param ring number of this scan's ring 0 in the merged scan
+void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoseInterpolator& rig, std::size_t ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
-        merged_scan.time_offset_s.push_back(scan.time_offset_s[i]);
-        merged_scan.ring.push_back(static_cast<std::uint16_t>(first_ring + scan.ring[i]));
-        const Pose rig_from_firing = rig_poses.pose_in_rig(i);
-        merged_scan.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
-        merged_scan.image.direction.emplace_back(
+        merged.time_offset_s.push_back(scan.time_offset_s[i]);
+        merged.ring.push_back(static_cast<std::uint16_t>(ring + scan.ring[i]));
+        const Pose rig_from_firing = rig.pose_in_rig(i);
+        merged.image.origin.emplace_back(rig_from_firing * glm::dvec3(scan.image.origin[i]));
+        merged.image.direction.emplace_back(
             glm::normalize(rig_from_firing.rotation * glm::dvec3(scan.image.direction[i])));
     }
 }

@@ -75,9 +75,9 @@ void replace_drop(RenderedScan& scan, std::span<const float> network_drop_probab
 }
 
 WeatherSensorProperties weather_properties(const Config& config, const RayTable& rays,
-                                           const RangeLimits& limits, const std::string& sensor_name) {
+                                           const RangeLimits& limits, const std::string& name) {
     WeatherSensorProperties result;
-    const double specified_m = nominal_max_range_m(sensor_name).value_or(limits.max_m);
+    const double specified_m = nominal_max_range_m(name).value_or(limits.max_m);
     result.min_specified_power = kSpecifiedReflectivity / (specified_m * specified_m);
     result.weakest_reflectivity = kNearReflectivity;
     const double divergence_rad = rays.max_divergence_rad();
@@ -109,12 +109,12 @@ std::vector<float> range_spread(const RenderedScan& scan) {
     return spread_m;
 }
 
-ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& sequence)
+ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log)
     : device(on),
-      config(with_max_range(settings_of_run, sequence)),
-      first_origin_m(first_position(sequence)),
+      config(with_max_range(settings_of_run, log)),
+      first_origin_m(first_position(log)),
       settings{.channels = parse_channels(config.render.channels),
-               .scatter = std::vector<IntensityScatterModel>(sequence.lidars.size())},
+               .scatter = std::vector<IntensityScatterModel>(log.lidars.size())},
       sweeps(config, all, sequence),
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
@@ -229,8 +229,7 @@ void ScanRenderer::Impl::correct_drop(RenderedScan& scan) {
                      .predict_drops(make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m)));
 }
 
-void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep,
-                                     std::optional<std::uint64_t> seed) {
+void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed) {
     const SimulatedSensor& sensor = sweep.sensor;
     const Log& log = sweeps.sequence();
     const IntensityScatterModel& scatter = settings.scatter[std::size_t(sensor.lidar)];
@@ -263,8 +262,7 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
         for (float& intensity : echo.intensity) intensity = scatter.quantise(intensity);
 }
 
-RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
-                                              std::optional<std::uint64_t> seed) {
+RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, SampleSeed seed) {
     using Network = ScanRenderPlan::RayDropStage;
     const SimulatedSensor& sensor = sweep.sensor;
     const ScanRenderPlan plan = this->plan_sweep(sweep, seed.has_value());
@@ -291,8 +289,8 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep,
     return scan;
 }
 
-ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& sequence)
-    : impl_(new Impl(device, scene, config, sequence)) {}
+ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& log)
+    : impl_(new Impl(device, scene, config, log)) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) use_network(run.drop_network);
@@ -375,13 +373,13 @@ bool ScanRenderer::has_network_for(const SimulatedSensor& sensor) const {
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.kernel_times(); }
 
 RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, double time_s, const Pose& offset,
-                                  std::optional<std::uint64_t> sample) {
+                                  SampleSeed sample) {
     const SimulatedSensor followed = impl_->sweeps.follow_log(sensor, time_s);
     return impl_->render_sweep(impl_->sweeps.on_recorded_path(followed, time_s, offset), sample);
 }
 
 RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, const ScanRequest& request,
-                                  std::optional<std::uint64_t> sample) {
+                                  SampleSeed sample) {
     return impl_->render_sweep(impl_->sweeps.of_request(sensor, request), sample);
 }
 

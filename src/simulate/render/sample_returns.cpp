@@ -36,8 +36,8 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
     return result;
 }
 
-void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
-                    const IntensityScatterModel& scatter, std::uint64_t seed, const RangeLimits& limits) {
+void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const IntensityScatterModel& scatter,
+                    std::uint64_t seed, const RangeLimits& limits) {
     const std::uint64_t of_scan = hash_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensityImage likely = make_noise_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
@@ -47,14 +47,13 @@ void sample_returns(RenderedScan& scan, const RangeNoiseTable& range_noise,
         Random random(hash_pair(of_scan, i));
         bool returns = likely_m[i] > 0.0f && random.sample_uniform() >= double(scan.image.drop_prob[i]);
         const double cosine = double(likely.cosine[i]),
-                     sigma_m = range_noise.lookup_sigma_m(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
+                     sigma_m = noise.lookup_sigma_m(double(likely_m[i]), cosine < 0.0 ? 1.0 : cosine);
         for (AdditionalReturns& echo : scan.second_returns)
             if (returns && echo.range_m[i] > 0.0f)
-                echo.range_m[i] =
-                    std::max(echo.range_m[i] +
-                                 static_cast<float>(range_noise.lookup_sigma_m(double(echo.range_m[i]), 1.0) *
-                                                    random.sample_normal()),
-                             1e-3f);
+                echo.range_m[i] = std::max(
+                    echo.range_m[i] + static_cast<float>(noise.lookup_sigma_m(double(echo.range_m[i]), 1.0) *
+                                                         random.sample_normal()),
+                    1e-3f);
         const float noisy_m =
             returns ? std::max(likely_m[i] + static_cast<float>(sigma_m * random.sample_normal()), 1e-3f)
                     : 0.0f;

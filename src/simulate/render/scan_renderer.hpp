@@ -68,10 +68,10 @@ struct ScanRenderer::Impl {
     RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
     std::vector<ActorVisibility> count_first_hits(const RenderedScan& scan) const;
     void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                          std::vector<ActorVisibility>& actor_views);
+                          std::vector<ActorVisibility>& views);
     void correct_drop(RenderedScan& scan);
-    void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, std::optional<std::uint64_t> seed);
-    RenderedScan render_sweep(const SimulatedSweep& sweep, std::optional<std::uint64_t> seed);
+    void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);
+    RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);
 
     PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                 const ScanRenderPlan& plan, SubmissionTiming timing);

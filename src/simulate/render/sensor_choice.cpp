@@ -51,19 +51,19 @@ SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar_
 }
 
 SimulatedSensor make_grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& log,
-                                 int lidar_index) {
+                                 int lidar) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits = intersect({0.0, grid.max_range_m}, configured_limits(config, log));
     if (method == "cast")
         return {.rays = make_rays(grid),
                 .limits = limits,
                 .name = grid.name,
-                .lidar = lidar_index,
+                .lidar = lidar,
                 .rolling_shutter = has_rolling_shutter(config, log)};
     if (method != "project") {
         fail<UsageError>("sensor.grid_method: found \"{}\", expected project or cast", method);
     }
-    SimulatedSensor choice = make_log_sensor(config, log, lidar_index);
+    SimulatedSensor choice = make_log_sensor(config, log, lidar);
     choice.grid = grid;
     choice.limits = intersect(choice.limits, limits);
     choice.name = grid.name;
@@ -140,12 +140,10 @@ SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar) {
     return choice;
 }
 
-SimulatedSensor choose_sensor(const std::string& name_or_file, const Config& config, const Log& log,
-                              int lidar) {
-    if (find_name(name_or_file, {"native"})) return make_log_sensor(config, log, lidar);
-    if (find_name(name_or_file, {kitti360_grid().name}))
-        return make_grid_sensor(kitti360_grid(), config, log, lidar);
-    return simulate_sensor(find_sensor(name_or_file, {"native"}), lidar);
+SimulatedSensor choose_sensor(const std::string& name, const Config& config, const Log& log, int lidar) {
+    if (find_name(name, {"native"})) return make_log_sensor(config, log, lidar);
+    if (find_name(name, {kitti360_grid().name})) return make_grid_sensor(kitti360_grid(), config, log, lidar);
+    return simulate_sensor(find_sensor(name, {"native"}), lidar);
 }
 
 RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) {

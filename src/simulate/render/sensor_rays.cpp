@@ -57,11 +57,11 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& chann
     return result;
 }
 
-std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double sweep_time_s,
+std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double time_s,
                                               double first_offset_s, double last_offset_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
-    const std::size_t first = world_from_sensor.find_segment(sweep_time_s + first_offset_s).left,
-                      last = std::min(world_from_sensor.find_segment(sweep_time_s + last_offset_s).left + 1,
+    const std::size_t first = world_from_sensor.find_segment(time_s + first_offset_s).left,
+                      last = std::min(world_from_sensor.find_segment(time_s + last_offset_s).left + 1,
                                       pose.size() - 1);
     std::vector<shared::SensorPose> poses;
     for (std::size_t k = first; k <= last; ++k) {
@@ -77,7 +77,7 @@ std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor
                          .position_rest = glm::vec3(pose[k].translation - glm::dvec3(position)),
                          .way = glm::vec3(next[0], next[1], next[2]),
                          .turn = glm::vec3(next[3], next[4], next[5]),
-                         .time_offset_s = float(world_from_sensor.time_s[k] - sweep_time_s),
+                         .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
                          .per_s = duration_s > 0.0 ? float(1.0 / duration_s) : 0.0f});
     }
     return poses;
@@ -104,15 +104,15 @@ bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& sens
            are_bytes_equal(rays.channel, table_.channel);
 }
 
-void DeviceSensorRays::upload(const RayTable& rays, const std::string& sensor_name,
-                              const std::function<float(std::size_t)>& get_no_return_probability) {
-    if (is_uploaded(rays, sensor_name)) return;
+void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
+                              const std::function<float(std::size_t)>& drop_probability) {
+    if (is_uploaded(rays, name)) return;
     std::vector<shared::SensorRay> all(rays.size());
     parallel_blocks(all.size(), [&](std::size_t index) {
         all[index] = {.origin = rays.origin[index],
                       .direction = rays.direction[index],
                       .time_offset_s = rays.time_offset_s[index],
-                      .sees = 1.0f - get_no_return_probability(index),
+                      .sees = 1.0f - drop_probability(index),
                       .channel = rays.channel[index]};
     });
     if (all.size() > measured_.size()) {  // measured_ is allocated last
@@ -128,15 +128,15 @@ void DeviceSensorRays::upload(const RayTable& rays, const std::string& sensor_na
     }
     rays_.upload(all);
     table_ = rays;
-    sensor_ = sensor_name;
+    sensor_ = name;
     const auto [first, last] = std::ranges::minmax_element(rays.time_offset_s);
     first_s_ = *first;
     last_s_ = *last;
 }
 
 std::vector<shared::SensorPose> DeviceSensorRays::sweep_poses(const PoseTrack& world_from_sensor,
-                                                              double sweep_time_s) const {
-    return poses_between(world_from_sensor, sweep_time_s, double(first_s_), double(last_s_));
+                                                              double time_s) const {
+    return poses_between(world_from_sensor, time_s, double(first_s_), double(last_s_));
 }
 
 void DeviceSensorRays::place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s) {

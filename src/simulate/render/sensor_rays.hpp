@@ -33,10 +33,10 @@ public:
     explicit DeviceSensorRays(Device& device);
 
     /// Pending GPU commands must not use the old rays.
-    /// @param sensor_name another name forces an upload
+    /// @param name another name forces an upload
     /// @param drop_probability probability that the sensor never gets a return
     /// along a ray
-    void upload(const RayTable& rays, const std::string& sensor_name,
+    void upload(const RayTable& rays, const std::string& name,
                 const std::function<float(std::size_t)>& drop_probability);
     /// Then world_batch() returns the rays at their firing times.
     /// @param world_from_sensor a single pose if the sensor does not move
@@ -59,8 +59,7 @@ public:
     const Array<shared::SensorRay>& device_rays() const { return rays_; }
     const Array<shared::MeasuredRay>& device_measured() const { return measured_; }
     Address<float, shared::DropProbabilities> drop_address() const { return address_or_null(refined_); }
-    std::vector<shared::SensorPose> sweep_poses(const PoseTrack& world_from_sensor,
-                                                double sweep_time_s) const;
+    std::vector<shared::SensorPose> sweep_poses(const PoseTrack& world_from_sensor, double time_s) const;
 
 private:
     Device& device_;
@@ -86,8 +85,8 @@ private:
 std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channels);
 
 /// Also has one pose before the first ray and one after the last ray.
-/// @param first_offset_s firing times, relative to `sweep_time_s`
-std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double sweep_time_s,
+/// @param first_offset_s firing times, relative to `time_s`
+std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double time_s,
                                               double first_offset_s, double last_offset_s);
 PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame);
 

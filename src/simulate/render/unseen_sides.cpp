@@ -56,16 +56,15 @@ struct PartlyObservedActor {
 
     /// All coordinates are in the box frame.
     /// @param range_m 0 if the ray has no return
-    void count_ray(const glm::dvec3& ray_origin, const glm::dvec3& ray_direction, double range_m,
-                   bool hits_actor) {
+    void count_ray(const glm::dvec3& origin, const glm::dvec3& direction, double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)
-            if (const auto side = surface->find_mirrored_side(ray_origin + range_m * ray_direction))
+            if (const auto side = surface->find_mirrored_side(origin + range_m * direction))
                 ++n_completed[std::size_t(*side)];
-        const auto [enter_m, axis] = enter_box(ray_origin, ray_direction, half_m);
+        const auto [enter_m, axis] = enter_box(origin, direction, half_m);
         if (!std::isfinite(enter_m) || (range_m > 0.0 && range_m < enter_m)) return;
         for (std::size_t s = 0; s < kBoxSides; ++s)
             if (kSideFrames[s].normal == axis &&
-                -kSideFrames[s].sign * ray_direction[axis] >= min_cosine(BoxSide(s)) &&
+                -kSideFrames[s].sign * direction[axis] >= min_cosine(BoxSide(s)) &&
                 side_coverage[s] < kUnseenSide)
                 ++n_through[s];
     }

@@ -133,8 +133,7 @@ RecordedCloud SweepRecorder::make_cloud(const RenderedScan& scan, const ScanOutp
     return cloud;
 }
 
-std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan,
-                                                          double cloud_time_s) const {
+std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& scan, double time_s) const {
     std::vector<RecordedActor> actors;
     for (const ActorInScan& actor : find_actors(scan, sensors_.front())) {
         const auto state = [&](double t_s) {
@@ -143,7 +142,7 @@ std::vector<RecordedActor> SweepRecorder::recorded_actors(const RenderedScan& sc
         };
         const BoxTrack& box = *actor.box;
         actors.push_back({box.id, box.category, box.size_m, !box.is_moving(), state(actor.faced_s),
-                          state(cloud_time_s), actor.n_points, actor.visible_share});
+                          state(time_s), actor.n_points, actor.visible_share});
     }
     return actors;
 }

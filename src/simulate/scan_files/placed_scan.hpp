@@ -26,10 +26,10 @@ struct PlacedRays {
 /// needs them, and each only once.
 class ScanInOutputFrame {
 public:
-    /// @param frame_number frame number of the dataset
-    /// @param file_notes metadata of the files
-    ScanInOutputFrame(const RenderedScan& rendered, const ScanOutputOptions& options, int frame_number,
-                      FileMetadata file_notes = {});
+    /// @param frame frame number of the dataset
+    /// @param notes metadata of the files
+    ScanInOutputFrame(const RenderedScan& rendered, const ScanOutputOptions& options, int frame,
+                      FileMetadata notes = {});
     /// @throws DataError if check_channels() finds an invalid
     /// channel
     const PlacedRays& rays();

@@ -15,6 +15,8 @@
 namespace relidar {
 namespace {
 
+namespace fs = std::filesystem;
+
 /// In PLY, the 16-bit type is uint16, because Open3D does not read ushort.
 struct PointFileField {
     std::string name;
@@ -70,7 +72,7 @@ std::string pack_records(const LidarPoints& points) {
 
 }  // namespace
 
-void write_ply(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
+void write_ply(const fs::path& path, const LidarPoints& points, const FileMetadata& notes) {
     check_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
     for (const auto& note : notes) text += fmt::format("comment {}\n", codecs::metadata_line(note));
@@ -84,7 +86,7 @@ void write_ply(const std::filesystem::path& path, const LidarPoints& points, con
     codecs::write_file(path, text + "end_header\n" + pack_records(points));
 }
 
-void write_pcd(const std::filesystem::path& path, const LidarPoints& points, const FileMetadata& notes) {
+void write_pcd(const fs::path& path, const LidarPoints& points, const FileMetadata& notes) {
     check_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
     for (const auto& note : notes) header += fmt::format("# {}\n", codecs::metadata_line(note));
@@ -105,7 +107,7 @@ void write_pcd(const std::filesystem::path& path, const LidarPoints& points, con
     codecs::write_file(path, header + pack_records(points));
 }
 
-void write_kitti_bin(const std::filesystem::path& path, const LidarPoints& points) {
+void write_kitti_bin(const fs::path& path, const LidarPoints& points) {
     check_lengths(points);
     codecs::write_file(path, pack_records({points.position_m, points.intensity}));
 }

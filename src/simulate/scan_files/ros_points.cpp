@@ -72,19 +72,18 @@ struct RosPointType {
 const RosPointType kPlainType{kPlainFields, 24, pack_velodyne, true},
     kAutowareType{kAutowareFields, 32, pack_autoware, false};
 
-std::string encode_cloud2(const RecordedCloud& recorded, const std::string& frame_id,
-                          const RosPointType& point_type) {
+std::string encode_cloud2(const RecordedCloud& recorded, const std::string& frame, const RosPointType& type) {
     const LidarPoints& cloud = recorded.points;
-    const std::string points = point_type.points(cloud);
-    std::vector<RosField> fields = point_type.fields;
-    std::uint32_t step = point_type.step;
+    const std::string points = type.points(cloud);
+    std::vector<RosField> fields = type.fields;
+    std::uint32_t step = type.step;
     for (const auto& [name, is_integer] :
-         point_type.has_channels ? list_columns(cloud.channels) : std::vector<ChannelColumn>{}) {
+         type.has_channels ? list_columns(cloud.channels) : std::vector<ChannelColumn>{}) {
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
     codecs::CdrWriter cdr;
-    add_header(cdr, recorded.stamp_ns, frame_id);
+    add_header(cdr, recorded.stamp_ns, frame);
     cdr.add_number(std::uint32_t(1))
         .add_number(std::uint32_t(cloud.size()))
         .add_number(std::uint32_t(fields.size()));

@@ -13,7 +13,7 @@ namespace relidar::scan_files {
 
 /// Has the boxes of actors if their visibility was computed.
 std::string entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
-                       const std::vector<std::string>& file_names);
+                       const std::vector<std::string>& files);
 
 /// Also removes half-written files of a killed process.
 /// @throws DataError if a file cannot be removed

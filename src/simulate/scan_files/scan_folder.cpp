@@ -194,7 +194,7 @@ Json boxes_json(const std::vector<ActorBox>& boxes) {
 }  // namespace
 
 std::string scan_files::entry_json(int frame, const RenderedScan& scan, const ScanOutputOptions& format,
-                                   const std::vector<std::string>& file_names) {
+                                   const std::vector<std::string>& files) {
     const std::vector<float>& range_m = point_ranges(scan, format.config);
     std::size_t n_points = 0;
     for (std::size_t i = 0; i < range_m.size(); ++i)
@@ -213,7 +213,7 @@ std::string scan_files::entry_json(int frame, const RenderedScan& scan, const Sc
                         {"unseen_sides", sides},
                         {"completed_sides", completed},
                         {"boxes", boxes_json(actor_boxes_of(scan, format))},
-                        {"files", file_names}};
+                        {"files", files}};
     return entry.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 

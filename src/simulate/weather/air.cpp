@@ -23,11 +23,10 @@ bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& stron
     return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
 }
 
-LidarEcho select_second(const EchoCandidates& candidates, const EchoCandidate& strongest,
-                        double separation_m) {
+LidarEcho select_second(const EchoCandidates& echoes, const EchoCandidate& strongest, double separation_m) {
     LidarEcho last, next;
     double power = 0.0;
-    for (const EchoCandidate& candidate : candidates) {
+    for (const EchoCandidate& candidate : echoes) {
         const double range_m = candidate.echo.range_m, strongest_m = strongest.echo.range_m;
         if (std::abs(range_m - strongest_m) < separation_m) continue;
         if (!is_bright_enough(candidate, strongest)) continue;
@@ -71,16 +70,16 @@ double WeatherRaySimulator::sample_albedo(const LidarEcho& surface, Random& rand
     return std::lerp(lowest, kBrightestUnknownSurface * lowest, random.sample_uniform());
 }
 
-void WeatherRaySimulator::append_surface(EchoCandidates& candidates, LidarEcho echo, double brightness,
+void WeatherRaySimulator::append_surface(EchoCandidates& echoes, LidarEcho echo, double brightness,
                                          Random& random) const {
     if (echo.source == ReturnCause::nothing) return;
     const double transmission = std::exp(-2.0 * alpha_ * echo.range_m) * brightness;
     const double power = sample_albedo(echo, random) * transmission / (echo.range_m * echo.range_m);
     echo.reflectivity *= transmission;
-    if (power >= sensor_.min_power_at(echo.range_m)) candidates.push_back({echo, power});
+    if (power >= sensor_.min_power_at(echo.range_m)) echoes.push_back({echo, power});
 }
 
-void append_detectable(EchoCandidates& candidates, LidarEcho echo, const WeatherSensorProperties& sensor,
+void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSensorProperties& sensor,
                        double transmission) {
     if (echo.source == ReturnCause::nothing || echo.range_m > sensor.max_range_m) return;
     echo.reflectivity *= transmission;
@@ -88,7 +87,7 @@ void append_detectable(EchoCandidates& candidates, LidarEcho echo, const Weather
     const double weakest = echo.source == ReturnCause::blooming
                                ? std::max(sensor.floor_power(), sensor.min_stray_power)
                                : sensor.min_power_at(echo.range_m);
-    if (power >= weakest) candidates.push_back({echo, power});
+    if (power >= weakest) echoes.push_back({echo, power});
 }
 
 EchoPair WeatherRaySimulator::echoes_of_ray(RayWeatherState ray, std::uint64_t seed) const {

@@ -64,7 +64,7 @@ public:
     virtual ~RayWeatherEffect() = default;
     /// Called before the air attenuates the light.
     virtual void modify_surface(RayWeatherState& /*ray*/) const {}
-    virtual void append_returns(EchoCandidates& /*candidates*/, const RayWeatherState& /*ray*/,
+    virtual void append_returns(EchoCandidates& /*echoes*/, const RayWeatherState& /*ray*/,
                                 Random& /*random*/) const {}
 };
 
@@ -93,7 +93,7 @@ private:
 };
 
 /// @param transmission  share of the light that the air does not absorb or scatter
-void append_detectable(EchoCandidates& candidates, LidarEcho echo, const WeatherSensorProperties& sensor,
+void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSensorProperties& sensor,
                        double transmission);
 
 /// If the weather causes a return, the ray gets its range and intensity, the instance -1

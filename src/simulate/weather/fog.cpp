@@ -41,8 +41,7 @@ public:
         }
     }
 
-    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                        Random& random) const override {
+    void append_returns(EchoCandidates& echoes, const RayWeatherState& ray, Random& random) const override {
         if (power_.empty()) return;
         const double stretch_m = 0.5 * pulse_length_m(sensor_), first_m = min_air_range_m(sensor_);
         for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
@@ -53,7 +52,7 @@ public:
             const double mean = std::lerp(power_[k], power_[k + 1], table_position - double(k));
             const double power = mean * std::exp(kFogSpread * (random.sample_normal() - 0.5 * kFogSpread));
             if (power >= sensor_.min_power_at(range_m))
-                candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::fog}, power});
+                echoes.push_back({{range_m, power * range_m * range_m, ReturnCause::fog}, power});
         }
     }
 

@@ -68,8 +68,7 @@ public:
         }
     }
 
-    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                        Random& random) const override {
+    void append_returns(EchoCandidates& echoes, const RayWeatherState& ray, Random& random) const override {
         if (expected_.empty()) return;
         const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform()); };
         for (double n = waiting(); n < expected_.back(); n += waiting()) {
@@ -83,8 +82,8 @@ public:
             const double share = std::min(wide_m / beam_width_m(sensor_, range_m), 1.0),
                          reflectivity =
                              falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
-            candidates.push_back({{range_m, reflectivity, falling_.source, falling_.fall_speed(melted_mm)},
-                                  reflectivity / (range_m * range_m)});
+            echoes.push_back({{range_m, reflectivity, falling_.source, falling_.fall_speed(melted_mm)},
+                              reflectivity / (range_m * range_m)});
         }
     }
 

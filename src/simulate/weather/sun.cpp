@@ -61,8 +61,7 @@ public:
 
     /// Peaks of Gaussian noise above the threshold have power^2 = threshold^2 + 2 sigma^2
     /// E, with an exponential random number E.
-    void append_returns(EchoCandidates& candidates, const RayWeatherState& ray,
-                        Random& random) const override {
+    void append_returns(EchoCandidates& echoes, const RayWeatherState& ray, Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == ReturnCause::surface;
         const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
@@ -75,7 +74,7 @@ public:
              range_m += waiting() / per_m) {
             const double power =
                 std::sqrt(sensor_.floor_power() * sensor_.floor_power() + 2.0 * sigma * sigma * waiting());
-            candidates.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
+            echoes.push_back({{range_m, power * range_m * range_m, ReturnCause::noise}, power});
         }
     }
 
