@@ -105,13 +105,12 @@ Rectangles make_rectangles() {
 }
 
 /// Picks a random rectangle for each surfel, with a probability proportional to its area.
-RectangleIndices sample_rectangles(std::size_t count, const Rectangles& rectangles,
-                                   NumpyRandomState& random) {
+RectangleIndices sample_rectangles(std::size_t n, const Rectangles& rectangles, NumpyRandomState& random) {
     std::vector<double> cumulative;
     double total = 0.0;
     for (const Rectangle& r : rectangles) cumulative.push_back(total += r.area);
     for (double& c : cumulative) c /= total;
-    RectangleIndices index(count);
+    RectangleIndices index(n);
     for (std::uint16_t& i : index) {
         const auto at = std::upper_bound(cumulative.begin(), cumulative.end(), random.draw_uniform()) -
                         cumulative.begin();

@@ -52,8 +52,7 @@ ObservedBoxSurface::ObservedBoxSurface(const glm::dvec3& size_m) : half_m_(0.5 *
 }
 
 /// Returns the patch where a line from the box centre through a point leaves the box.
-std::optional<ObservedBoxSurface::BoxSurfacePatch> ObservedBoxSurface::find_patch(
-    const glm::dvec3& point_m) const {
+auto ObservedBoxSurface::find_patch(const glm::dvec3& point_m) const -> std::optional<BoxSurfacePatch> {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = longest_axis(size);
     if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0))

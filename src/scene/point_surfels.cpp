@@ -249,8 +249,7 @@ Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, do
     return surfels.reorder(sorted);
 }
 
-LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
-                          std::vector<std::uint32_t>* selected) {
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, std::vector<std::uint32_t>* kept) {
     // The jitter of labelled boxes blurs smaller details.
     constexpr double kThinningVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
@@ -262,7 +261,7 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
                                   std::uint64_t(cell.z & 1023);
         if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
-    if (first.size() > max_count) {
+    if (first.size() > most) {
         const auto order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
             return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),
@@ -270,11 +269,11 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
         };
         std::sort(first.begin(), first.end(),
                   [&](std::uint32_t left, std::uint32_t right) { return order(left) < order(right); });
-        first.resize(max_count);
+        first.resize(most);
     }
     LidarSamples thin;
     for (const std::uint32_t i : first) thin.push_back(samples[i]);
-    if (selected) *selected = std::move(first);
+    if (kept) *kept = std::move(first);
     return thin;
 }
 

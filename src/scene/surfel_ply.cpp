@@ -83,13 +83,12 @@ glm::vec3 quaternion_normal(const glm::vec4& wxyz) {
             1.0f - 2.0f * (q.y * q.y + q.z * q.z)};
 }
 
-float property_value(const PlyProperty& property, const Surfels& surfels, std::size_t surfel,
-                     std::size_t model) {
+float property_value(const PlyProperty& property, const Surfels& surfels, std::size_t i, std::size_t model) {
     switch (property.kind) {
         case PlyProperty::parameter:
-            return property.group->values(surfels)[surfel * property.group->count_floats() + property.index];
+            return property.group->values(surfels)[i * property.group->count_floats() + property.index];
         case PlyProperty::normal:
-            return quaternion_normal(surfels.rotation[surfel])[static_cast<int>(property.index)];
+            return quaternion_normal(surfels.rotation[i])[static_cast<int>(property.index)];
         case PlyProperty::thickness:
             return kFlatLogScale;
         case PlyProperty::model:

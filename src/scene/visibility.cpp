@@ -235,11 +235,10 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
                                                                    : PointVisibility::unknown;
 }
 
-bool VisibilityChecker::has_return_at(std::uint32_t view, const glm::dvec3& point_m,
-                                      double tolerance_m) const {
+bool VisibilityChecker::has_return_at(std::uint32_t view, const glm::dvec3& point_m, double within_m) const {
     const NeighbourRanges here = ranges_around(views_[view], point_m);
     return std::any_of(here.returned_m, here.returned_m + here.n,
-                       [&](float returned) { return std::abs(returned - here.range_m) < tolerance_m; });
+                       [&](float returned) { return std::abs(returned - here.range_m) < within_m; });
 }
 
 VisibilityChecker::VisibilityVotes VisibilityChecker::count_votes(const glm::vec3& point_m) const {

@@ -52,8 +52,7 @@ struct SurfelArrays {
     bool bends = false;
 
     SurfelArrays() = default;
-    SurfelArrays(Device& device, std::uint32_t n, const std::string& text,
-                 SurfelParameterSet parameters = {});
+    SurfelArrays(Device& device, std::uint32_t n, const std::string& text, SurfelParameterSet which = {});
     SurfelParameterSet parameters_used() const { return {primitive, bends}; }
     /// @throws DataError if the number of surfels, the primitive, or the presence of a
     /// gait differs

@@ -37,6 +37,7 @@ struct UnobservedActorSide {
     /// through.
     bool is_completed = false;
 };
+using UnobservedActorSides = std::vector<UnobservedActorSide>;
 
 /// Numbers of rays that hit an actor. A ray counts if surfaces absorb at least half of
 /// its light, and if the surfels' drop probability is below 0.5.
@@ -75,7 +76,7 @@ struct RenderedScan {
     /// if the background is hidden.
     std::optional<double> unseen_share = {};
     /// Set by the command `relidar render`, not by ScanRenderer.
-    std::vector<UnobservedActorSide> unseen_sides = {};
+    UnobservedActorSides unseen_sides = {};
     /// Empty if ScanRenderer::count_actor_rays() was not called.
     std::vector<ActorVisibility> actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
@@ -97,8 +98,7 @@ struct RenderedScan {
 
 /// Finds sides that the log did not observe, although at least five rays reach them. Uses
 /// the poses of the actors in the log.
-std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
-                                                   const Log& log);
+UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& scene, const Log& log);
 
 /// Pose of the sensor at the firing time of each ray, interpolated once per column. Not
 /// thread-safe.

@@ -23,17 +23,15 @@ constexpr double kMinMovedFrameShare =
 
 }  // namespace
 
-MotionEvidence weigh_point(const VisibilityChecker& visibility, const glm::dvec3& point_m,
-                           const BoxTrack& box) {
+MotionEvidence weigh_point(const VisibilityChecker& checker, const glm::dvec3& point_m, const BoxTrack& box) {
     const std::vector<double>& times = box.world_from_box.time_s;
     MotionEvidence evidence;
-    for (const std::uint32_t view : visibility.find_views_near(point_m)) {
-        if (box.contains_point(point_m, std::clamp(visibility.view_time_s(view), times.front(), times.back()),
+    for (const std::uint32_t view : checker.find_views_near(point_m)) {
+        if (box.contains_point(point_m, std::clamp(checker.view_time_s(view), times.front(), times.back()),
                                kTrackedBoxMargin_m))
             continue;
-        if (visibility.has_return_at(view, point_m, kSamePosition_m)) ++evidence.n_occupied_frames;
-        else if (visibility.classify_point(view, point_m) == PointVisibility::empty)
-            ++evidence.n_empty_frames;
+        if (checker.has_return_at(view, point_m, kSamePosition_m)) ++evidence.n_occupied_frames;
+        else if (checker.classify_point(view, point_m) == PointVisibility::empty) ++evidence.n_empty_frames;
     }
     return evidence;
 }

@@ -144,12 +144,11 @@ double visible_width_m(const MoverCluster& cluster) {
 }
 
 /// Returns pairs of indices of the observations of two tracks in the same frame.
-std::vector<std::pair<std::size_t, std::size_t>> list_pairs(const MoverTrack& first,
-                                                            const MoverTrack& second) {
+std::vector<std::pair<std::size_t, std::size_t>> list_pairs(const MoverTrack& a, const MoverTrack& b) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
-    for (std::size_t i = 0, j = 0; i < first.observations.size() && j < second.observations.size();) {
-        if (first.observations[i].frame_time_s < second.observations[j].frame_time_s) ++i;
-        else if (second.observations[j].frame_time_s < first.observations[i].frame_time_s) ++j;
+    for (std::size_t i = 0, j = 0; i < a.observations.size() && j < b.observations.size();) {
+        if (a.observations[i].frame_time_s < b.observations[j].frame_time_s) ++i;
+        else if (b.observations[j].frame_time_s < a.observations[i].frame_time_s) ++j;
         else pairs.push_back({i++, j++});
     }
     return pairs;
@@ -251,10 +250,9 @@ std::vector<double> MoverTrack::times_s() const {
     return times;
 }
 
-MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<double>& times_s,
-                          const Log& log) {
+MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<double>& t_s, const Log& log) {
     OpenTrackSet open(log);
-    for (std::size_t f = 0; f < clusters.size(); ++f) open.link_frame(times_s[f], clusters[f]);
+    for (std::size_t f = 0; f < clusters.size(); ++f) open.link_frame(t_s[f], clusters[f]);
     return join_gaps(std::move(open).release_tracks());
 }
 

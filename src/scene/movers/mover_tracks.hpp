@@ -35,8 +35,7 @@ using MoverTracks = std::vector<MoverTrack>;
 /// position of the object. In frames with a label for the object, the cluster must have
 /// this label instead.
 /// @param clusters [frames]
-MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<double>& times_s,
-                          const Log& log);
+MoverTracks link_clusters(const ClustersByFrame& clusters, const std::vector<double>& t_s, const Log& log);
 
 /// Returns true if a track has enough observations, moves far enough, and is straight.
 bool is_moving_track(const MoverTrack& track);

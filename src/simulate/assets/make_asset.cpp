@@ -29,12 +29,11 @@ std::string make_asset_name(const BoxTrack& box) {
 }
 
 /// The opacity must reach the blending threshold, and the surfel must be in the box.
-bool is_useful(const Surfels& surfels, std::size_t surfel, const SurfelModel& model,
-               const ImageModel& image) {
-    const glm::vec3 outside = glm::abs(surfels.mean[surfel]) - model.half_size_m;
+bool is_useful(const Surfels& surfels, std::size_t i, const SurfelModel& model, const ImageModel& image) {
+    const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
     if (bounded && (outside.x > 0.0f || outside.y > 0.0f || outside.z > 0.0f)) return false;
-    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[surfel])) >= image.alpha_min;
+    return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
 Log log_of_actor(const Log& full, const BoxTrack& actor_box) {

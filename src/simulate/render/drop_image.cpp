@@ -18,8 +18,7 @@ constexpr float kLeastProbability = 1e-4f;
 
 /// Value RELIDAR_DROP_* of a ray. The kernel simulate/render/drop_channels computes equal
 /// values.
-std::function<float(std::size_t)> drop_input(const RenderedScan& scan, std::uint32_t channel,
-                                             const glm::vec3& origin_m) {
+RayFunction drop_input(const RenderedScan& scan, std::uint32_t channel, const glm::vec3& origin_m) {
     if (channel == RELIDAR_DROP_LOG_RANGE)
         return [&](std::size_t index) { return std::log1p(std::max(scan.median_range_m[index], 0.0f)); };
     if (channel == RELIDAR_DROP_INTENSITY)

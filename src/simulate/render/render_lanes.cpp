@@ -59,9 +59,10 @@ void ParallelScanResourcePool::set_limit(int count) {
     while (std::ssize(others_) >= count) others_.pop_back();
 }
 
-std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(
-    Device& device, const SimulatedSensor& sensor, const RayTable& ray_table,
-    const std::function<float(std::size_t)>& drop_probability) {
+std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& device,
+                                                                     const SimulatedSensor& sensor,
+                                                                     const RayTable& ray_table,
+                                                                     const RayFunction& drop_probability) {
     // limits for the rays that stay in device memory; they need at most 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);

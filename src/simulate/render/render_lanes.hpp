@@ -33,8 +33,7 @@ struct ParallelScanResources {
     /// @param drop_probability probability that the sensor never gets a return
     /// along a ray
     std::shared_ptr<DeviceSensorRays> upload_rays(Device& device, const SimulatedSensor& sensor,
-                                                  const RayTable& rays,
-                                                  const std::function<float(std::size_t)>& drop_probability);
+                                                  const RayTable& rays, const RayFunction& drop_probability);
 };
 
 /// A lane renders one scan at a time.

@@ -31,8 +31,7 @@ float observed_share(const RayWithSurfaceRange& ray, const LogObservedSpace& spa
 
 }  // namespace
 
-double unobserved_share(std::size_t n_rays, const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                        const LogObservedSpace& space) {
+double unobserved_share(std::size_t n_rays, const RaySource& get_ray, const LogObservedSpace& space) {
     std::vector<float> shares(n_rays);
     parallel_blocks(n_rays,
                     [&](std::size_t index) { shares[index] = observed_share(get_ray(index), space); });

@@ -22,9 +22,9 @@ struct RayWithSurfaceRange {
     glm::dvec3 origin_m, direction;  ///< in the sensor frame
     float met_m;                     ///< range of the surface that the ray hits; 0 if the ray hits nothing
 };
+using RaySource = std::function<RayWithSurfaceRange(std::size_t)>;
 /// A ray counts as unobserved if the log observed less than half of its path.
-double unobserved_share(std::size_t n_rays, const std::function<RayWithSurfaceRange(std::size_t)>& get_ray,
-                        const LogObservedSpace& space);
+double unobserved_share(std::size_t n_rays, const RaySource& get_ray, const LogObservedSpace& space);
 
 /// [rays] 0..1. A path ends at the surface that the ray hits, or at the maximum range.
 std::vector<float> observed_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,

@@ -50,8 +50,7 @@ SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar_
             .rolling_shutter = has_rolling_shutter(config, log)};
 }
 
-SimulatedSensor make_grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& log,
-                                 int lidar) {
+SimulatedSensor grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& log, int lidar) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits = intersect({0.0, grid.max_range_m}, configured_limits(config, log));
     if (method == "cast")
@@ -122,7 +121,7 @@ SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Fram
 
 SimulatedSensor make_sensor(const Config& config, const Log& log, int lidar) {
     if (config.sensor.grid == "native") return make_log_sensor(config, log, lidar);
-    return make_grid_sensor(find_grid(config.sensor.grid), config, log, lidar);
+    return grid_sensor(find_grid(config.sensor.grid), config, log, lidar);
 }
 
 SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar) {
@@ -142,7 +141,7 @@ SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar) {
 
 SimulatedSensor choose_sensor(const std::string& name, const Config& config, const Log& log, int lidar) {
     if (find_name(name, {"native"})) return make_log_sensor(config, log, lidar);
-    if (find_name(name, {kitti360_grid().name})) return make_grid_sensor(kitti360_grid(), config, log, lidar);
+    if (find_name(name, {kitti360_grid().name})) return grid_sensor(kitti360_grid(), config, log, lidar);
     return simulate_sensor(find_sensor(name, {"native"}), lidar);
 }
 

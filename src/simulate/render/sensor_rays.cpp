@@ -104,15 +104,14 @@ bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& sens
            are_bytes_equal(rays.channel, table_.channel);
 }
 
-void DeviceSensorRays::upload(const RayTable& rays, const std::string& name,
-                              const std::function<float(std::size_t)>& drop_probability) {
+void DeviceSensorRays::upload(const RayTable& rays, const std::string& name, const RayFunction& drop) {
     if (is_uploaded(rays, name)) return;
     std::vector<shared::SensorRay> all(rays.size());
     parallel_blocks(all.size(), [&](std::size_t index) {
         all[index] = {.origin = rays.origin[index],
                       .direction = rays.direction[index],
                       .time_offset_s = rays.time_offset_s[index],
-                      .sees = 1.0f - drop_probability(index),
+                      .sees = 1.0f - drop(index),
                       .channel = rays.channel[index]};
     });
     if (all.size() > measured_.size()) {  // measured_ is allocated last

@@ -19,6 +19,8 @@
 
 namespace relidar {
 
+using RayFunction = std::function<float(std::size_t)>;  ///< value of the ray with this index
+
 struct RayMeasurementOptions {
     const std::string& range;  ///< setting `render.range`
     const std::vector<Beam>& beams;
@@ -36,8 +38,7 @@ public:
     /// @param name another name forces an upload
     /// @param drop_probability probability that the sensor never gets a return
     /// along a ray
-    void upload(const RayTable& rays, const std::string& name,
-                const std::function<float(std::size_t)>& drop_probability);
+    void upload(const RayTable& rays, const std::string& name, const RayFunction& drop_probability);
     /// Then world_batch() returns the rays at their firing times.
     /// @param world_from_sensor a single pose if the sensor does not move
     void place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);

@@ -18,13 +18,12 @@ namespace {
 constexpr std::size_t kFewestRays = 5;
 
 /// Range, and axis of the side. Infinity if the ray misses the box or starts inside.
-std::pair<double, int> enter_box(const glm::dvec3& origin, const glm::dvec3& direction,
-                                 const glm::dvec3& half_size_m) {
+std::pair<double, int> enter_box(const glm::dvec3& from, const glm::dvec3& along, const glm::dvec3& half_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
     for (int k = 0; k < 3; ++k) {
-        const double inverse = 1.0 / direction[k], a = (-half_size_m[k] - origin[k]) * inverse,
-                     b = (half_size_m[k] - origin[k]) * inverse;
+        const double inverse = 1.0 / along[k], a = (-half_m[k] - from[k]) * inverse,
+                     b = (half_m[k] - from[k]) * inverse;
         if (std::min(a, b) > enter_m) {
             enter_m = std::min(a, b);
             axis = k;
@@ -70,8 +69,7 @@ struct PartlyObservedActor {
     }
 };
 
-std::vector<PartlyObservedActor> partly_observed(const RenderedScan& scan, const Scene& scene,
-                                                 const Log& log) {
+std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Scene& scene, const Log& log) {
     std::vector<PartlyObservedActor> boxes;
     if (scan.time_offset_s.empty()) return boxes;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
@@ -93,9 +91,8 @@ std::vector<PartlyObservedActor> partly_observed(const RenderedScan& scan, const
 
 }  // namespace
 
-std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
-                                                   const Log& log) {
-    std::vector<PartlyObservedActor> boxes = partly_observed(scan, scene, log);
+UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& scene, const Log& log) {
+    std::vector<PartlyObservedActor> boxes = partly_seen(scan, scene, log);
     FiringPoseInterpolator firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -log.world_offset_m});
     for (std::size_t i = 0; !boxes.empty() && i < scan.image.range_m.size(); ++i) {
         const Pose& world_from_firing = firing.pose_of(i);
@@ -110,7 +107,7 @@ std::vector<UnobservedActorSide> find_unseen_sides(const RenderedScan& scan, con
                           !scan.instance.empty() && scan.instance[i] == box.instance);
         }
     }
-    std::vector<UnobservedActorSide> sides;
+    UnobservedActorSides sides;
     for (const PartlyObservedActor& box : boxes)
         for (std::size_t s = 0; s < kBoxSides; ++s) {
             if (box.n_through[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_through[s]});

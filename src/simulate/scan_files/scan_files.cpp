@@ -61,12 +61,11 @@ NamedArray image_array(const std::string& name, const RangeImage& image, const s
                       values.data(), values.size());
 }
 
-NamedArray image_array(const std::string& name, const RangeImage& image,
-                       const std::vector<glm::vec3>& values) {
-    const float* first = values.empty() ? nullptr : &values.front().x;
+NamedArray image_array(const std::string& name, const RangeImage& image, const std::vector<glm::vec3>& xyz) {
+    const float* first = xyz.empty() ? nullptr : &xyz.front().x;
     return make_array(name,
                       {static_cast<std::size_t>(image.rows), static_cast<std::size_t>(image.columns), 3},
-                      first, values.size() * 3);
+                      first, xyz.size() * 3);
 }
 
 std::vector<NamedArray> make_npz_arrays(ScanInOutputFrame& output_scan) {

@@ -35,9 +35,8 @@ struct ScanPacketEncoder::Impl {
     std::vector<std::unique_ptr<PacketEncoder>> encoders;
 };
 
-ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
-    : impl_(std::make_unique<Impl>()) {
-    for (const ScanOutputOptions& format : sensors) {
+ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> rig) : impl_(std::make_unique<Impl>()) {
+    for (const ScanOutputOptions& format : rig) {
         if (!format.packets.sensor)
             fail<UsageError>("cannot write packets of the sensor \"{}\", expected one of {}", format.sensor,
                              packet_sensors());
@@ -46,7 +45,7 @@ ScanPacketEncoder::ScanPacketEncoder(std::vector<ScanOutputOptions> sensors)
                                     .ouster_profile = format.packets.ouster_profile};
         impl_->encoders.push_back(std::make_unique<PacketEncoder>(*format.packets.sensor, options));
     }
-    impl_->sensors = std::move(sensors);
+    impl_->sensors = std::move(rig);
 }
 
 ScanPacketEncoder::~ScanPacketEncoder() = default;

@@ -64,8 +64,7 @@ public:
     virtual ~RayWeatherEffect() = default;
     /// Called before the air attenuates the light.
     virtual void modify_surface(RayWeatherState& /*ray*/) const {}
-    virtual void append_returns(EchoCandidates& /*echoes*/, const RayWeatherState& /*ray*/,
-                                Random& /*random*/) const {}
+    virtual void append_returns(EchoCandidates&, const RayWeatherState&, Random&) const {}
 };
 
 struct EchoPair {
