@@ -3,7 +3,6 @@
 // it.
 #include <relidar/scene/device_scene.hpp>
 
-#include <algorithm>
 #include <cmath>
 
 namespace relidar {

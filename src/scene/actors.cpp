@@ -2,11 +2,7 @@
 // Initialises actors. An actor is the set of surfels of one tracked moving box, in the
 // frame of the box (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene/device_scene.hpp>
-#include <relidar/scene/scene.hpp>
 
-#include <algorithm>
-#include <cmath>
-#include <string_view>
 #include <unordered_map>
 
 #include <fmt/ranges.h>

@@ -6,8 +6,6 @@
 // come from the polar method, which makes two numbers at a time.
 #include "scene/benchmark_street.hpp"
 
-#include <algorithm>
-#include <array>
 #include <cmath>
 #include <random>
 

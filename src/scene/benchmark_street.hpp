@@ -2,9 +2,6 @@
 // Declares the synthetic street that benchmarks and tests use.
 #pragma once
 
-#include <cstdint>
-#include <string>
-
 #include <relidar/scene/scene.hpp>
 
 namespace relidar {

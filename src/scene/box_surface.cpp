@@ -3,9 +3,7 @@
 // line from the centre of the box through a point selects the patch of the point.
 #include <relidar/scene/box_surface.hpp>
 
-#include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <map>
 #include <utility>
 

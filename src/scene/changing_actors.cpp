@@ -4,12 +4,7 @@
 // change of shape: steps, pedals, doors, trailers.
 #include "scene/changing_actors.hpp"
 
-#include <algorithm>
-#include <cmath>
-#include <limits>
-#include <memory>
 #include <numeric>
-#include <utility>
 
 #include <fmt/format.h>
 

@@ -3,11 +3,6 @@
 // (docs/method.md M14). Private to scene.
 #pragma once
 
-#include <string>
-#include <vector>
-
-#include <relidar/scene/scene.hpp>
-
 #include "scene/point_surfels.hpp"
 
 namespace relidar {

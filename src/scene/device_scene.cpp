@@ -5,9 +5,7 @@
 // parameters.
 #include <relidar/scene/device_scene.hpp>
 
-#include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "base/assert.hpp"
 #include "base/fail.hpp"
@@ -46,15 +44,15 @@ struct InstanceGradientRows {
         : first_row(scene.instances.size()),
           first_instance(scene.models.size(), -1),
           first_more(scene.models.size() + 1, 0),
-          n(n_surfels) {
+          n_rows(n_surfels) {
         std::vector<std::uint32_t> placed(scene.models.size(), 0);
         for (const ModelInstance& instance : scene.instances) ++placed[instance.model];
         std::vector<std::uint32_t> next_row(scene.models.size());
         for (std::size_t model = 0; model < scene.models.size(); ++model) {
             const std::uint32_t n_more = std::max(placed[model], 1u) - 1;
             first_more[model + 1] = first_more[model] + n_more;
-            next_row[model] = n;
-            n += n_more * scene.models[model].count;
+            next_row[model] = n_rows;
+            n_rows += n_more * scene.models[model].count;
             for (std::uint32_t k = 0; k < n_more; ++k)
                 more.push_back(next_row[model] + k * scene.models[model].count);
         }

@@ -2,8 +2,6 @@
 // Converts a scene at one time into a single set of surfels in the world frame.
 #include <relidar/scene/scene.hpp>
 
-#include <algorithm>
-#include <array>
 #include <cmath>
 
 #include "base/fail.hpp"

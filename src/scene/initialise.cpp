@@ -3,12 +3,6 @@
 // of each voxel. Estimates normals and scales from nearest neighbours (docs/method.md
 // section 2; paper section 3.2). Skips points in the boxes of moving objects. Never reads
 // the held-out frames.
-#include <relidar/scene/scene.hpp>
-
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <unordered_map>
 
 #include "base/fail.hpp"
 #include "base/geometry/nearest_place.hpp"

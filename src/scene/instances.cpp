@@ -2,8 +2,6 @@
 // Finds instances by name. Copies models so that no two instances share a model.
 #include <relidar/scene/scene.hpp>
 
-#include <algorithm>
-
 #include <fmt/ranges.h>
 
 #include "base/fail.hpp"

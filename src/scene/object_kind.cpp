@@ -4,9 +4,7 @@
 // shared class name has the same meaning in each of them.
 #include <relidar/scene/scene.hpp>
 
-#include <algorithm>
 #include <cctype>
-#include <span>
 
 namespace relidar {
 namespace {

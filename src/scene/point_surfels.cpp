@@ -3,8 +3,6 @@
 // points (docs/method.md section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
-#include <algorithm>
-#include <cmath>
 #include <unordered_set>
 
 #include <Eigen/Eigenvalues>

@@ -3,8 +3,6 @@
 // (docs/method.md section 2). Used for the background and for actors. Private to scene.
 #pragma once
 
-#include <vector>
-
 #include <relidar/scene/scene.hpp>
 
 namespace relidar {

@@ -3,13 +3,7 @@
 // Private to scene.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
-#include <cstddef>
-#include <cstdint>
-#include <map>
-#include <utility>
-#include <vector>
 
 #include <nanoflann.hpp>
 

@@ -3,9 +3,6 @@
 // same class also stores gradients or the moments of the optimizer (Adam).
 #include <relidar/scene/device_scene.hpp>
 
-#include <algorithm>
-#include <limits>
-
 #include <fmt/ranges.h>
 
 #include "base/fail.hpp"

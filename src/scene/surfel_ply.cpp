@@ -2,23 +2,16 @@
 // Writes and reads surfels as PLY files in the layout of 3D Gaussian splatting. A surfel
 // is stored as a flat Gaussian. The LiDAR channels are additional properties. The reader
 // compares each number in the header with the file size before it uses the number.
-#include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
-#include <algorithm>
 #include <charconv>
-#include <cmath>
-#include <cstring>
-#include <limits>
 #include <numeric>
-#include <optional>
 #include <set>
 #include <sstream>
 #include <tuple>
 #include <unordered_map>
 
 #include <relidar/scene/device_scene.hpp>
-#include <relidar/scene/scene.hpp>
 #include "base/codecs/file_io.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Implements the arrays of surfels in host memory: resize, check shapes, sort and
 // concatenate.
-#include <relidar/scene/scene.hpp>
 
-#include <algorithm>
 #include <cmath>
 #include <numeric>
 

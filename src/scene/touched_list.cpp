@@ -2,8 +2,6 @@
 // Runs the kernel scene/list_touched, which lists the surfels that have a gradient.
 #include <relidar/scene/device_scene.hpp>
 
-#include <algorithm>
-
 #include "gpu/stream.hpp"
 #include "scene/shared/scene.h"
 

@@ -3,11 +3,7 @@
 // up the point in the range images of the frames.
 #include "scene/visibility.hpp"
 
-#include <algorithm>
-#include <cmath>
-#include <functional>
 #include <numeric>
-#include <utility>
 
 #include "base/geometry/cell_key.hpp"
 #include "base/parallel.hpp"

@@ -4,10 +4,7 @@
 // belong to moving objects (docs/method.md section 6).
 #pragma once
 
-#include <cstdint>
-#include <optional>
 #include <unordered_map>
-#include <vector>
 
 #include <relidar/log/sequence.hpp>
 

@@ -1,12 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scene/activate and scene/activate_vjp. Compares each element of a record with the
 // reference activations and their central differences.
-#include <algorithm>
-#include <cmath>
-#include <limits>
-#include <memory>
 #include <random>
-#include <tuple>
 
 #include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>

@@ -2,13 +2,11 @@
 // Tests actors (paper section 3.2, Eq. 4-5). Points of a moving box are expressed in the
 // frame of the box. Each box gets a model and an instance, which has the pose of the box
 // and is absent outside the time range of the labels.
-#include <algorithm>
 #include <cmath>
 
 #include <relidar/base/error.hpp>
 #include <relidar/diff/forward.hpp>
 #include <relidar/read/dataset.hpp>
-#include <relidar/scene/scene.hpp>
 #include "gpu/forced.hpp"
 
 #include "../support/device.hpp"

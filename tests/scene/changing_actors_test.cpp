@@ -7,8 +7,6 @@
 
 #include <gtest/gtest.h>
 
-#include <relidar/base/math.hpp>
-
 namespace relidar {
 namespace {
 

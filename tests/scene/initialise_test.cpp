@@ -2,16 +2,11 @@
 // Tests the initialisation of the background with a synthetic street.
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <cmath>
-#include <filesystem>
-#include <fstream>
-#include <functional>
 #include <numeric>
 #include <random>
 
 #include <relidar/base/error.hpp>
-#include <relidar/read/dataset.hpp>
 #include <relidar/scene/scene.hpp>
 
 #include "../support/rig_street.hpp"

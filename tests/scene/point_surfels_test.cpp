@@ -3,9 +3,6 @@
 // the gaps between lines and lie in the surface, or stay round.
 #include "scene/point_surfels.hpp"
 
-#include <cmath>
-#include <functional>
-
 #include <gtest/gtest.h>
 
 #include "base/random.hpp"

@@ -8,7 +8,6 @@
 #include <cmath>
 
 #include <relidar/base/error.hpp>
-#include <relidar/scene/scene.hpp>
 #include "scene/benchmark_street.hpp"
 
 namespace relidar {

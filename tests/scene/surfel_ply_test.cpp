@@ -4,9 +4,6 @@
 #include <relidar/scene/surfel_ply.hpp>
 
 #include <cmath>
-#include <cstring>
-#include <functional>
-#include <limits>
 #include <random>
 #include <tuple>
 

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests walking people, whose limbs move with the walked distance (docs/method.md M14).
 // Compares rendered people with the exact street at times that did not train the scene.
-#include <cmath>
 
 #include <relidar/diff/forward.hpp>
 #include <relidar/read/dataset.hpp>

@@ -2,9 +2,7 @@
 // Plates and a static sensor at exact positions, for tests of rendered scans.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
-#include <vector>
 
 #include <relidar/simulate/render.hpp>
 

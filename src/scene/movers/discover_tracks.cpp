@@ -2,13 +2,6 @@
 // Finds tracks of moving objects without labels. Clusters the returns at positions where
 // other frames observe empty space. Links the clusters from frame to frame, and fits
 // boxes to the linked clusters. Keeps a box only if other frames prove that it moved.
-#include <relidar/scene/scene.hpp>
-
-#include <algorithm>
-#include <array>
-#include <cstring>
-#include <optional>
-#include <utility>
 
 #include <fmt/format.h>
 

@@ -3,10 +3,7 @@
 // sensor, because it is the only end that the sensor reliably sees.
 #include "scene/movers/mover_boxes.hpp"
 
-#include <algorithm>
 #include <cmath>
-#include <optional>
-#include <utility>
 
 #include "scene/movers/mover_path.hpp"
 

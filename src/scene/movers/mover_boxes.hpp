@@ -2,10 +2,6 @@
 // Fits boxes to the observations of a track. A track has one box size. Private to scene.
 #pragma once
 
-#include <vector>
-
-#include <relidar/log/sequence.hpp>
-
 #include "scene/movers/mover_tracks.hpp"
 
 namespace relidar {

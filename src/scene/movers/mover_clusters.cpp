@@ -3,11 +3,7 @@
 // clusters.
 #include "scene/movers/mover_clusters.hpp"
 
-#include <algorithm>
 #include <iterator>
-#include <span>
-#include <unordered_map>
-#include <utility>
 
 #include "base/geometry/cell_key.hpp"
 #include "base/geometry/cell_numbers.hpp"

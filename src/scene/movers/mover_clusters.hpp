@@ -3,8 +3,6 @@
 // observe empty space at its position. Private to scene.
 #pragma once
 
-#include <vector>
-
 #include <relidar/scene/scene.hpp>
 
 #include "scene/visibility.hpp"

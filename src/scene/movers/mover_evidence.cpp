@@ -5,8 +5,6 @@
 // beams also pass through glass, between leaves and past edges.
 #include "scene/movers/mover_evidence.hpp"
 
-#include <algorithm>
-
 namespace relidar {
 namespace {
 

@@ -3,8 +3,6 @@
 // with frames in which the tracked object is elsewhere. Private to scene.
 #pragma once
 
-#include <relidar/log/sequence.hpp>
-
 #include "scene/movers/mover_clusters.hpp"
 #include "scene/visibility.hpp"
 

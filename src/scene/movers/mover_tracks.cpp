@@ -3,11 +3,9 @@
 // either at the same time or one after the other.
 #include "scene/movers/mover_tracks.hpp"
 
-#include <algorithm>
 #include <iterator>
 #include <numeric>
 #include <tuple>
-#include <utility>
 
 #include "scene/movers/mover_path.hpp"
 

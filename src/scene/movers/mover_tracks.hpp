@@ -2,10 +2,6 @@
 // Links the clusters of one object from frame to frame and across gaps. Private to scene.
 #pragma once
 
-#include <vector>
-
-#include <relidar/log/sequence.hpp>
-
 #include "scene/movers/mover_clusters.hpp"
 
 namespace relidar {

@@ -2,9 +2,6 @@
 // Computes the distance that an actor has walked, without the jitter of its labels.
 #include "scene/movers/walked_distance.hpp"
 
-#include <algorithm>
-#include <cstddef>
-
 namespace relidar {
 namespace {
 

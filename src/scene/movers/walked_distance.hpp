@@ -2,8 +2,6 @@
 // Measures how far an actor has walked (docs/method.md M14). Private to scene.
 #pragma once
 
-#include <vector>
-
 #include <relidar/scene/scene.hpp>
 
 namespace relidar {

@@ -3,8 +3,6 @@
 // files of the asset's run.
 #include <relidar/simulate/assets.hpp>
 
-#include <algorithm>
-
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 

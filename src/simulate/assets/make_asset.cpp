@@ -3,7 +3,6 @@
 // Completes the unobserved side of vehicles with mirrored surfels.
 #include <relidar/simulate/assets.hpp>
 
-#include <algorithm>
 #include <cmath>
 
 #include <fmt/format.h>

@@ -3,8 +3,6 @@
 // with the trained scene, so that objects in front of an actor hide the actor.
 #include <relidar/simulate/assets.hpp>
 
-#include <algorithm>
-
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Measures how much of each actor is visible in a scan. Divides the number of rays that
 // hit the actor by the number that would hit it if the scene contained nothing else.
-#include <algorithm>
 
 #include "simulate/render/footprint.hpp"
 #include "simulate/render/render_lanes.hpp"

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Requests scans and collects their points. The device renders a scan while the host
 // processes an earlier scan.
-#include <cstdint>
-#include <span>
 
-#include <relidar/diff/accel.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 #include "base/fail.hpp"

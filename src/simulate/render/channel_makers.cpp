@@ -1,11 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/channel_makers.hpp"
 
-#include <algorithm>
-#include <string_view>
-
 #include <relidar/diff/forward.hpp>
-#include <relidar/simulate/weather.hpp>
 #include "base/parallel.hpp"
 
 namespace relidar {

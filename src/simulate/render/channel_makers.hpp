@@ -2,15 +2,6 @@
 // Computes the optional channels of a scan. Private to render.
 #pragma once
 
-#include <cstdint>
-#include <span>
-#include <vector>
-
-#include <relidar/log/channels.hpp>
-#include <relidar/log/classes.hpp>
-#include <relidar/log/sequence.hpp>
-#include <relidar/scene/scene.hpp>
-#include <relidar/simulate/render.hpp>
 #include "simulate/render/scan_motion.hpp"
 #include "simulate/render/seen.hpp"
 #include "simulate/shared/render.h"

@@ -3,12 +3,6 @@
 // that joins, merges, bins or copies scans uses these functions. Private to render.
 #pragma once
 
-#include <cstddef>
-#include <utility>
-#include <variant>
-#include <vector>
-
-#include <relidar/log/channels.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

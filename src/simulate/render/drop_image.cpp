@@ -1,10 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the inputs of a ray-drop network from a rendered scan.
-#include <algorithm>
 #include <cmath>
-#include <functional>
-
-#include <relidar/simulate/render.hpp>
 
 #include "base/parallel.hpp"
 #include "simulate/render/channel_makers.hpp"

@@ -1,12 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/footprint.hpp"
 
-#include <algorithm>
 #include <cmath>
-#include <type_traits>
-#include <vector>
 
-#include <relidar/base/math.hpp>
 #include "simulate/render/channel_pairs.hpp"
 #include "simulate/render/empty_scan.hpp"
 

@@ -3,7 +3,6 @@
 // their hits to returns like the receiver of a LiDAR. Private to render.
 #pragma once
 
-#include <relidar/log/sensor.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

@@ -1,8 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <relidar/simulate/render.hpp>
-
-#include <algorithm>
-#include <type_traits>
 
 #include "base/fail.hpp"
 #include "simulate/render/channel_pairs.hpp"

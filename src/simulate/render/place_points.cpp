@@ -4,8 +4,6 @@
 // that the device computes.
 #include <relidar/simulate/place_points.hpp>
 
-#include <algorithm>
-
 #include "base/parallel.hpp"
 #include "simulate/render/sensor_rays.hpp"
 #include "simulate/shared/place_point.h"

@@ -4,10 +4,6 @@
 #pragma once
 
 #include <algorithm>
-#include <memory>
-#include <optional>
-#include <span>
-#include <vector>
 
 #include <relidar/log/sequence.hpp>
 

@@ -4,13 +4,6 @@
 // runs these steps.
 #include <relidar/simulate/render.hpp>
 
-#include <algorithm>
-#include <chrono>
-#include <cmath>
-#include <span>
-#include <utility>
-
-#include <relidar/diff/accel.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
@@ -115,7 +108,7 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       first_origin_m(first_position(log)),
       settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatterModel>(log.lidars.size())},
-      sweeps(config, all, sequence),
+      sweeps(config, all, log),
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
 

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/render_lanes.hpp"
 
-#include <algorithm>
-
 #include <fmt/format.h>
 
 #include <relidar/gpu/out_of_memory.hpp>

@@ -4,14 +4,8 @@
 #pragma once
 
 #include <deque>
-#include <functional>
-#include <memory>
-#include <optional>
-#include <string>
-#include <vector>
 
 #include <relidar/diff/forward.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "simulate/render/points_on_device.hpp"
 #include "simulate/render/sensor_rays.hpp"

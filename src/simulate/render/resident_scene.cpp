@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/resident_scene.hpp"
 
-#include <algorithm>
-
-#include <relidar/diff/accel.hpp>
 #include <relidar/run/run.hpp>
 
 namespace relidar {

@@ -3,17 +3,10 @@
 // blocks that rays can reach.
 #pragma once
 
-#include <cstdint>
-#include <memory>
-#include <optional>
-#include <vector>
-
 #include <glm/glm.hpp>
 
 #include <relidar/diff/forward.hpp>
-#include <relidar/gpu/device.hpp>
 #include <relidar/run/config.hpp>
-#include <relidar/scene/scene.hpp>
 
 namespace relidar {
 

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Converts the expected values of a scan to random measurements: draws drops, ranges and
 // intensities.
-#include <algorithm>
 #include <bit>
-#include <cmath>
 
 #include <relidar/simulate/render.hpp>
 

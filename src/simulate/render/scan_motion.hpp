@@ -2,12 +2,6 @@
 // Computes how fast the sensor and the objects move during a scan. Private to simulate.
 #pragma once
 
-#include <cstddef>
-#include <cstdint>
-#include <vector>
-
-#include <relidar/log/sequence.hpp>
-#include <relidar/scene/scene.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/scan_plan.hpp"
 
-#include <algorithm>
-
 #include "base/fail.hpp"
 
 namespace relidar {

@@ -3,8 +3,6 @@
 // host. No other code makes this decision. Private to render.
 #pragma once
 
-#include <vector>
-
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

@@ -5,13 +5,6 @@
 #pragma once
 
 #include <deque>
-#include <memory>
-#include <optional>
-#include <span>
-#include <string>
-
-#include <relidar/diff/forward.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "simulate/render/points_on_device.hpp"
 #include "simulate/render/resident_scene.hpp"

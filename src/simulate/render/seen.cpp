@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/seen.hpp"
 
-#include <algorithm>
-
 #include "base/parallel.hpp"
 #include "simulate/render/points_on_device.hpp"
 

@@ -3,10 +3,6 @@
 // log. Private to render.
 #pragma once
 
-#include <functional>
-#include <vector>
-
-#include <relidar/log/coverage.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

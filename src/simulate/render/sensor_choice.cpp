@@ -2,11 +2,8 @@
 // Selects the sensor to simulate. Also implements range grids, which published results
 // use: points are binned into an image with linear elevation and azimuth. The simulation
 // bins the simulated points of the real beams in the same way.
-#include <relidar/simulate/render.hpp>
 
-#include <algorithm>
 #include <cmath>
-#include <type_traits>
 
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/stage_options.hpp>

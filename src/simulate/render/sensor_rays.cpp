@@ -3,11 +3,7 @@
 // compute world rays, measurements, and the inputs of ray-drop networks.
 #include "simulate/render/sensor_rays.hpp"
 
-#include <algorithm>
-#include <array>
-#include <atomic>
 #include <cstring>
-#include <utility>
 
 #include "base/fail.hpp"
 #include "base/files.hpp"

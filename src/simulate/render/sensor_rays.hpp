@@ -3,15 +3,8 @@
 // computes the measurements. Private to render.
 #pragma once
 
-#include <functional>
-#include <optional>
-#include <span>
-#include <string>
-#include <vector>
-
 #include <relidar/diff/network_training.hpp>
 #include <relidar/diff/traversal.hpp>
-#include <relidar/log/sensor.hpp>
 #include <relidar/log/sequence.hpp>
 
 #include "gpu/stream.hpp"

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/sweep.hpp"
 
-#include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include <fmt/format.h>
 

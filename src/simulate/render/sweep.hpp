@@ -3,10 +3,6 @@
 // poses of all instances during a sweep. Private to render.
 #pragma once
 
-#include <optional>
-#include <string>
-#include <vector>
-
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {

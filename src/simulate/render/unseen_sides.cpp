@@ -4,12 +4,7 @@
 // it.
 #include <relidar/simulate/render.hpp>
 
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <limits>
-#include <optional>
-#include <utility>
 
 namespace relidar {
 namespace {

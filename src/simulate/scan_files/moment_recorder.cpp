@@ -2,9 +2,6 @@
 #include "moment_recorder.hpp"
 #include "base/fail.hpp"
 
-#include <algorithm>
-#include <cmath>
-
 #include <relidar/simulate/place_points.hpp>
 #include "placed_scan.hpp"
 #include "seen_actors.hpp"

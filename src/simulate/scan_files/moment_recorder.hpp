@@ -2,12 +2,6 @@
 // Converts scans to the vehicle poses, points and actor boxes that a recording stores.
 #pragma once
 
-#include <cstdint>
-#include <optional>
-#include <span>
-#include <utility>
-#include <vector>
-
 #include <relidar/simulate/scan_files.hpp>
 #include "recorded_moment.hpp"
 

@@ -3,7 +3,6 @@
 
 #include <system_error>
 
-#include <relidar/base/files.hpp>
 #include <relidar/simulate/render.hpp>
 
 namespace relidar::scan_files {

@@ -4,11 +4,6 @@
 // extension .csv or .json contains the calibration that drivers need.
 #pragma once
 
-#include <filesystem>
-#include <span>
-#include <string>
-#include <vector>
-
 #include <relidar/simulate/scan_packets.hpp>
 
 namespace relidar::scan_files {

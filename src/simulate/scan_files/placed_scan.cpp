@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "placed_scan.hpp"
 
-#include <utility>
-
 #include <relidar/simulate/place_points.hpp>
 
 namespace relidar::scan_files {

@@ -2,15 +2,8 @@
 // Converts the rays of a scan to the coordinate frame of the output files.
 #pragma once
 
-#include <optional>
-#include <vector>
-
 #include <glm/glm.hpp>
 
-#include <relidar/base/files.hpp>
-#include <relidar/base/math.hpp>
-#include <relidar/log/channels.hpp>
-#include <relidar/read/points.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 

@@ -4,16 +4,12 @@
 #pragma once
 
 #include <cmath>
-#include <cstdint>
 #include <map>
 #include <optional>
 #include <span>
-#include <string>
-#include <vector>
 
 #include <glm/glm.hpp>
 
-#include <relidar/base/math.hpp>
 #include <relidar/read/points.hpp>
 
 namespace relidar {

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "recording_format.hpp"
 
-#include <algorithm>
-
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> recording_formats() {

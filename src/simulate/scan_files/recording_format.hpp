@@ -2,13 +2,6 @@
 // Lists the file formats of recordings and the topics that each format contains.
 #pragma once
 
-#include <cstdint>
-#include <functional>
-#include <map>
-#include <span>
-#include <string>
-#include <vector>
-
 #include <relidar/simulate/scan_files.hpp>
 #include "recorded_moment.hpp"
 

@@ -3,7 +3,6 @@
 // tracked objects.
 #include "ros_parts.hpp"
 
-#include <algorithm>
 #include <cctype>
 
 namespace relidar::scan_files {

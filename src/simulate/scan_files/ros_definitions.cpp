@@ -1,11 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "ros_parts.hpp"
 
-#include <algorithm>
-#include <map>
 #include <sstream>
-#include <string_view>
-#include <vector>
 
 namespace relidar::scan_files {
 namespace {

@@ -3,9 +3,6 @@
 // velocities.
 #pragma once
 
-#include <cstdint>
-#include <string>
-
 #include "base/codecs/cdr.hpp"
 #include "recording_format.hpp"
 

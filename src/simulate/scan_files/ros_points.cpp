@@ -2,9 +2,6 @@
 // Writes point clouds as sensor_msgs/PointCloud2 messages.
 #include "ros_parts.hpp"
 
-#include <algorithm>
-#include <cmath>
-
 namespace relidar::scan_files {
 namespace {
 

@@ -2,8 +2,6 @@
 // Defines the topics of a ROS 2 bag: transforms, odometry, clock, sensors and actors.
 #include "ros_parts.hpp"
 
-#include <utility>
-
 #include <fmt/format.h>
 
 namespace relidar::scan_files {

@@ -3,10 +3,6 @@
 // rendering.
 #pragma once
 
-#include <filesystem>
-#include <string>
-#include <vector>
-
 #include <relidar/simulate/scan_files.hpp>
 
 namespace relidar::scan_files {

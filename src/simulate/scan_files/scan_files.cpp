@@ -1,21 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/simulate/scan_files.hpp>
 
-#include <algorithm>
-#include <map>
-#include <type_traits>
-
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/arrays.hpp>
-#include <relidar/base/files.hpp>
-#include <relidar/base/images.hpp>
 #include <relidar/log/log_time.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/point_files.hpp>
-#include <relidar/simulate/render.hpp>
-#include <relidar/simulate/scan_packets.hpp>
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"

@@ -1,20 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the output folder of a rendering. Removes the files of an earlier rendering, and
 // writes the list of scans to scans.json.
-#include <relidar/simulate/scan_files.hpp>
 
-#include <algorithm>
-#include <fstream>
 #include <set>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
-#include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 #include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/recording_format.hpp"

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <relidar/simulate/scan_packets.hpp>
 
-#include <utility>
-
 #include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 #include "simulate/scan_files/recorded_moment.hpp"

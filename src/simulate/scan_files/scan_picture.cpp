@@ -2,7 +2,6 @@
 // Draws the range, intensity and ray-drop of a scan as colour pictures.
 #include <relidar/simulate/scan_files.hpp>
 
-#include <algorithm>
 #include <cmath>
 
 #include <relidar/simulate/render.hpp>

@@ -1,19 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the requested recordings of a rendering, and checks the names of topics and
 // frames.
-#include <relidar/simulate/scan_files.hpp>
 
-#include <algorithm>
 #include <cctype>
-#include <map>
 #include <set>
 #include <system_error>
-#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/files.hpp>
 #include <relidar/simulate/render.hpp>
 #include "base/base64.hpp"
 #include "base/codecs/mcap_writer.hpp"

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "seen_actors.hpp"
 
-#include <algorithm>
-
 #include <relidar/simulate/actor_boxes.hpp>
-#include <relidar/simulate/render.hpp>
 
 namespace relidar::scan_files {
 namespace {

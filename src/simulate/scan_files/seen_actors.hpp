@@ -3,10 +3,6 @@
 // each box, and how much of each actor is visible in the scan.
 #pragma once
 
-#include <functional>
-#include <optional>
-#include <vector>
-
 #include <relidar/simulate/scan_files.hpp>
 #include "recorded_moment.hpp"
 

@@ -3,8 +3,6 @@
 // (see <relidar/simulate/weather.hpp>).
 #include "simulate/weather/air.hpp"
 
-#include <cmath>
-
 #include "simulate/render/footprint.hpp"
 
 namespace relidar {

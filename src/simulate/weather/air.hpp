@@ -4,15 +4,7 @@
 // Only the simulate library includes this header.
 #pragma once
 
-#include <algorithm>
-#include <cstdint>
-#include <functional>
-#include <memory>
-#include <vector>
-
 #include <relidar/diff/forward.hpp>
-#include <relidar/simulate/render.hpp>
-#include <relidar/simulate/weather.hpp>
 
 #include "base/random.hpp"
 #include "simulate/render/scan_motion.hpp"

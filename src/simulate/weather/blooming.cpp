@@ -5,11 +5,6 @@
 // X is a random factor of each beam. ln X is normal with mean 0 and standard deviation 3.
 // The constants were measured on a log (see docs/method.md).
 #include <bit>
-#include <cmath>
-#include <map>
-#include <utility>
-
-#include <relidar/base/math.hpp>
 
 #include "base/parallel.hpp"
 #include "simulate/weather/air.hpp"

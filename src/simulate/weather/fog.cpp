@@ -6,9 +6,6 @@
 // beta is random for each interval of length c tau / 2. Its distribution is log-normal
 // with mean 0.046 / visibility. The amount of variation is an assumption. The definition
 // of the visibility V gives exp(-alpha V) = 0.05.
-#include <cmath>
-
-#include <relidar/base/math.hpp>
 
 #include "simulate/weather/air.hpp"
 

@@ -6,10 +6,6 @@
 //   power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R): width of the beam
 // Particles remove twice the light that their cross section covers (Q_ext = 2), because
 // they are much larger than the wavelength.
-#include <cmath>
-#include <limits>
-
-#include <relidar/base/math.hpp>
 
 #include "simulate/weather/air.hpp"
 

@@ -4,11 +4,6 @@
 // returns form a Poisson process along the ray. Their rate depends on the angle between
 // the ray and the sun. Values that data sheets do not list are assumptions for a typical
 // sensor with avalanche photodiodes at 905 nm.
-#include <cmath>
-#include <limits>
-#include <utility>
-
-#include <relidar/base/math.hpp>
 
 #include "simulate/weather/air.hpp"
 

@@ -3,11 +3,8 @@
 // text.
 #include <relidar/simulate/weather.hpp>
 
-#include <algorithm>
 #include <charconv>
 #include <iterator>
-#include <optional>
-#include <vector>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>

@@ -3,12 +3,6 @@
 // "Why some things are darker when wet", Applied Optics 1988). The water darkens the
 // ground and mirrors objects. The effect finds the ground in a scan and traces the
 // mirrored rays.
-#include <cmath>
-#include <limits>
-#include <unordered_map>
-#include <utility>
-
-#include <relidar/base/math.hpp>
 
 #include "base/geometry/cell_key.hpp"
 #include "base/parallel.hpp"

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the discovery of moving objects without labels. The cars of a synthetic street
 // are the ground truth. Their labels are removed from the log.
-#include <algorithm>
 
 #include <gtest/gtest.h>
 

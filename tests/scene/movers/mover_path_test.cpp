@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the smoothed paths and headings of moving objects against their exact motion.
 #include <algorithm>
-#include <cmath>
 
 #include <gtest/gtest.h>
 

@@ -2,12 +2,8 @@
 // Measures precision and recall of discovered moving objects. The synthetic streets
 // contain cars, parked cars (some behind a fence), people and a cyclist. Their labels are
 // removed from the log.
-#include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <filesystem>
 #include <fstream>
-#include <utility>
 
 #include <gtest/gtest.h>
 

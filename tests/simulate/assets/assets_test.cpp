@@ -5,7 +5,6 @@
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>

@@ -3,7 +3,6 @@
 // definitions, and renders complete cars from both sides.
 #include <relidar/run/edit.hpp>
 #include <relidar/scene/symmetry.hpp>
-#include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "../../reference/surfel.hpp"

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests that channel values stay with their rays in beams with several sub-rays, in grids
 // and in rigs. Includes user-defined channels.
-#include <algorithm>
 #include <set>
 
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
 #include "../plates.hpp"

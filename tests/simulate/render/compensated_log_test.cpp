@@ -2,17 +2,12 @@
 // Tests scans of a run whose log is motion-compensated. A sensor drives towards a wall.
 // The expected position of the wall follows from the path and the time of each point.
 // Uses the sensor of the log and a different sensor.
-#include <cmath>
-#include <cstring>
 
 #include <gmock/gmock.h>
 
-#include <relidar/base/arrays.hpp>
-#include <relidar/base/images.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/run.hpp>
-#include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

@@ -4,12 +4,9 @@
 // edge inside a beam.
 #include "simulate/render/footprint.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>
-
-#include <relidar/base/math.hpp>
 
 namespace relidar {
 namespace {

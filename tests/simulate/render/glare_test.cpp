@@ -1,14 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests effects that blind a sensor on complete scans. Compares stray light with its
 // integral. Tests the sun in front of a wall and behind a wall.
-#include <algorithm>
-#include <cmath>
-#include <vector>
 
 #include <gtest/gtest.h>
-
-#include <relidar/base/math.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
 #include "../plates.hpp"

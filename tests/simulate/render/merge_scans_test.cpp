@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests merging the scans of a rig into a single scan. Every point must keep its position
 // in the world, for any sensor and firing time.
-#include <relidar/simulate/render.hpp>
 
 #include <gtest/gtest.h>
 

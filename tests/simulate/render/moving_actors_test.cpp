@@ -2,10 +2,7 @@
 // Tests actors that move during a sweep. Each ray must hit the actor at its position at
 // the firing time of the ray. Expected values are closed forms of straight and circular
 // motion.
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <functional>
 
 #include <gtest/gtest.h>
 #include <glm/gtc/quaternion.hpp>

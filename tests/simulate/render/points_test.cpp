@@ -3,8 +3,6 @@
 // (simulate/render/mark_returns, simulate/render/gather_points). They must equal, bit by
 // bit, the result of place_points() for scans that are rendered in sequence.
 // Also compares place_points() with double precision.
-#include <cmath>
-#include <cstring>
 
 #include <gmock/gmock.h>
 

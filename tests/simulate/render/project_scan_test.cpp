@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scans in a grid. Simulated points must be binned like real points. Also tests
 // scans that are sampled from drop probabilities.
-#include <algorithm>
 #include <cmath>
 
 #include <gtest/gtest.h>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests that the drop of a ray depends neither on other rays nor on the yaw of the
 // sensor. A ray that hits nothing must be dropped for any output of the network.
-#include <algorithm>
 #include <numeric>
 #include <random>
 

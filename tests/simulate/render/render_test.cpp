@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the rendering of walls at exact positions, and the choice of the sensor.
-#include <algorithm>
-#include <cmath>
 
 #include <gmock/gmock.h>
 #include <relidar/base/error.hpp>

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests scans for which the caller specifies the poses. The scene has walls and plates at
 // exact positions, and the sensor follows an exact path.
-#include <limits>
 
 #include <relidar/base/error.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
 #include "../plates.hpp"

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the share of a scan's rays that cross space which the log has not observed. Scans
 // a street from its road, from the side, from below and from far away.
-#include <algorithm>
-#include <memory>
 
 #include <relidar/read/dataset.hpp>
 #include <relidar/run/edit.hpp>

@@ -3,8 +3,6 @@
 // The expected counts are numbers of points on a grid.
 #include <gtest/gtest.h>
 
-#include <relidar/simulate/render.hpp>
-
 #include "../plates.hpp"
 
 namespace relidar {

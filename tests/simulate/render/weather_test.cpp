@@ -2,14 +2,11 @@
 // Tests weather on complete scans. Surfaces must be darker according to the formula,
 // returns from the air must be marked in every channel, and clear air must not change any
 // bit.
-#include <algorithm>
-#include <cmath>
 
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
 #include "../plates.hpp"

@@ -1,12 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests wet roads: level ground of constant brightness and a wall whose mirror image has
 // an exact position.
-#include <cmath>
 
 #include <gtest/gtest.h>
-
-#include <relidar/base/math.hpp>
-#include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
 #include "../plates.hpp"

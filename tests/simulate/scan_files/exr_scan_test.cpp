@@ -2,11 +2,7 @@
 // Tests that a rendering that was written as EXR can be read as a scan of a plain folder.
 #include <gmock/gmock.h>
 
-#include <relidar/base/error.hpp>
-#include <relidar/base/files.hpp>
-#include <relidar/base/images.hpp>
 #include <relidar/read/dataset.hpp>
-#include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

@@ -2,17 +2,11 @@
 // Tests the points in files of a scan by a moving sensor. The pose in the file must
 // transform deskewed points to the world. Points in the world need no transform. The test
 // computes the scan from world positions that each ray must hit.
-#include <cstring>
 #include <sstream>
 
 #include <gmock/gmock.h>
 
-#include <relidar/base/arrays.hpp>
-#include <relidar/base/error.hpp>
-#include <relidar/base/images.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
-#include <relidar/simulate/render.hpp>
-#include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
 #include "../plates.hpp"

@@ -2,13 +2,10 @@
 // Tests that recordings written by relidar can be read as logs with the same points,
 // rings, times, poses and actors. The sensor has second returns and is mounted on a
 // vehicle that drives a curve.
-#include <algorithm>
-#include <cmath>
 
 #include <gtest/gtest.h>
 
 #include <relidar/read/dataset.hpp>
-#include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

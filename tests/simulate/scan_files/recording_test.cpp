@@ -2,15 +2,10 @@
 // Tests recordings as files. They must be created completely or not at all, and their
 // index must be correct. Also tests times that cannot be stored.
 // tests/tools/recordings_test.sh reads the messages with other programs.
-#include <cstring>
-#include <map>
 
 #include <gmock/gmock.h>
 #include <zlib.h>
 
-#include <relidar/log/sensor.hpp>
-#include <relidar/simulate/render.hpp>
-#include <relidar/simulate/scan_files.hpp>
 #include <relidar/simulate/scan_packets.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"

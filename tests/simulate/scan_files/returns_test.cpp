@@ -1,15 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests that every file format contains the same number of returns of a scan. Uses a
 // network that predicts a return for every ray.
-#include <cmath>
-#include <cstring>
-#include <optional>
 
 #include <gmock/gmock.h>
 #include <png.h>
 
-#include <relidar/base/arrays.hpp>
-#include <relidar/base/images.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include <relidar/simulate/scan_files.hpp>
 

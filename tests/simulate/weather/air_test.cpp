@@ -1,19 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests weather along single rays. Compares it with closed forms and with the integrals
 // of its models, which this file implements separately from the literature.
-#include <algorithm>
-#include <cmath>
-#include <functional>
 #include <sstream>
-#include <string>
-#include <utility>
-#include <vector>
 
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/base/math.hpp>
-#include <relidar/simulate/weather.hpp>
 
 #include "one_ray.hpp"
 #include "support/names.hpp"

@@ -1,12 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests water on the ground along single rays: Fresnel's equations, the sum over all
 // reflections inside the water film, and mirrored echoes.
-#include <cmath>
-#include <functional>
 
 #include <gtest/gtest.h>
-
-#include <relidar/simulate/weather.hpp>
 
 #include "one_ray.hpp"
 

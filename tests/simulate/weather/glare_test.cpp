@@ -1,13 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests sunlight and stray light along single rays. Compares them with closed forms and
 // the statistics of their models.
-#include <cmath>
-#include <vector>
 
 #include <gtest/gtest.h>
-
-#include <relidar/base/math.hpp>
-#include <relidar/simulate/weather.hpp>
 
 #include "one_ray.hpp"
 

@@ -2,10 +2,6 @@
 // Creates air for tests of single rays.
 #pragma once
 
-#include <memory>
-#include <utility>
-#include <vector>
-
 #include "simulate/weather/air.hpp"
 
 namespace relidar::test {

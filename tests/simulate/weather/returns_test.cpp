@@ -1,12 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests which returns of a ray a sensor reports in weather: where the air returns, and
 // the second return.
-#include <algorithm>
-#include <cmath>
 
 #include <gtest/gtest.h>
-
-#include <relidar/simulate/weather.hpp>
 
 #include "one_ray.hpp"
 
