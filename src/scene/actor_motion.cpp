@@ -20,12 +20,10 @@ constexpr double kLengtheningShare = 0.02;
 constexpr double kUnknownSweep_s = 0.1;
 constexpr double kVelocityStep_s = 0.005;
 
-/// First and last time of an interval, in seconds.
 struct TimeSpan {
     double first_s, last_s;
 };
 
-/// Returns the time interval in which a LiDAR fires the rays of a sweep.
 TimeSpan sweep_span(const Log& log, const SweepTiming& sweep) {
     const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
     if (!log.rolling_shutter) return {sweep.time_s, sweep.time_s};

@@ -75,7 +75,6 @@ bool is_actor(const BoxTrack& box, const InitOptions& options) {
            has_word(options.actor_classes, name_of(parse_kind(box.category)));
 }
 
-/// Guesses the kind of a box without a label from its size.
 ObjectKind guess_kind(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return parse_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);

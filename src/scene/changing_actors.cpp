@@ -32,7 +32,6 @@ constexpr double kFewestWalked_m = 0.5, kSmallestSpacing_m = 0.02;
 // would show both frames simultaneously.
 constexpr double kFramesBetween = 3.0;
 
-/// Samples of one frame.
 struct FrameSamples {
     SampleIndex index;
     double walked_m = 0.0;   ///< Mean walked distance of the samples.
@@ -111,7 +110,6 @@ std::vector<glm::vec3> smooth_shifts(const LidarSamples& samples, const std::vec
     return medians;
 }
 
-/// Makes one surfel for each sample, with the gait of the sample.
 Surfels make_gait_surfels(const LidarSamples& samples, const std::vector<GaitPhaseWindow>& gaits,
                           const InitOptions& options, double incidence) {
     std::vector<std::uint32_t> order;

@@ -7,7 +7,6 @@
 
 namespace relidar {
 
-/// Surfels of an actor whose shape changes.
 struct DeformingActorSurfels {
     Surfels surfels;
     double period_m = 0.0;       ///< Walked distance after which the motion repeats.

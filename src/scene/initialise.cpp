@@ -20,7 +20,6 @@ namespace {
 // is below 1, to also remove objects that stood still for part of the log.
 constexpr double kGoneShare = 0.25;
 
-/// Running sums of the samples in one voxel.
 struct VoxelSums {
     std::uint64_t first = 0;  ///< index of the first sample in the voxel, counted over all frames
     glm::dvec3 position{0.0}, view{0.0};
@@ -80,18 +79,15 @@ VoxelCell find_voxel_cell(const glm::vec3& point_m, const NearestPointFinder<flo
             int(std::floor(point_m.z / edge))};
 }
 
-/// A sample with its voxel and its index among the samples of its frame.
 struct VoxelSample {
     LidarSample sample;
     VoxelCell cell;
     std::uint32_t number;
 };
 
-// Number of hash tables of voxels, which are filled in parallel.
 constexpr std::size_t kHashParts = 32;
 using VoxelSamplesByPart = std::array<std::vector<VoxelSample>, kHashParts>;
 
-/// The voxels whose hash selects this table.
 struct VoxelHashTable {
     std::unordered_map<VoxelCell, std::size_t, CellHash> index;
     std::vector<VoxelSums> voxels;

@@ -22,7 +22,6 @@ constexpr int kScaleNeighbours = 3;
 /// nearest points. Gaps between randomly distributed points are narrower.
 constexpr double kMinGapRatio = 2.5;
 
-/// Adapter that gives nanoflann access to the samples.
 struct SampleKdTreeAdapter {
     const LidarSamples& samples;
     std::size_t kdtree_get_point_count() const { return samples.size(); }
@@ -34,7 +33,6 @@ struct SampleKdTreeAdapter {
 using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, SampleKdTreeAdapter>,
                                                  SampleKdTreeAdapter, 3, std::size_t>;
 
-/// Plane through the neighbours of a point.
 struct NeighbourPlane {
     glm::dvec3 point{0.0}, normal{0.0};
     bool is_line = false;  ///< true if the points spread along one axis only

@@ -29,7 +29,6 @@ constexpr double kMinBoxStraightness = 0.5;  // minimum ratio of net motion to p
 // Maximum rotation of a vehicle per metre of its path, plus a constant angle.
 constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 
-/// Returns true if the size, the speed and the motion of a box are plausible.
 bool is_plausible(const BoxTrack& box) {
     const std::vector<double> speeds = speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
@@ -189,7 +188,6 @@ bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle
                                    : !std::ranges::all_of(track.observations, is_labelled);
 }
 
-/// Returns the boxes of the moving objects that one LiDAR observed.
 std::vector<BoxTrack> discover_in_lidar(int lidar, const Log& log, std::vector<int> frames,
                                         const Progress& progress, const ProcessGroup& group) {
     std::erase_if(frames, [&](int position) { return log.frames[std::size_t(position)].lidar != lidar; });

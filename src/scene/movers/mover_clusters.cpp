@@ -15,7 +15,6 @@ namespace {
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
 // Edge length of the cells for which the program decides whether their returns moved.
 constexpr double kEvidenceCell_m = 0.2;
-// Edge length of a square on the ground.
 constexpr double kClusterSquare_m = 0.3;
 // Two returns belong to the same object if their squares are at most this many squares
 // apart along x and along y.
@@ -41,7 +40,6 @@ constexpr std::size_t kFramesPerGroup = 200;
 /// the cell. It becomes part of an object only if it is next to a `moved` cell.
 enum class CellMotionState : char { rests, rarely_observed, moved };
 
-/// One return of a frame.
 struct MoverReturn {
     glm::vec3 point_m;
     double time_s;
@@ -49,7 +47,6 @@ struct MoverReturn {
     CellMotionState motion = CellMotionState::rests;
 };
 
-/// Labelled box at the time of a frame.
 struct LabelledBox {
     BoxTrack box;
     int label;  ///< kNoLabel if the box is static
@@ -206,7 +203,6 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
     return clusters;
 }
 
-/// Returns the clusters of points on moving objects in consecutive frames.
 ClustersByFrame cluster_frames(const Log& log, std::span<const int> frame_indices, VisibilityChecker& view) {
     std::vector<FrameMoverReturns> frames(frame_indices.size());
     parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {

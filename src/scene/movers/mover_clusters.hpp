@@ -19,7 +19,6 @@ struct MoverCluster {
     std::vector<glm::dvec3> points_m;  ///< positions of its returns, world
     int label = kNoLabel;              ///< index in Log::boxes, or kNoLabel
 
-    /// Adds the returns of another cluster of the same frame.
     void merge_cluster(const MoverCluster& other);
 };
 using ClustersByFrame = std::vector<std::vector<MoverCluster>>;  ///< [frames]

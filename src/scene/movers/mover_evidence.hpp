@@ -25,7 +25,6 @@ struct MotionEvidence {
     static constexpr std::size_t kMuchMore = 3;
 };
 
-/// Evidence of motion, summed over returns of a track.
 struct TrackMotionEvidence {
     MotionEvidence frame_evidence;
     std::size_t n_returns = 0;

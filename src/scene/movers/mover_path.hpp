@@ -9,7 +9,6 @@
 
 namespace relidar {
 
-/// Position and motion of an object at one time.
 struct KinematicState {
     glm::dvec3 position_m, velocity_mps, acceleration_mps2;
     glm::dvec3 position_after(double seconds) const {

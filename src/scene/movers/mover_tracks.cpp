@@ -26,7 +26,6 @@ constexpr double kMaxPrediction_m = 0.7, kMaxPrediction_mps = 4.0;
 // The velocities before and after a gap must both predict the motion across the gap. The
 // maximum error is kMaxPrediction_m plus this many metres for each second of the gap.
 constexpr double kMaxGapError_mps = 0.8;
-// maximum difference between the speeds before and after a gap
 constexpr double kMaxSpeedChange_mps = 2.0;
 // Maximum factor by which the number of returns of an object may change between two
 // frames.

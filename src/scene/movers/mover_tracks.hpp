@@ -6,7 +6,6 @@
 
 namespace relidar {
 
-/// Observation of an object in one frame.
 struct MoverObservation {
     double frame_time_s;
     glm::dvec3 sensor_m;  ///< position of the sensor, world
@@ -21,7 +20,6 @@ struct MoverTrack {
     int label = kNoLabel;  ///< index in Log::boxes, or kNoLabel
 
     const MoverCluster& last_cluster() const { return observations.back().cluster; }
-    /// Returns the time of each observation.
     std::vector<double> times_s() const;
 };
 using MoverTracks = std::vector<MoverTrack>;

@@ -80,8 +80,8 @@ LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::d
     return echo;
 }
 
-/// Surfaces with an intensity of at least kMinReflectorIntensity are reflectors. The brightest
-/// reflector determines the range.
+/// Surfaces with an intensity of at least kMinReflectorIntensity are reflectors. The
+/// brightest reflector determines the range.
 /// @return [rays]; empty if there are no reflectors
 std::vector<LidarEcho> stray_echoes(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;

@@ -91,7 +91,6 @@ protected:
         }
         return result;
     }
-    /// @param end_of_header text at which the header ends
     std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header,
                                       std::size_t count) const {
         const std::string bytes = text(name);
@@ -118,7 +117,6 @@ protected:
                         HasSubstr(deskewed ? "sensor at the stamp" : "sensor at each ray's firing time"))
                 << recording;
     }
-    /// Every point must lie on the wall.
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
             const Log log = load_sequence((folder / recording).string(), {});

@@ -21,7 +21,6 @@ RayTable make_one_ray(const glm::vec3& direction) {
     return rays;
 }
 
-/// Divergences of 0, 1, 2, ... milliradians.
 RayTable make_fan(int count) {
     RayTable rays;
     rays.rows = 1;
@@ -161,7 +160,6 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kTolerance);
 }
 
-/// Ranges differ by metres within a footprint.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = make_one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}),
                    parts = split_rays(ray, 9, 4e-3);

@@ -106,7 +106,6 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     }
 }
 
-/// Both drive around a centre 20 m to the left, so the van stays 8 m behind.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -260,7 +259,6 @@ TEST_F(MovingActors, AloneTheyHaveTheSilhouetteOfTheLog) {
     EXPECT_NEAR(n_returns / n_measured, 1.0, 0.03);
 }
 
-/// Next to a static wall. Compares with differences of exact distances.
 TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels wall, rear;

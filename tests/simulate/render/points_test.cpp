@@ -254,7 +254,6 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// A rejected scan must not affect others.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->set_parallel(3);
@@ -320,7 +319,6 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
-/// The network predicts a return for all rays except one.
 TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();

@@ -27,7 +27,6 @@ protected:
         options.max_scale_m = 0.5;  // limits the size of surfels, so that some rays miss all surfels
         scene = init_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
-    /// Without cars, from the path of the log.
     RenderedScan scan_of(const RayTable& rays, const RayDropNetwork& network) {
         return scan_of(rays, network, shift_track(log.lidar_track(0), log.world_offset_m));
     }

@@ -67,7 +67,6 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// Only the wide beam may also measure the wall behind the post.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     RayTable rays{1,
                   3,
@@ -102,7 +101,6 @@ TEST_F(Render, SubRaysNeedADivergence) {
 TEST_F(Render, WallIsWhereItStands) {
     Log log = make_cross_sequence(8);
     log.rolling_shutter = true;
-    // 2 m/s towards the wall
     log.world_from_vehicle = {{0.0, 1.0}, {Pose{}, Pose{{1, 0, 0, 0}, {2.0, 0.0, 0.0}}}};
     Config config;
     ScanRenderer renderer(device(), wrap_background(make_wall_ahead()), config, log);

@@ -82,7 +82,6 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     EXPECT_LE(poses.size(), 6u);
 }
 
-/// Strong hits, weak hits, and no hit.
 std::vector<shared::RenderedRay> make_random_rendering(std::size_t count) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
@@ -141,7 +140,6 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
                                               "rendered rays");
     const std::vector<Beam> beams = {
         {.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
-        // no beam for channel 2
         {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
     const auto never = [](std::size_t index) { return index % 5 == 0 ? 0.75f : 0.0f; };

@@ -55,7 +55,6 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             ASSERT_GT(d.x, 0.0f);
             ASSERT_NEAR(wet.median_range_m[i], wall_m, 0.2) << "the tracing begins 0.1 m above the ground";
             ASSERT_EQ(wet.instance[i], -1);
-            // distance from the middle of the wall
             const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);
             const double wall =
                 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);

@@ -48,7 +48,6 @@ glm::dvec3 point(const std::vector<float>& numbers, std::size_t index) {
     return {numbers[index], numbers[index + 1], numbers[index + 2]};
 }
 
-/// Each record starts with x y z.
 std::vector<glm::dvec3> read_points_behind(const std::filesystem::path& path,
                                            const std::string& end_of_header) {
     const std::string bytes = read_contents(path);

@@ -152,7 +152,6 @@ void expect_actors(const Log& log, const glm::dvec3& moved_m) {
         for (std::size_t k = 0; k < loaded_box->world_from_box.time_s.size(); ++k) {
             const double at_s = loaded_box->world_from_box.time_s[k] + kFirst_s;
             BoxTrack there = expected_box;
-            // position that the sensor sees
             for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
             EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
@@ -216,7 +215,6 @@ BoxTrack make_car_behind() {
     return car;
 }
 
-/// 0 if the ray misses the box.
 double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
@@ -228,7 +226,6 @@ double compute_entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, 
     return enters_m < leaves_m ? enters_m : 0.0;
 }
 
-/// Each ray hits the car at its firing time.
 RenderedScan make_scan_of_car(double time_s) {
     RenderedScan scan = room(time_s);
     scan.second_returns.clear();

@@ -50,7 +50,6 @@ TEST(Weather, IsReadAsItIsWritten) {
         EXPECT_EQ(format_weather(parse_weather(text)), text);
 }
 
-/// Each example of an effect in the table must be weather that has this effect.
 TEST(Weather, EachRowOfTheTableIsComplete) {
     for (const WeatherEffectEntry* effect : kWeatherEffects) {
         EXPECT_NE(weather_help().find(effect->form), std::string::npos) << effect->form;
@@ -270,7 +269,6 @@ TEST(Weather, RainReturnsAsItsIntegral) {
         FreeAir model({.rain_mm_h = rate}, sensor);
         const double slope = 4.1 * std::pow(rate, -0.21);
         model.count_particles([&](double r, double power) {
-            // share of the beam's area
             const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;
             if (share > 1.0) return 0.0;
             const double mm = 1000.0 * model.beam_width_m(r) * std::sqrt(share);

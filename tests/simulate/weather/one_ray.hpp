@@ -23,7 +23,6 @@ private:
     const double transmission_, through_water_;
 };
 
-/// Returns clear air with an additional effect that adds an echo.
 inline WeatherRaySimulator make_air_with(const WeatherSensorProperties& sensor, const LidarEcho& echo,
                                          double transmission = 1.0, double through_water = 1.0) {
     std::vector<std::unique_ptr<RayWeatherEffect>> effects;
@@ -62,12 +61,10 @@ inline WeatherSensorProperties make_sensor_to(double max_range_m) {
 inline LidarEcho surface_at(double range_m, double reflectivity) {
     return {range_m, reflectivity, ReturnCause::surface};
 }
-/// Echoes of a ray that ends after `free_m` in air.
 inline EchoPair echoes(const WeatherRaySimulator& air, double free_m, std::uint64_t seed,
                        const LidarEcho& strongest = {}, const LidarEcho& second = {}) {
     return air.echoes_of_ray({.strongest = strongest, .second = second, .free_m = free_m}, seed);
 }
-/// Echoes of a ray that hits a surface.
 inline EchoPair echoes_of(const WeatherRaySimulator& air, const LidarEcho& surface, std::uint64_t seed) {
     return echoes(air, surface.range_m, seed, surface);
 }
