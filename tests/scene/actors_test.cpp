@@ -103,8 +103,7 @@ TEST(Actors, AreChosenByClassOrTrack) {
     options.mask_others = false;
     EXPECT_TRUE(list_foreground(street, options).empty());
     EXPECT_EQ(make_scene(street, options).models.size(), 1u);
-    EXPECT_GT(init_background(street, train_of(street), options).size(), masked + 100)
-        << "the cars' points are in it";
+    EXPECT_GT(init_background(street, train_of(street), options).size(), masked + 100);
 }
 
 TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
@@ -122,8 +121,7 @@ TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
     EXPECT_EQ(unmasked.instances[1].track, "0");
     EXPECT_TRUE(find_unmodelled(unmasked, street, options).empty());
     EXPECT_TRUE(find_unselected(street, options).empty());
-    EXPECT_GT(unmasked.models[0].count, masked.models[0].count + 100)
-        << "the other car's points are in the background";
+    EXPECT_GT(unmasked.models[0].count, masked.models[0].count + 100);
 }
 
 TEST(Actors, TrackChosenByNameNeedNotMove) {
@@ -150,8 +148,7 @@ TEST(Actors, ArePaddedInTheirBox) {
     ASSERT_LT(find_model_of_track(plain, "0").count, 3000u);
     EXPECT_EQ(find_model_of_track(padded, "0").count, 3000u);
     options.actor_points = 500;
-    EXPECT_EQ(find_model_of_track(make_scene(street, options), "0").count, 500u)
-        << "never more than actor_points";
+    EXPECT_EQ(find_model_of_track(make_scene(street, options), "0").count, 500u);
     const SurfelModel& car = find_model_of_track(padded, "0");
     int octants[8] = {};
     for (std::uint32_t i = 0; i < car.count; ++i) {

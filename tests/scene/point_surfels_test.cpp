@@ -113,8 +113,7 @@ TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     EXPECT_GT(std::abs(disc.normal.z), 0.999);
     EXPECT_NEAR(disc.along_x, 15.0, 1.0);
     options.max_gap_m = 0.0;
-    EXPECT_LT(std::abs(make_disc_at(make_surfels(samples, options), {}).normal.z), 0.9)
-        << "the test shows nothing";
+    EXPECT_LT(std::abs(make_disc_at(make_surfels(samples, options), {}).normal.z), 0.9);
 }
 
 TEST(PointSurfels, DoNotReachToAnotherSurface) {

@@ -62,8 +62,7 @@ TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
             const glm::dvec3 expected = reference::evaluate_sh(here[i], direction, 3);
             const glm::dvec3 mirrored_value = reference::evaluate_sh(there[i], kMirror * direction, 3);
             EXPECT_LT(glm::length(mirrored_value - expected), 1e-12);
-            EXPECT_GT(glm::length(reference::evaluate_sh(here[i], kMirror * direction, 3) - expected), 1e-6)
-                << "they depend on it";
+            EXPECT_GT(glm::length(reference::evaluate_sh(here[i], kMirror * direction, 3) - expected), 1e-6);
         }
     }
 }
@@ -178,8 +177,7 @@ TEST_F(MirroredCar, AMovedCarReturnsRaysOfTheUnseenSideAtTheMirroredPlane) {
         }
     }
     EXPECT_EQ(seen(edited, make_rays_from_the_right(-1.0)).median_range_m,
-              seen(run, make_rays_from_the_right(-1.0)).median_range_m)
-        << "the seen side";
+              seen(run, make_rays_from_the_right(-1.0)).median_range_m);
     const ObservedBoxSurface& surface = *edited.scene.models[1].surface;
     EXPECT_EQ(list_unseen_sides(surface.covered_sides()), "front, rear, top");
     relidar::Run again = edited;

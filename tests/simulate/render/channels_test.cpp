@@ -90,8 +90,7 @@ TEST(Channels, WhatOneScanOfARigHasAloneIsNothingInTheOthers) {
     }
     RenderedScan other = make_marked_scan(2);
     other.channels[0].values = std::vector<float>(2);
-    EXPECT_THROW(merge_scans({make_marked_scan(2), other}, {Pose{}, Pose{}}), UsageError)
-        << "of another type";
+    EXPECT_THROW(merge_scans({make_marked_scan(2), other}, {Pose{}, Pose{}}), UsageError);
     other.channels[0].values = std::vector<std::int32_t>(1);
     EXPECT_THROW(merge_scans({other}, {Pose{}}), DataError) << "of another length";
     other = make_marked_scan(2);
@@ -154,8 +153,7 @@ TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
         EXPECT_EQ(list_ways(joined)[0], glm::vec3(11.0f, 12.0f, 13.0f));
         EXPECT_NEAR(first_of(joined, "my_drop"), 0.3f, 1e-6f) << "the mean over all";
         EXPECT_NEAR(first_of(joined, "my_light"), 3.0f, 1e-6f);
-        EXPECT_NEAR(first_of(joined, "my_range"), 4.0f, 1e-5f)
-            << "weighed by light, of which all have the same";
+        EXPECT_NEAR(first_of(joined, "my_range"), 4.0f, 1e-5f);
     }
 }
 
@@ -231,8 +229,7 @@ TEST_F(RenderedChannels, AreWantedByName) {
     EXPECT_EQ(renderer.render(make_sensor(config, log), 0.1).channels.size(), 1u);
     config.image.primitive = PrimitiveType::gaussian;
     scene.surfels.resize(scene.surfels.size(), PrimitiveType::gaussian);
-    EXPECT_THROW(ScanRenderer(device(), scene, config, log).add_channels("normal"), UsageError)
-        << "3D Gaussians have none";
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).add_channels("normal"), UsageError);
 }
 
 }  // namespace

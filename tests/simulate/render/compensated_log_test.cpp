@@ -147,8 +147,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     ASSERT_GT(raw.size(), 100u);
     double first_s = 1e9, last_s = -1e9;
     for (const auto& [position_m, time_s] : raw) {
-        EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m)
-            << "in the sensor's frame when the ray is fired";
+        EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
         first_s = std::min(first_s, time_s);
         last_s = std::max(last_s, time_s);
     }
@@ -172,11 +171,9 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
     const std::vector<TimedPoint> deskewed = points();
     ASSERT_EQ(deskewed.size(), raw.size());
     for (std::size_t i = 0; i < raw.size(); ++i) {
-        EXPECT_NEAR(deskewed[i].position_m.x + compute_sensor_x(kFirst_s), kWall_m, kTolerance_m)
-            << "in the sensor's frame at the scan's time";
+        EXPECT_NEAR(deskewed[i].position_m.x + compute_sensor_x(kFirst_s), kWall_m, kTolerance_m);
         EXPECT_NEAR(deskewed[i].position_m.x - raw[i].position_m.x, kSpeed_mps * (raw[i].time_s - kFirst_s),
-                    1e-4)
-            << "raw and deskewed points differ by the motion";
+                    1e-4);
     }
 }
 

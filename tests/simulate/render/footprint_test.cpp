@@ -54,8 +54,7 @@ TEST(Footprint, EachRayHasItsOwnCone) {
         for (std::size_t i = 0; i < 8; ++i) {
             EXPECT_NEAR(std::sqrt(spread(rays, per_ray_cones, i, n)), 1e-3 * double(i), 2e-6)
                 << n << " parts of ray " << i;
-            EXPECT_NEAR(std::sqrt(spread(rays, same, i, n)), 4e-3, 2e-6)
-                << "what is asked for stands for all";
+            EXPECT_NEAR(std::sqrt(spread(rays, same, i, n)), 4e-3, 2e-6);
         }
     }
     EXPECT_FLOAT_EQ(float(rays.max_divergence_rad()), 7e-3f);
@@ -97,8 +96,7 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
                 EXPECT_EQ(parts.channel[std::size_t(i)], 7);
             }
             EXPECT_NEAR(squares / n, 0.5 * (0.5 * divergence) * (0.5 * divergence), 1e-9) << n;
-            EXPECT_LT(glm::length(sum / double(n) - glm::dvec3(rays.direction[0])), 1e-5)
-                << "no part of the disc is preferred";
+            EXPECT_LT(glm::length(sum / double(n) - glm::dvec3(rays.direction[0])), 1e-5);
         }
     }
 }

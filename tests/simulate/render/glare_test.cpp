@@ -82,16 +82,14 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
     for (std::uint64_t seed = 0; seed < 40; ++seed) {
         const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-4, seed);
         ASSERT_EQ(stray.size(), scan.ring.size());
-        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, ReturnCause::nothing)
-            << "the reflector itself";
+        EXPECT_EQ(stray[ray_at(kBeams / 2, kSteps / 2)].source, ReturnCause::nothing);
         for (int row = 0; row < kBeams; ++row) {
             const LidarEcho &here = stray[ray_at(row, kSteps / 2 + 24)],
                             &beside = stray[ray_at(row, kSteps / 2 - 60)];
             ASSERT_EQ(here.source, ReturnCause::blooming);
             ASSERT_NEAR(here.range_m, 4.0, 1e-6);
             const double deviate = here.reflectivity / expected_near[std::size_t(row)];
-            EXPECT_NEAR(beside.reflectivity / expected_far[std::size_t(row)] / deviate, 1.0, 0.15)
-                << "squares of a degree, and a beam's deviate";
+            EXPECT_NEAR(beside.reflectivity / expected_far[std::size_t(row)] / deviate, 1.0, 0.15);
             sum += std::log(deviate);
             squares += std::log(deviate) * std::log(deviate);
             ++n;

@@ -148,11 +148,9 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     }
     ASSERT_GT(std::min(n[0], n[1]), 3.0);
     const double between_s = t_s[1] / n[1] - t_s[0] / n[0];
-    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kRevolution_s, 5e-4)
-        << "how long the head takes from post to post";
+    EXPECT_NEAR(between_s, 2.0 * std::atan(2.1 / 6.0) / (2.0 * kPi) * kRevolution_s, 5e-4);
     EXPECT_NEAR(x_m[1] / n[1] - x_m[0] / n[0], kLength_m + kCarSpeed_mps * between_s, 0.01);
-    EXPECT_NEAR(x_m[0] / n[0], -2.0 + kCarSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01)
-        << "where the rear is when its ray is fired";
+    EXPECT_NEAR(x_m[0] / n[0], -2.0 + kCarSpeed_mps * (t_s[0] / n[0] + 0.025), 0.01);
 }
 
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {

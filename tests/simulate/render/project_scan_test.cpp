@@ -111,8 +111,7 @@ TEST(SampleReturns, DropsAndNoiseAreAsLikelyAsTold) {
     const double returned =
                      double(std::count(scan.image.drop_prob.begin(), scan.image.drop_prob.end(), 0.0f)),
                  all = double(scan.image.drop_prob.size());
-    EXPECT_NEAR(returned, 0.5 * all, 4.0 * std::sqrt(0.25 * all))
-        << "four standard deviations of as many coins";
+    EXPECT_NEAR(returned, 0.5 * all, 4.0 * std::sqrt(0.25 * all));
 }
 
 /// A wall 3 cm before the limit, noise of 5 cm: the share beyond is 1 - Phi(0.6).

@@ -62,8 +62,7 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_NEAR(scan.second_returns[0].range_m[0], 10.0f, 2e-3f);
     const double opacity = 1.0 / (1.0 + std::exp(-double(make_post_before_wall().opacity_logit[0])));
     const double share = compute_strip_share(0.02 * std::sqrt(2.0 * std::log(2.0 * opacity)) / 0.1);
-    EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07)
-        << "one part of forty is 0.05";
+    EXPECT_NEAR(scan.second_returns[0].intensity[0] / scan.image.intensity[0], share / (1.0 - share), 0.07);
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
@@ -143,8 +142,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
         << "the head points one column to the left of where it should";
     EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.5)), nominal) << "no sweep of the log";
     EXPECT_EQ(column_of_post(renderer.render(configured_sensor, ScanRequest{1.0, {{1.0}, {Pose{}}}})),
-              nominal)
-        << "driven by somebody else";
+              nominal);
     config.render.follow_sweeps = false;
     EXPECT_EQ(column_of_post(renderer.render(make_sensor(config, log), 1.0)), nominal);
     EXPECT_FALSE(choose_sensor("HDL-32E", config, log).follows_sweeps);
@@ -298,8 +296,7 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
             << "a network sees the same with render.range=" << range;
         if (drop_images.size() > 1) continue;
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
-            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]))
-                << "of the image, as it was trained";
+            EXPECT_EQ(range_spread(scan)[i], std::abs(scan.median_range_m[i] - scan.image.range_m[i]));
     }
 }
 
@@ -398,8 +395,7 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
         EXPECT_EQ(scan.instance[ahead], 1);
         EXPECT_EQ(scan.instance[behind], 2);
         EXPECT_GT(std::abs(scan.image.intensity[ahead] - 0.5f), 0.1f) << "the harmonics must matter";
-        EXPECT_NEAR(scan.image.intensity[ahead], scan.image.intensity[behind], 1e-5f)
-            << "both face the sensor alike";
+        EXPECT_NEAR(scan.image.intensity[ahead], scan.image.intensity[behind], 1e-5f);
     }
 }
 

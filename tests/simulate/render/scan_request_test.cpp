@@ -111,8 +111,7 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
         1e-4)
         << "the log's time does not bind the caller";
     EXPECT_NEAR(measure_range_ahead({70.0, stands}), 10.0, 1e-4) << "and its own actors have left by then";
-    EXPECT_NEAR(measure_range_ahead({0.5, stands}), 4.0, 1e-4)
-        << "a request leaves nothing behind for the next";
+    EXPECT_NEAR(measure_range_ahead({0.5, stands}), 4.0, 1e-4);
 }
 
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {

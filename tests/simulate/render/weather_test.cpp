@@ -112,8 +112,7 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
         if (blind[i] != 0) {
             ASSERT_EQ(source, i % 10 == 0 ? kNothing : kSurface);
             ASSERT_EQ(scan.image.range_m[i], 25.0f);
-            ASSERT_NEAR(scan.image.intensity[i], source == kSurface ? 0.3 * 0.05 : 0.3, 1e-6)
-                << "darker all the same";
+            ASSERT_NEAR(scan.image.intensity[i], source == kSurface ? 0.3 * 0.05 : 0.3, 1e-6);
         } else if (source == kFogEffect) {
             ++fog;
             ASSERT_LT(scan.image.range_m[i], 25.0f);
