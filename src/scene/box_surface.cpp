@@ -159,14 +159,14 @@ double ObservedBoxSurface::asymmetry_m(const std::vector<glm::vec3>& points_m) c
         mean.sum_m += std::abs(double(point_m[kSideFrames[std::size_t(patch->side)].normal]));
         ++mean.n;
     }
-    std::vector<double> differences_m;
+    std::vector<double> apart_m;
     for (const auto& [key, here] : outward) {
         const BoxSurfacePatch other = mirror_patch({BoxSide(key[0]), key[1], key[2]});
         const auto there = outward.find({int(other.side), other.column, other.row});
         if (there != outward.end() && key < there->first)
-            differences_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
+            apart_m.push_back(std::abs(here.sum_m / here.n - there->second.sum_m / there->second.n));
     }
-    return differences_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(differences_m));
+    return apart_m.size() < kFewestPairs ? 0.0 : compute_median(std::move(apart_m));
 }
 
 std::string ObservedBoxSurface::format_patches(BoxSide side) const {

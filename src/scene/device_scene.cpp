@@ -65,7 +65,7 @@ struct InstanceGradientRows {
     }
 };
 
-std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& gradient_rows) {
+std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
         const SurfelModel& model = scene.models[i];
@@ -73,8 +73,8 @@ std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGr
                            .n_surfels = model.count,
                            .half_size = model.half_size_m,
                            .half_diagonal = glm::length(model.half_size_m),
-                           .first_more = gradient_rows.first_more[i],
-                           .n_more = gradient_rows.first_more[i + 1] - gradient_rows.first_more[i]});
+                           .first_more = rows.first_more[i],
+                           .n_more = rows.first_more[i + 1] - rows.first_more[i]});
     }
     return entries;
 }
@@ -182,12 +182,12 @@ void DeviceScene::upload_poses(const std::vector<Pose>& world_from_instance) {
     upload_poses(placed);
 }
 
-void DeviceScene::upload_poses(const std::vector<InstancePose>& instance_poses) {
-    impl_->instances.upload(impl_->make_instances(instance_poses));
+void DeviceScene::upload_poses(const std::vector<InstancePose>& placed) {
+    impl_->instances.upload(impl_->make_instances(placed));
 }
 
-void DeviceScene::stage_poses(Stream& stream, const std::vector<InstancePose>& instance_poses) {
-    const std::vector<shared::InstanceEntry> entries = impl_->make_instances(instance_poses);
+void DeviceScene::stage_poses(Stream& stream, const std::vector<InstancePose>& placed) {
+    const std::vector<shared::InstanceEntry> entries = impl_->make_instances(placed);
     stream.impl().record_write(impl_->instances.buffer(), entries.data(),
                                entries.size() * sizeof(entries[0]));
 }
@@ -254,12 +254,11 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     impl_->more_rows.upload(impl_->placements.more);
 }
 
-bool DeviceScene::moves_gait(const std::vector<InstancePose>& instance_poses) const {
+bool DeviceScene::moves_gait(const std::vector<InstancePose>& placed) const {
     if (!impl_->parameters.bends) return false;
-    for (std::size_t i = 0; i < std::min(instance_poses.size(), impl_->poses.size()); ++i) {
+    for (std::size_t i = 0; i < std::min(placed.size(), impl_->poses.size()); ++i) {
         const bool bends = impl_->layout.models[impl_->layout.instances[i].model].stride_m > 0.0f;
-        if (bends && instance_poses[i].present && instance_poses[i].phase != impl_->poses[i].phase)
-            return true;
+        if (bends && placed[i].present && placed[i].phase != impl_->poses[i].phase) return true;
     }
     return false;
 }

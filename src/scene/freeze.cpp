@@ -88,9 +88,8 @@ void surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
         surfels.mean[index] = glm::vec3(world_from_model * glm::dvec3(surfels.mean[index]));
         const glm::dquat q(double(surfels.rotation[index].x), double(surfels.rotation[index].y),
                            double(surfels.rotation[index].z), double(surfels.rotation[index].w));
-        const glm::dquat world_rotation = world_from_model.rotation * q;
-        surfels.rotation[index] =
-            glm::vec4(world_rotation.w, world_rotation.x, world_rotation.y, world_rotation.z);
+        const glm::dquat turned = world_from_model.rotation * q;
+        surfels.rotation[index] = glm::vec4(turned.w, turned.x, turned.y, turned.z);
         for (std::size_t c = 0; c < kShChannels; ++c)
             rotate_sh(sh_rotation, &surfels.sh[index * kShFloats + c * kShCoefficients]);
     });
@@ -106,14 +105,13 @@ Surfels freeze_scene(const Scene& scene, const std::vector<InstancePose>& poses)
     for (std::size_t k = 0; k < poses.size(); ++k) {
         if (!poses[k].present) continue;
         const SurfelModel& model = scene.models[scene.instances[k].model];
-        Surfels instance_surfels = scene.surfels.slice(model.first, model.count);
-        if (model.stride_m > 0.0f && instance_surfels.bends)
-            for (std::size_t i = 0; i < instance_surfels.size(); ++i)
-                apply_gait(instance_surfels, i, poses[k].phase);
-        instance_surfels.gait.clear();
-        instance_surfels.bends = false;
-        if (!scene.instances[k].track.empty()) surfels_to_world(instance_surfels, poses[k].world_from_model);
-        all.append_surfels(instance_surfels);
+        Surfels surfels = scene.surfels.slice(model.first, model.count);
+        if (model.stride_m > 0.0f && surfels.bends)
+            for (std::size_t i = 0; i < surfels.size(); ++i) apply_gait(surfels, i, poses[k].phase);
+        surfels.gait.clear();
+        surfels.bends = false;
+        if (!scene.instances[k].track.empty()) surfels_to_world(surfels, poses[k].world_from_model);
+        all.append_surfels(surfels);
     }
     return all;
 }

@@ -53,9 +53,9 @@ LidarSamples background_samples(const Log& log, const Frame& frame, const std::v
     return samples;
 }
 
-std::vector<glm::vec3> frame_positions(const Log& log, const std::vector<int>& frame_indices) {
+std::vector<glm::vec3> frame_positions(const Log& log, const std::vector<int>& indices) {
     std::vector<glm::vec3> sensor_positions;
-    for (const int position : frame_indices) {
+    for (const int position : indices) {
         const Frame& frame = log.frames[std::size_t(position)];
         sensor_positions.emplace_back(
             log.world_from_vehicle.mounted_pose_at(frame.time_s, log.lidar_of(frame).vehicle_from_sensor)
@@ -155,10 +155,10 @@ LidarSamples remove_movers(const LidarSamples& samples, const Log& log, const st
     progress_blocks(samples.size(), progress, "removing moving points", [&](std::size_t index) {
         keep[index] = !visibility.count_votes(samples[index].position).is_empty_space(kGoneShare);
     });
-    LidarSamples static_samples;
+    LidarSamples still;
     for (std::size_t i = 0; i < samples.size(); ++i)
-        if (keep[i]) static_samples.push_back(samples[i]);
-    return static_samples;
+        if (keep[i]) still.push_back(samples[i]);
+    return still;
 }
 
 }  // namespace

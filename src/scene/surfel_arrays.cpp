@@ -32,12 +32,12 @@ SurfelParameterSet read_parameter_set(const std::string& where,
          fmt::join(names, ", "));
 }
 
-SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& description,
+SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::string& text,
                            SurfelParameterSet parameters)
     : n(count), primitive(parameters.primitive), bends(parameters.bends) {
     for (const SurfelParameterGroup& group : list_groups(parameters))
         group.mutable_device(*this) = Array<float>(device, std::size_t(group.count_floats()) * count,
-                                                   fmt::format("{} {}", description, group.name));
+                                                   fmt::format("{} {}", text, group.name));
 }
 
 void SurfelArrays::upload(const Surfels& surfels) {
@@ -69,10 +69,10 @@ std::uint32_t SurfelArrays::capacity() const {
     return static_cast<std::uint32_t>(least);
 }
 
-void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& description) {
+void SurfelArrays::reserve(Device& device, std::uint32_t count, const std::string& text) {
     for (const SurfelParameterGroup& group : list_groups(parameters_used()))
         group.mutable_device(*this).reserve(device, std::size_t(group.count_floats()) * count,
-                                            fmt::format("{} {}", description, group.name));
+                                            fmt::format("{} {}", text, group.name));
 }
 
 void SurfelArrays::fill_zero(Stream& stream) {

@@ -176,9 +176,9 @@ void check_layout(const Scene& scene) {
 
 double actor_extent_m(const glm::vec3& half_size_m) { return 8.0 * double(glm::length(half_size_m)); }
 
-double model_extent_m(const Scene& scene, std::size_t model_index) {
-    if (model_index >= scene.models.size() || scene.models[model_index].count == 0) return 1.0;
-    const SurfelModel& range = scene.models[model_index];
+double model_extent_m(const Scene& scene, std::size_t model) {
+    if (model >= scene.models.size() || scene.models[model].count == 0) return 1.0;
+    const SurfelModel& range = scene.models[model];
     if (range.half_size_m.x > 0.0f) return actor_extent_m(range.half_size_m);
     const auto first = scene.surfels.mean.begin() + range.first, last = first + range.count;
     glm::dvec3 centre(0.0);

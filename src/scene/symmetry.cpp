@@ -38,18 +38,18 @@ std::size_t mirror_unobserved(Surfels& surfels, ObservedBoxSurface& surface) {
     for (std::size_t i = 0; i < surfels.size(); ++i)
         if (surfels.opacity_logit[i] > 0.0f) opaque_m.push_back(surfels.mean[i]);
     if (surface.asymmetry_m(opaque_m) > kMostAsymmetry_m) return 0;
-    std::vector<std::uint32_t> remaining_surfels, copied_surfels;
+    std::vector<std::uint32_t> remaining, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
         const glm::dvec3 here(surfels.mean[i]), there(here.x, -here.y, here.z);
-        if (!surface.is_mirror_observed(here)) remaining_surfels.push_back(i);
-        if (surface.is_mirror_observed(there)) copied_surfels.push_back(i);
+        if (!surface.is_mirror_observed(here)) remaining.push_back(i);
+        if (surface.is_mirror_observed(there)) copied.push_back(i);
     }
-    if (copied_surfels.empty()) return 0;
-    const Surfels mirrored_surfels = mirror_surfels(surfels.reorder(copied_surfels));
-    surfels = surfels.reorder(remaining_surfels);
+    if (copied.empty()) return 0;
+    const Surfels mirrored_surfels = mirror_surfels(surfels.reorder(copied));
+    surfels = surfels.reorder(remaining);
     surfels.append_surfels(mirrored_surfels);
     surface.is_completed = true;
-    return copied_surfels.size();
+    return copied.size();
 }
 
 }  // namespace relidar

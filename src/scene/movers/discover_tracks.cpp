@@ -150,17 +150,16 @@ std::vector<BoxTrack> fit_moved_boxes(VisibilityChecker& view, MoverTracks& trac
 
 /// Returns true if the centre of `inner_box` is inside the enlarged `outer_box` for more
 /// than half of the time.
-bool is_same_object(const BoxTrack& inner_box, const BoxTrack& outer_box) {
-    const double margin = std::max(outer_box.size_m.x, outer_box.size_m.y) < kMinVehicleLength_m
-                              ? kPersonMargin_m
-                              : kVehicleMargin_m;
+bool is_same_object(const BoxTrack& inner, const BoxTrack& outer) {
+    const double margin =
+        std::max(outer.size_m.x, outer.size_m.y) < kMinVehicleLength_m ? kPersonMargin_m : kVehicleMargin_m;
     std::size_t inside = 0;
-    for (std::size_t i = 0; i < inner_box.world_from_box.time_s.size(); ++i) {
-        const double t_s = inner_box.world_from_box.time_s[i];
-        inside += outer_box.is_observed(t_s) &&
-                  outer_box.contains_point(inner_box.world_from_box.pose[i].translation, t_s, margin);
+    for (std::size_t i = 0; i < inner.world_from_box.time_s.size(); ++i) {
+        const double t_s = inner.world_from_box.time_s[i];
+        inside += outer.is_observed(t_s) &&
+                  outer.contains_point(inner.world_from_box.pose[i].translation, t_s, margin);
     }
-    return 2 * inside > inner_box.world_from_box.time_s.size();
+    return 2 * inside > inner.world_from_box.time_s.size();
 }
 
 bool has_label(const BoxTrack& box) { return !box.id.empty(); }
@@ -172,13 +171,13 @@ std::vector<BoxTrack> unique_boxes_of(std::vector<BoxTrack> boxes) {
         return std::pair(has_label(first), first.world_from_box.time_s.size()) >
                std::pair(has_label(second), second.world_from_box.time_s.size());
     });
-    std::vector<BoxTrack> unique_boxes;
+    std::vector<BoxTrack> unique;
     for (const BoxTrack& box : boxes)
-        if (std::ranges::none_of(unique_boxes, [&](const BoxTrack& other) {
+        if (std::ranges::none_of(unique, [&](const BoxTrack& other) {
                 return has_label(box) ? box.id == other.id : is_same_object(box, other);
             }))
-            unique_boxes.push_back(box);
-    return unique_boxes;
+            unique.push_back(box);
+    return unique;
 }
 
 /// Returns true if the track belongs to an unlabelled object that moves, or to a labelled
@@ -204,8 +203,8 @@ std::vector<BoxTrack> discover_in_lidar(int lidar, const Log& log, std::vector<i
 /// Adds the boxes that another LiDAR found. Of two boxes of an object, prefers the one
 /// with the id of a labelled object. Otherwise keeps the box in `boxes`, unless the other
 /// has more than 1.5 times as many observations.
-void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> boxes_of_other_lidar) {
-    for (BoxTrack& other : boxes_of_other_lidar) {
+void merge_boxes(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
+    for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {
             return has_label(b) && has_label(other) ? b.id == other.id
                                                     : is_same_object(other, b) || is_same_object(b, other);

@@ -100,14 +100,14 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
 /// Returns the height of the object's top for each observation. Beams can miss the top of
 /// a distant object, so neighbouring observations count too.
 std::vector<double> top_heights_m(const MoverTrack& track) {
-    std::vector<double> observed_tops_m, result;
+    std::vector<double> tops_m, result;
     for (const MoverObservation& o : track.observations)
-        observed_tops_m.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).second);
+        tops_m.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).second);
     for (const MoverObservation& o : track.observations) {
         double top = -1e30;
-        for (std::size_t j = 0; j < observed_tops_m.size(); ++j)
+        for (std::size_t j = 0; j < tops_m.size(); ++j)
             if (std::abs(track.observations[j].cluster.time_s - o.cluster.time_s) < kTopWindow_s)
-                top = std::max(top, observed_tops_m[j]);
+                top = std::max(top, tops_m[j]);
         result.push_back(top);
     }
     return result;

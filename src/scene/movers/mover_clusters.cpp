@@ -175,12 +175,12 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
             moved_at_m.push_back(p.z);
             for (int dx = -kReach_squares; dx <= kReach_squares; ++dx)
                 for (int dy = -kReach_squares; dy <= kReach_squares; ++dy) {
-                    const auto neighbour_square =
+                    const auto square =
                         squares.find(square_of(p + kClusterSquare_m * glm::dvec3(dx, dy, 0.0)));
-                    if (neighbour_square == squares.end()) continue;
-                    for (const std::uint32_t j : neighbour_square->second)
+                    if (square == squares.end()) continue;
+                    for (const std::uint32_t j : square->second)
                         if (!std::exchange(is_grouped[j], 1)) open.push_back(j);
-                    neighbour_square->second.clear();  // all returns of this square have been added
+                    square->second.clear();  // all returns of this square have been added
                 }
         }
         const auto [bottom_m, top_m] = find_height_range(std::move(moved_at_m));
@@ -203,11 +203,11 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
     return clusters;
 }
 
-ClustersByFrame cluster_frames(const Log& log, std::span<const int> frame_indices, VisibilityChecker& view) {
-    std::vector<FrameMoverReturns> frames(frame_indices.size());
-    parallel_for(static_cast<int>(frame_indices.size()), [&](int index) {
+ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, VisibilityChecker& view) {
+    std::vector<FrameMoverReturns> frames(indices.size());
+    parallel_for(static_cast<int>(indices.size()), [&](int index) {
         frames[std::size_t(index)] =
-            split_by_boxes(log, log.frames[std::size_t(frame_indices[std::size_t(index)])]);
+            split_by_boxes(log, log.frames[std::size_t(indices[std::size_t(index)])]);
     });
     const std::vector<glm::vec3> cells = assign_cells(frames);
     view.make_images(cells);
@@ -278,16 +278,16 @@ ClustersByFrame find_clusters(const Log& log, const std::vector<int>& frames, Vi
     const std::size_t n_stretches = std::max<std::size_t>(1, frames.size() / kFramesPerGroup);
     const auto first_of = [&](std::size_t stretch) { return frames.size() * stretch / n_stretches; };
     const ProcessGroup::PartRange share = group.part_range(n_stretches);
-    ClustersByFrame process_clusters;
+    ClustersByFrame clusters;
     for (std::size_t s = share.begin; s < share.end; ++s) {
         if (progress)
             progress("finding moving objects", double(s - share.begin) / double(share.end - share.begin));
         const std::span<const int> stretch =
             std::span(frames).subspan(first_of(s), first_of(s + 1) - first_of(s));
-        ClustersByFrame section_clusters = cluster_frames(log, stretch, view);
-        std::move(section_clusters.begin(), section_clusters.end(), std::back_inserter(process_clusters));
+        ClustersByFrame section = cluster_frames(log, stretch, view);
+        std::move(section.begin(), section.end(), std::back_inserter(clusters));
     }
-    return gather_clusters(group, process_clusters);
+    return gather_clusters(group, clusters);
 }
 
 }  // namespace relidar

@@ -52,18 +52,18 @@ bool TrackMotionEvidence::is_moving() const {
 
 TrackMotionEvidence remove_static(const VisibilityChecker& view, MoverCluster& cluster, const BoxTrack& box) {
     TrackMotionEvidence sum;
-    std::vector<glm::dvec3> remaining_points_m;
+    std::vector<glm::dvec3> remaining_m;
     for (const glm::dvec3& p : cluster.points_m) {
         const MotionEvidence evidence = weigh_point(view, p, box);
         sum.frame_evidence += evidence;
         sum.n_decided_returns += evidence.is_observed();
         sum.n_moved_returns += evidence.is_moving();
-        if (!evidence.is_static()) remaining_points_m.push_back(p);
+        if (!evidence.is_static()) remaining_m.push_back(p);
     }
     sum.n_returns = cluster.points_m.size();
     sum.n_frames = 1;
     sum.n_moved_frames = sum.frame_evidence.is_moving();
-    cluster.points_m = std::move(remaining_points_m);
+    cluster.points_m = std::move(remaining_m);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());
     return sum;

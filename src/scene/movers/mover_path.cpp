@@ -85,11 +85,9 @@ glm::dvec2 find_chord_end(const std::vector<glm::dvec3>& path_m, std::size_t sta
     for (auto k = std::ptrdiff_t(start_index) + index_step; k >= 0 && k < std::ptrdiff_t(path_m.size());
          k += index_step) {
         const glm::dvec2 next(path_m[std::size_t(k)]);
-        const double last_distance_m = glm::distance(here, last), next_distance_m = glm::distance(here, next);
-        if (next_distance_m >= kHeadingChord_m)
-            return glm::mix(
-                last, next,
-                (kHeadingChord_m - last_distance_m) / std::max(next_distance_m - last_distance_m, 1e-9));
+        const double last_m = glm::distance(here, last), next_m = glm::distance(here, next);
+        if (next_m >= kHeadingChord_m)
+            return glm::mix(last, next, (kHeadingChord_m - last_m) / std::max(next_m - last_m, 1e-9));
         last = next;
     }
     return last;

@@ -48,16 +48,14 @@ using Match = std::tuple<double, std::size_t, std::size_t>;
 glm::dvec3 velocity_between(const MoverCluster& first, const MoverCluster& second) {
     return (second.centre_m - first.centre_m) / std::max(second.time_s - first.time_s, 1e-3);
 }
-glm::dvec3 last_velocity(const MoverTrack& track, std::size_t max_observations) {
+glm::dvec3 last_velocity(const MoverTrack& track, std::size_t n_max) {
     return velocity_between(
-        track.observations[track.observations.size() - std::min(track.observations.size(), max_observations)]
-            .cluster,
+        track.observations[track.observations.size() - std::min(track.observations.size(), n_max)].cluster,
         track.last_cluster());
 }
-glm::dvec3 first_velocity(const MoverTrack& track, std::size_t max_observations) {
-    return velocity_between(
-        track.observations.front().cluster,
-        track.observations[std::min(track.observations.size(), max_observations) - 1].cluster);
+glm::dvec3 first_velocity(const MoverTrack& track, std::size_t n_max) {
+    return velocity_between(track.observations.front().cluster,
+                            track.observations[std::min(track.observations.size(), n_max) - 1].cluster);
 }
 
 /// Returns the distance between a cluster and the predicted position of a track, divided
@@ -161,11 +159,11 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
     const MoverCluster& cluster = track.observations[i].cluster;
     const MoverCluster& other = other_track.observations[j].cluster;
     if (std::min(visible_width_m(cluster), visible_width_m(other)) < kVehiclePart_m) return false;
-    double horizontal_gap_m = 1e30;
+    double gap_m = 1e30;
     for (const glm::dvec3& p : cluster.points_m)
         for (const glm::dvec3& q : other.points_m)
-            horizontal_gap_m = std::min(horizontal_gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
-    if (horizontal_gap_m > kMaxPartDistance_m) return false;
+            gap_m = std::min(gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
+    if (gap_m > kMaxPartDistance_m) return false;
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
         const glm::dvec3 apart =
@@ -180,19 +178,18 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
 
 /// Returns how badly a later track continues an earlier track after a gap. A value above
 /// 1 means that the tracks belong to different objects.
-double gap_cost(const MoverTrack& earlier, const MoverTrack& later_track) {
-    if (earlier.label != kNoLabel && later_track.label != kNoLabel) return 2.0;
-    if (std::min(earlier.observations.size(), later_track.observations.size()) < kEndsOfGap) return 2.0;
-    const double dt = later_track.observations.front().cluster.time_s - earlier.last_cluster().time_s;
+double gap_cost(const MoverTrack& earlier, const MoverTrack& later) {
+    if (earlier.label != kNoLabel && later.label != kNoLabel) return 2.0;
+    if (std::min(earlier.observations.size(), later.observations.size()) < kEndsOfGap) return 2.0;
+    const double dt = later.observations.front().cluster.time_s - earlier.last_cluster().time_s;
     if (!(dt > 0.0 && dt < kLongestGap_s)) return 2.0;
-    const glm::dvec3 from_velocity = last_velocity(earlier, kGapVelocity),
-                     to_velocity = first_velocity(later_track, kGapVelocity);
-    const glm::dvec3 displacement_m =
-        later_track.observations.front().cluster.centre_m - earlier.last_cluster().centre_m;
-    const double off = std::max(glm::length(glm::dvec2(displacement_m - dt * from_velocity)),
-                                glm::length(glm::dvec2(displacement_m - dt * to_velocity)));
+    const glm::dvec3 before_mps = last_velocity(earlier, kGapVelocity),
+                     after_mps = first_velocity(later, kGapVelocity);
+    const glm::dvec3 moved_m = later.observations.front().cluster.centre_m - earlier.last_cluster().centre_m;
+    const double off = std::max(glm::length(glm::dvec2(moved_m - dt * before_mps)),
+                                glm::length(glm::dvec2(moved_m - dt * after_mps)));
     return std::max(off / (kMaxPrediction_m + kMaxGapError_mps * dt),
-                    glm::length(glm::dvec2(from_velocity - to_velocity)) / kMaxSpeedChange_mps);
+                    glm::length(glm::dvec2(before_mps - after_mps)) / kMaxSpeedChange_mps);
 }
 
 /// Returns the pairs of tracks that may be parts of the same object, with a gap in time
@@ -227,13 +224,13 @@ MoverTracks join_gaps(MoverTracks tracks) {
         if (follows[first]) continue;
         joined.push_back(std::move(tracks[first]));
         for (std::size_t t = next[first]; t < tracks.size(); t = next[t]) {
-            MoverTrack& joined_track = joined.back();
-            if (joined_track.label != kNoLabel && tracks[t].label != kNoLabel) {
+            MoverTrack& last = joined.back();
+            if (last.label != kNoLabel && tracks[t].label != kNoLabel) {
                 joined.push_back(std::move(tracks[t]));
                 continue;
             }
-            joined_track.label = std::max(joined_track.label, tracks[t].label);
-            std::ranges::move(tracks[t].observations, std::back_inserter(joined_track.observations));
+            last.label = std::max(last.label, tracks[t].label);
+            std::ranges::move(tracks[t].observations, std::back_inserter(last.observations));
         }
     }
     return joined;
@@ -267,17 +264,15 @@ bool is_moving_track(const MoverTrack& track) {
 }
 
 bool is_ego_part(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    std::vector<glm::dvec3> positions_in_vehicle_m;
+    std::vector<glm::dvec3> in_vehicle_m;
     for (const MoverObservation& o : track.observations)
-        positions_in_vehicle_m.push_back(inverse(world_from_vehicle.pose_at(o.cluster.time_s)) *
-                                         o.cluster.centre_m);
+        in_vehicle_m.push_back(inverse(world_from_vehicle.pose_at(o.cluster.time_s)) * o.cluster.centre_m);
     const auto is_near_middle_position = [&](const glm::dvec3& point) {
-        return glm::distance(point, positions_in_vehicle_m[positions_in_vehicle_m.size() / 2]) <
-               kMaxRelativeMotion_m;
+        return glm::distance(point, in_vehicle_m[in_vehicle_m.size() / 2]) < kMaxRelativeMotion_m;
     };
-    return glm::length(positions_in_vehicle_m[positions_in_vehicle_m.size() / 2]) < kEgoVehicleRadius_m &&
-           std::count_if(positions_in_vehicle_m.begin(), positions_in_vehicle_m.end(),
-                         is_near_middle_position) > std::ptrdiff_t(positions_in_vehicle_m.size() * 3 / 4);
+    return glm::length(in_vehicle_m[in_vehicle_m.size() / 2]) < kEgoVehicleRadius_m &&
+           std::count_if(in_vehicle_m.begin(), in_vehicle_m.end(), is_near_middle_position) >
+               std::ptrdiff_t(in_vehicle_m.size() * 3 / 4);
 }
 
 void merge_tracks(MoverTracks& tracks) {

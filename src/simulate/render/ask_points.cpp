@@ -42,9 +42,9 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
     const bool joins = side_by_side > 1 && (lanes->has_open_batch() || timing == SubmissionTiming::with_next);
     ParallelScanResources& lane = joins ? lanes->next_lane() : lanes->single_lane();
     prepare_scene(lane, sweep);
-    const bool corrects_drops = plan.network == ScanRenderPlan::RayDropStage::device;
+    const bool corrects = plan.network == ScanRenderPlan::RayDropStage::device;
     PendingPoints scan{
-        .rays = record_trace(lane, sweep, sweep.rays(), corrects_drops),
+        .rays = record_trace(lane, sweep, sweep.rays(), corrects),
         .dataset_from_sensor = shift_track(sweep.world_from_sensor, sweeps.sequence().world_offset_m),
         .dataset_from_points = dataset_from_points,
         .time_s = sweep.time_s,
@@ -57,7 +57,7 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
                                      {.points_from_sensor = points_from_sensor,
                                       .time_s = sweep.time_s,
                                       .of_image = config.render.points != "median",
-                                      .refined = corrects_drops},
+                                      .refined = corrects},
                                      scan.renderer->forward_pass().n_truncated_rays());
     if (!joins) scan.renderer->stream().submit_commands();
     else if (timing == SubmissionTiming::now) lanes->submit_batch();

@@ -12,33 +12,33 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
 }
 
 /// @throws UsageError if a channel has a different type in two scans
-void add_channels(RenderedScan& merged_scan, const RenderedScan& scan) {
+void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : copy_layout(scan.channels)) {
-        const auto existing_channel =
-            std::ranges::find(merged_scan.channels, channel.info.name,
+        const auto known =
+            std::ranges::find(merged.channels, channel.info.name,
                               [](const ScanChannel& c) -> const std::string& { return c.info.name; });
-        if (existing_channel == merged_scan.channels.end()) {
-            merged_scan.channels.push_back(channel);
+        if (known == merged.channels.end()) {
+            merged.channels.push_back(channel);
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
-                    values.assign(merged_scan.image.range_m.size(), empty_value<T>(channel.info));
+                    values.assign(merged.image.range_m.size(), empty_value<T>(channel.info));
                 },
-                merged_scan.channels.back().values);
-        } else if (existing_channel->values.index() != channel.values.index()) {
+                merged.channels.back().values);
+        } else if (known->values.index() != channel.values.index()) {
             fail<UsageError>("cannot merge scans: the channel {} has different types in two scans",
                              channel.info.name);
         }
     }
 }
 
-void append_second(ScanChannel& merged_channel, const ScanChannel& source_channel, std::size_t first_ray) {
+void append_second(ScanChannel& merged, const ScanChannel& source, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
-        if (count_values(merged_channel.second) == 0) merged_channel.second = std::vector<T>{};
-        auto& all = std::get<std::vector<T>>(merged_channel.second);
-        all.resize(first_ray, empty_value<T>(merged_channel.info));
+        if (count_values(merged.second) == 0) merged.second = std::vector<T>{};
+        auto& all = std::get<std::vector<T>>(merged.second);
+        all.resize(first_ray, empty_value<T>(merged.info));
         append_elements(all, values);
     };
-    std::visit(add, source_channel.second);
+    std::visit(add, source.second);
 }
 
 RenderedScan rig_at_firing_times(const RenderedScan& rig_scan, const RenderedScan& sensor_scan) {
@@ -92,35 +92,34 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoseInte
     }
 }
 
-void pad_second_returns(RenderedScan& merged_scan) {
-    const std::size_t n = merged_scan.image.range_m.size();
-    for (AdditionalReturns& second : merged_scan.second_returns) {
+void pad_second_returns(RenderedScan& merged) {
+    const std::size_t n = merged.image.range_m.size();
+    for (AdditionalReturns& second : merged.second_returns) {
         second.range_m.resize(n);
         second.intensity.resize(n);
     }
-    for (ScanChannel& channel : merged_scan.channels)
+    for (ScanChannel& channel : merged.channels)
         if (count_values(channel.second) > 0)
             std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, empty_value<T>(channel.info)); },
                        channel.second);
 }
 
-void merge_counts(RenderedScan& merged_scan, const RenderedScan& scan) {
+void merge_counts(RenderedScan& merged, const RenderedScan& scan) {
     for (const ActorVisibility& view : scan.actor_views) {
-        const auto existing_view =
-            std::ranges::find(merged_scan.actor_views, view.track, &ActorVisibility::track);
-        if (existing_view == merged_scan.actor_views.end()) merged_scan.actor_views.push_back(view);
+        const auto known = std::ranges::find(merged.actor_views, view.track, &ActorVisibility::track);
+        if (known == merged.actor_views.end()) merged.actor_views.push_back(view);
         else {
-            existing_view->n_rays += view.n_rays;
-            existing_view->n_rays_alone += view.n_rays_alone;
+            known->n_rays += view.n_rays;
+            known->n_rays_alone += view.n_rays_alone;
         }
     }
     for (const UnobservedActorSide& side : scan.unseen_sides) {
         const auto existing_side =
-            std::ranges::find_if(merged_scan.unseen_sides, [&](const UnobservedActorSide& other) {
+            std::ranges::find_if(merged.unseen_sides, [&](const UnobservedActorSide& other) {
                 return other.track == side.track && other.side == side.side &&
                        other.is_completed == side.is_completed;
             });
-        if (existing_side == merged_scan.unseen_sides.end()) merged_scan.unseen_sides.push_back(side);
+        if (existing_side == merged.unseen_sides.end()) merged.unseen_sides.push_back(side);
         else existing_side->n_rays += side.n_rays;
     }
 }

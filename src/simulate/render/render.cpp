@@ -42,14 +42,14 @@ TraceOptions trace_options(const Config& config) {
     return rendering_options(config);
 }
 
-void copy_measurements(RenderedScan& scan, std::span<const shared::MeasuredRay> measured_rays) {
-    const std::size_t n = measured_rays.size();
+void copy_measurements(RenderedScan& scan, std::span<const shared::MeasuredRay> measured) {
+    const std::size_t n = measured.size();
     for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m,
                                        &scan.image.intensity, &scan.image.drop_prob, &scan.weight})
         values->resize(n);
     scan.instance.resize(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const shared::MeasuredRay& ray = measured_rays[i];
+        const shared::MeasuredRay& ray = measured[i];
         scan.image.range_m[i] = ray.range_m;
         scan.median_range_m[i] = ray.median_range_m;
         scan.mean_range_m[i] = ray.mean_range_m;

@@ -64,10 +64,10 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& dev
     // limits for the rays that stay in device memory; they need at most 0.2 GB
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
-    const auto matching_rays =
+    const auto match =
         std::ranges::find_if(cached, [&](const auto& rays) { return rays->is_uploaded(ray_table, name); });
-    if (matching_rays != cached.end()) {
-        std::rotate(cached.begin(), matching_rays, matching_rays + 1);
+    if (match != cached.end()) {
+        std::rotate(cached.begin(), match, match + 1);
         return cached.front();
     }
     // No pending scan may use the rays.

@@ -10,24 +10,24 @@ namespace {
 constexpr const char* kNativeGrid = "native";
 
 /// @throws UsageError for a beam without divergence
-void check_sub_rays(const RayTable& rays, const SensorConfig& sensor_config, const SimulatedSensor& sensor) {
-    if (sensor.grid && sensor_config.returns > 1)
+void check_sub_rays(const RayTable& rays, const SensorConfig& config, const SimulatedSensor& sensor) {
+    if (sensor.grid && config.returns > 1)
         fail<UsageError>(
             "sensor.returns: found 2 for {}, expected 1, because its range image has one range per pixel",
             sensor.name);
-    if (sensor_config.sub_rays == 1 && sensor_config.returns > 1)
+    if (config.sub_rays == 1 && config.returns > 1)
         throw UsageError(
             "sensor.returns: found 2 with sensor.sub_rays=1, expected sensor.sub_rays=5 or 9, because a "
             "single ray has only one return");
-    if (sensor_config.sub_rays == 1) return;
-    if (sensor_config.sub_rays != 5 && sensor_config.sub_rays != 9)
-        fail<UsageError>("sensor.sub_rays: found {}, expected 1, 5 or 9", sensor_config.sub_rays);
-    if (!(sensor_config.divergence_mrad > 0.0 || rays.max_divergence_rad() > 0.0))
+    if (config.sub_rays == 1) return;
+    if (config.sub_rays != 5 && config.sub_rays != 9)
+        fail<UsageError>("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays);
+    if (!(config.divergence_mrad > 0.0 || rays.max_divergence_rad() > 0.0))
         fail<UsageError>("sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad",
                          sensor.name);
-    if (rays.size() * std::size_t(sensor_config.sub_rays) > kMaxRays)
+    if (rays.size() * std::size_t(config.sub_rays) > kMaxRays)
         fail<UsageError>("sensor.sub_rays: found {} for {} rays, expected at most {} rays in total",
-                         sensor_config.sub_rays, rays.size(), kMaxRays);
+                         config.sub_rays, rays.size(), kMaxRays);
 }
 
 bool fits_network(const RayDropNetwork* network, const std::string& image_name, int rows, int columns) {

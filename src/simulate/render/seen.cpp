@@ -12,9 +12,9 @@ constexpr float kMinObservedFraction = 0.5f;
 
 bool is_unobserved(float observed_fraction) { return observed_fraction < kMinObservedFraction; }
 
-RayWithSurfaceRange surface_ray(const RenderedScan& scan, std::size_t ray_index) {
-    return {scan.firing_pose(ray_index), glm::dvec3(scan.image.origin[ray_index]),
-            glm::dvec3(scan.image.direction[ray_index]), scan.median_range_m[ray_index]};
+RayWithSurfaceRange surface_ray(const RenderedScan& scan, std::size_t ray) {
+    return {scan.firing_pose(ray), glm::dvec3(scan.image.origin[ray]), glm::dvec3(scan.image.direction[ray]),
+            scan.median_range_m[ray]};
 }
 
 /// The path ends at the surface that the ray hits, or at the maximum range.

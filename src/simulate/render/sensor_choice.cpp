@@ -32,8 +32,8 @@ bool has_rolling_shutter(const Config& config, const Log& log) {
     return config.sensor.rolling_shutter == RollingShutter::yes || log.rolling_shutter;
 }
 
-SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar_index) {
-    const Lidar& log_lidar = log.lidars[std::size_t(lidar_index)];
+SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar) {
+    const Lidar& log_lidar = log.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = log_lidar.sensor;
     const RangeLimits limits = intersect(sensor.range_limits(), configured_limits(config, log));
     return {.rays = fixed_rays(log_lidar.pattern, [&] { return make_lidar_rays(log_lidar, 0.0); }),
@@ -43,7 +43,7 @@ SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar_
             .pattern = log_lidar.pattern,
             .limits = limits,
             .name = sensor.name,
-            .lidar = lidar_index,
+            .lidar = lidar,
             .rolling_shutter = has_rolling_shutter(config, log)};
 }
 
@@ -66,7 +66,7 @@ SimulatedSensor grid_sensor(const RangeImageGrid& grid, const Config& config, co
     return choice;
 }
 
-void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell_index) {
+void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
     const glm::vec3 &origin = source.image.origin[ray], &direction = source.image.direction[ray];
     for_all_channels(
         source, target,
@@ -74,21 +74,21 @@ void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& tar
             if constexpr (std::is_same_v<T, float>) {
                 if (channel.join == ChannelMergeRule::drop) return;
                 if (channel.join == ChannelMergeRule::range)
-                    return void(of_cells[cell_index] = glm::length(origin + of_rays[ray] * direction));
+                    return void(of_cells[cell] = glm::length(origin + of_rays[ray] * direction));
             }
-            of_cells[cell_index] = of_rays[ray];
+            of_cells[cell] = of_rays[ray];
         });
-    target.time_offset_s[cell_index] = source.time_offset_s[ray];
+    target.time_offset_s[cell] = source.time_offset_s[ray];
 }
 
 /// A pixel returns if any of its rays returns, so it gets the minimum.
-void merge_drop(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell_index) {
+void merge_drop(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
     for_all_channels(
         source, target,
         [&]<class T>(const ChannelInfo& channel, const std::vector<T>& of_rays, std::vector<T>& of_cells) {
             if constexpr (std::is_same_v<T, float>)
                 if (channel.join == ChannelMergeRule::drop)
-                    of_cells[cell_index] = std::min(of_cells[cell_index], of_rays[ray]);
+                    of_cells[cell] = std::min(of_cells[cell], of_rays[ray]);
         });
 }
 

@@ -25,31 +25,31 @@ bool are_bytes_equal(const Values& first, const Values& second) {
     return same;
 }
 
-std::uint32_t range_kind_number(const std::string& range_kind_name) {
-    if (range_kind_name == "expected") return RELIDAR_RANGE_EXPECTED;
-    if (range_kind_name == "mode") return RELIDAR_RANGE_MODE;
-    return range_kind_name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
+std::uint32_t range_kind_number(const std::string& name) {
+    if (name == "expected") return RELIDAR_RANGE_EXPECTED;
+    if (name == "mode") return RELIDAR_RANGE_MODE;
+    return name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
-std::uint32_t channel_number(const std::string& channel_name) {
+std::uint32_t channel_number(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
         {"drop_logit", RELIDAR_DROP_LOGIT},    {"weight", RELIDAR_DROP_WEIGHT},
         {"spread", RELIDAR_DROP_SPREAD},       {"cosine", RELIDAR_DROP_COSINE},
         {"elevation", RELIDAR_DROP_ELEVATION}};
     for (const auto& [known, channel] : kOfRays)
-        if (channel_name == known) return channel;
+        if (name == known) return channel;
     for (std::uint32_t axis = 0; axis < 3; ++axis)
-        if (channel_name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
+        if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
     fail("the ray-drop network needs the unknown input \"{}\"; `relidar refine RUN` trains it again",
-         quote(channel_name));
+         quote(name));
 }
 
 }  // namespace
 
-std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channel_names) {
+std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names) {
     std::vector<std::uint32_t> result;
-    for (const std::string& name : channel_names) result.push_back(channel_number(name));
+    for (const std::string& name : names) result.push_back(channel_number(name));
     return result;
 }
 
@@ -93,8 +93,8 @@ DeviceSensorRays::DeviceSensorRays(Device& device)
       no_surfaces_(device, std::span<const shared::RenderedSurface>(std::array{shared::RenderedSurface{}}),
                    "surfaces of no rays") {}
 
-bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& sensor_name) const {
-    return sensor_name == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
+bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& name) const {
+    return name == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
            are_bytes_equal(rays.direction, table_.direction) && are_bytes_equal(rays.origin, table_.origin) &&
            are_bytes_equal(rays.time_offset_s, table_.time_offset_s) &&
            are_bytes_equal(rays.channel, table_.channel);

@@ -145,9 +145,8 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
 
 float SimulatedSweepBuilder::permanent_drop(const SimulatedSensor& sensor, std::uint16_t channel,
                                             const glm::vec3& direction) const {
-    const auto log_beam_number =
-        sensor.is_log_lidar ? log_.find_global_beam(sensor.lidar, channel) : std::nullopt;
-    return log_beam_number ? layout_.sensor_drop.probability_of(*log_beam_number, direction) : 0.0f;
+    const auto beam = sensor.is_log_lidar ? log_.find_global_beam(sensor.lidar, channel) : std::nullopt;
+    return beam ? layout_.sensor_drop.probability_of(*beam, direction) : 0.0f;
 }
 
 RangeLimits SimulatedSweepBuilder::limits_of(const SimulatedSensor& sensor) const {

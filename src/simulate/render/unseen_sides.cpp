@@ -73,12 +73,12 @@ std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Sce
         const std::optional<ObservedBoxSurface>& surface = scene.models[instance.model].surface;
         const BoxTrack* box = instance.track.empty() ? nullptr : find_box(log, instance.track);
         if (!box || !box->is_observed(scan.time_s) || !surface) continue;
-        const ObservedSideFractions side_coverage = surface->covered_sides();
-        if (list_unseen_sides(side_coverage).empty() && !surface->is_completed) continue;
+        const ObservedSideFractions coverage = surface->covered_sides();
+        if (list_unseen_sides(coverage).empty() && !surface->is_completed) continue;
         const glm::dvec3 begin_m = box->world_from_box.pose_at(scan.time_s + double(first_s)).translation,
                          end_m = box->world_from_box.pose_at(scan.time_s + double(last_s)).translation;
         boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*surface, std::int32_t(i),
-                         side_coverage, 0.5 * (begin_m + end_m),
+                         coverage, 0.5 * (begin_m + end_m),
                          0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
     }
     return boxes;

@@ -26,15 +26,15 @@ void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
-void merge_actors(std::vector<RecordedActor>& merged_actors, std::vector<RecordedActor> new_actors) {
+void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
-        const auto existing_actor = std::ranges::find(merged_actors, actor.name, &RecordedActor::name);
-        if (existing_actor == merged_actors.end()) {
-            merged_actors.push_back(std::move(actor));
+        const auto known = std::ranges::find(merged, actor.name, &RecordedActor::name);
+        if (known == merged.end()) {
+            merged.push_back(std::move(actor));
             continue;
         }
-        existing_actor->n_points += actor.n_points;
-        existing_actor->visible_share = std::max(existing_actor->visible_share, actor.visible_share);
+        known->n_points += actor.n_points;
+        known->visible_share = std::max(known->visible_share, actor.visible_share);
     }
 }
 

@@ -29,9 +29,8 @@ PacketFileWriter::~PacketFileWriter() {
     for (const OpenPacketFile& file : files_) fs::remove(file.temporary, failed);
 }
 
-void PacketFileWriter::write_packets(const std::vector<std::vector<SensorPacket>>& packets_per_sensor) {
-    for (std::size_t s = 0; s < packets_per_sensor.size(); ++s)
-        files_[s].capture.write_packets(packets_per_sensor[s]);
+void PacketFileWriter::write_packets(const std::vector<std::vector<SensorPacket>>& packets) {
+    for (std::size_t s = 0; s < packets.size(); ++s) files_[s].capture.write_packets(packets[s]);
 }
 
 void PacketFileWriter::write(std::span<const RenderedScan> scans) { write_packets(packets_.encode(scans)); }

@@ -94,11 +94,11 @@ Json channels_json(const std::vector<ChannelInfo>& channels) {
 
 ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format, JoinExistingTag)
     : folder_(std::move(folder)), format_(std::move(format)) {
-    const std::vector<std::string> supported_formats = scan_formats();
+    const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
-        if (std::find(supported_formats.begin(), supported_formats.end(), name) == supported_formats.end())
+        if (std::find(known.begin(), known.end(), name) == known.end())
             fail<UsageError>("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
-                             did_you_mean(name, supported_formats), fmt::join(supported_formats, ", "));
+                             did_you_mean(name, known), fmt::join(known, ", "));
     prepare_folder(folder_);
     channels_ = parse_channels(format_.config.render.channels);
 }

@@ -162,10 +162,9 @@ std::string to_topic_name(const std::string& name) {
     return word;
 }
 
-void name_topics(ScanOutputOptions& options, const std::string& sensor_name) {
-    options.topic =
-        sensor_name.empty() ? "/lidar/points" : "/lidar/" + to_topic_name(sensor_name) + "/points";
-    options.frame_id = sensor_name.empty() ? "lidar" : sensor_name;
+void name_topics(ScanOutputOptions& options, const std::string& name) {
+    options.topic = name.empty() ? "/lidar/points" : "/lidar/" + to_topic_name(name) + "/points";
+    options.frame_id = name.empty() ? "lidar" : name;
 }
 
 bool is_recording(const std::string& format) {
@@ -185,17 +184,17 @@ struct ScanRecordingsWriter::Impl {
 ScanRecordingsWriter::ScanRecordingsWriter(fs::path folder, std::vector<ScanOutputOptions> sensors) {
     scan_files::remove_scans(folder);
     impl_ = std::make_shared<Impl>(Impl{scan_files::SweepRecorder(sensors), folder, {}, {}, {}});
-    const std::vector<std::string>& requested_formats = sensors.front().formats;
+    const std::vector<std::string>& formats = sensors.front().formats;
     const scan_files::RecordedRig rig = impl_->recorder.recorded_rig();
     for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) {
-        if (std::ranges::find(requested_formats, format.name) == requested_formats.end()) continue;
+        if (std::ranges::find(formats, format.name) == formats.end()) continue;
         check_names(rig);
         check_unique_topics(format.topics(rig));
         impl_->names.emplace_back(format.file);
         impl_->files.push_back(std::make_unique<scan_files::RecordingFileWriter>(
             folder / format.file, format, rig, recording_metadata(sensors)));
     }
-    if (std::ranges::find(requested_formats, scan_files::kPacketFormat) == requested_formats.end()) return;
+    if (std::ranges::find(formats, scan_files::kPacketFormat) == formats.end()) return;
     impl_->packets = std::make_unique<scan_files::PacketFileWriter>(folder, sensors);
 }
 

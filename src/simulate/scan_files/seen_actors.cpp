@@ -56,16 +56,16 @@ std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOpti
 
 /// The start and the end of a sweep hit different parts of a box behind the sensor. Such
 /// a box gets the median time of its returns, to match the larger part.
-double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<float> return_times_s) {
+double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<float> times_s) {
     // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;
-    if (return_times_s.empty()) return faced_s;
+    if (times_s.empty()) return faced_s;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    const auto [first_return_s, last_return_s] = std::ranges::minmax(return_times_s);
+    const auto [first_return_s, last_return_s] = std::ranges::minmax(times_s);
     if (double(last_return_s) - double(first_return_s) < kMostOfSweep * (double(last_s) - double(first_s)))
         return faced_s;
-    const auto middle = return_times_s.begin() + std::ptrdiff_t(return_times_s.size() / 2);
-    std::ranges::nth_element(return_times_s, middle);  // not the mean of two, which no part has
+    const auto middle = times_s.begin() + std::ptrdiff_t(times_s.size() / 2);
+    std::ranges::nth_element(times_s, middle);  // not the mean of two, which no part has
     return scan.time_s + double(*middle);
 }
 

@@ -18,10 +18,10 @@ using ReturnCauses = std::vector<std::int32_t>;
 /// Sets all causes to `nothing`.
 ScanChannel& prepare_causes(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
-    const auto source_channel = std::ranges::find_if(scan.channels, has_name);
-    const bool is_there = source_channel != scan.channels.end();
+    const auto source = std::ranges::find_if(scan.channels, has_name);
+    const bool is_there = source != scan.channels.end();
     ScanChannel& channel =
-        is_there ? *source_channel
+        is_there ? *source
                  : scan.channels.emplace_back(ScanChannel{parse_channels(kSourceChannel).front(), {}});
     const ReturnCauses nothing(scan.image.range_m.size(), std::int32_t(ReturnCause::nothing));
     channel.values = nothing;
@@ -39,13 +39,12 @@ ScanChannel* prepare_velocity(RenderedScan& scan) {
     return nullptr;
 }
 
-void clear_surface(RenderedScan& scan, std::size_t ray_index) {
-    scan.instance[ray_index] = -1;
+void clear_surface(RenderedScan& scan, std::size_t ray) {
+    scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
         if (!channel.info.of_ray)
-            std::visit(
-                [&]<class T>(std::vector<T>& values) { values[ray_index] = empty_value<T>(channel.info); },
-                channel.values);
+            std::visit([&]<class T>(std::vector<T>& values) { values[ray] = empty_value<T>(channel.info); },
+                       channel.values);
 }
 
 class ScanWeatherApplier {
@@ -135,10 +134,10 @@ private:
 
 }  // namespace
 
-void add_weather(RenderedScan& scan, const WeatherInput& weather_input) {
+void add_weather(RenderedScan& scan, const WeatherInput& input) {
     const std::uint64_t of_scan =
-        hash_pair(hash_pair(weather_input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
-    ScanWeatherApplier rays(scan, weather_input);
+        hash_pair(hash_pair(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfWeather);
+    ScanWeatherApplier rays(scan, input);
     parallel_blocks(scan.image.range_m.size(),
                     [&](std::size_t ray) { rays.apply_to_ray(ray, hash_pair(of_scan, ray)); });
 }

@@ -32,9 +32,9 @@ struct RetroReflector {
     double range_m, deg2;
 };
 
-bool is_retro_reflector(const RenderedScan& scan, std::size_t ray_index) {
-    return is_ray_returned(scan.image.drop_prob[ray_index], scan.median_range_m[ray_index]) &&
-           scan.image.intensity[ray_index] >= kMinReflectorIntensity;
+bool is_retro_reflector(const RenderedScan& scan, std::size_t ray) {
+    return is_ray_returned(scan.image.drop_prob[ray], scan.median_range_m[ray]) &&
+           scan.image.intensity[ray] >= kMinReflectorIntensity;
 }
 
 std::vector<RetroReflector> find_reflectors(const RenderedScan& scan) {

@@ -165,21 +165,21 @@ constexpr double kRayLift_m = 0.1;
 // Hits below this height belong to the ground.
 constexpr double kMinMirroredHeight_m = 0.3;
 
-float drop_chance(const RenderedRayValues& rendering, std::size_t ray_index) {
-    return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray_index] - rendering.drop_logit[ray_index]));
+float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
+    return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray] - rendering.drop_logit[ray]));
 }
 
 /// Leaves out mirrored rays that return less light than the ground.
-MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& ground_normals,
+MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& normals,
                          std::vector<WetGroundRay>& wet_rays) {
     const RenderedScan& scan = input.scan;
     const double share = film_fraction(input.weather.wet_mm);
     MirroredRays mirrored;
     FiringPoseInterpolator firing(scan);
-    for (std::size_t i = 0; i < ground_normals.size(); ++i) {
+    for (std::size_t i = 0; i < normals.size(); ++i) {
         const Pose& pose = firing.pose_of(i);
         const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
-        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, ground_normals[i]);
+        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, normals[i]);
         if (!(cosine > 0.0)) continue;
         const double albedo = scan.image.intensity[i] / input.response.range_factor(range_m);
         wet_rays[i].through_water = 1.0 - share + share * wet_ratio(cosine, albedo);
@@ -191,8 +191,8 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
         wet_rays[i].mirrored.range_m = range_m;
         const glm::dvec3 foot_m =
             pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - input.world_offset_m;
-        mirrored.rays.origin.push_back(glm::vec3(foot_m + kRayLift_m * ground_normals[i]));
-        mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * ground_normals[i]));
+        mirrored.rays.origin.push_back(glm::vec3(foot_m + kRayLift_m * normals[i]));
+        mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * normals[i]));
         mirrored.rays.time_s.push_back(scan.time_offset_s[i]);
         mirrored.of_ray.push_back(i);
     }

@@ -45,10 +45,10 @@ const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& tracks, const BoxTra
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const Street street = make_street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
-    const std::vector<BoxTrack> discovered_tracks = street.discover();
-    EXPECT_EQ(discovered_tracks.size(), street.truth.size());
+    const std::vector<BoxTrack> found = street.discover();
+    EXPECT_EQ(found.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
-        const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
+        const BoxTrack* track = fingerprint_of(found, truth);
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
@@ -100,9 +100,9 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         // uses the oncoming car, because only the rear of the leading car is visible
         const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
-        const std::vector<BoxTrack> discovered_tracks = street.discover();
-        ASSERT_EQ(discovered_tracks.size(), 1u) << "no second actor; labels " << first << " to " << end;
-        const BoxTrack& box = discovered_tracks[0];
+        const std::vector<BoxTrack> found = street.discover();
+        ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
+        const BoxTrack& box = found[0];
         EXPECT_EQ(box.id, truth.id);
         EXPECT_EQ(box.category, truth.category);
         EXPECT_EQ(box.size_m, truth.size_m);
@@ -135,9 +135,9 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
                     truth.contains_point(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
-    const std::vector<BoxTrack> discovered_tracks = street.discover();
-    EXPECT_EQ(discovered_tracks.size(), street.truth.size());
-    const BoxTrack* track = fingerprint_of(discovered_tracks, truth);
+    const std::vector<BoxTrack> found = street.discover();
+    EXPECT_EQ(found.size(), street.truth.size());
+    const BoxTrack* track = fingerprint_of(found, truth);
     ASSERT_NE(track, nullptr);
     EXPECT_LT(track->world_from_box.time_s.front(), street.log.frames[4].time_s);
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
@@ -145,9 +145,9 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = make_street_without_labels();
-    const std::vector<BoxTrack> discovered_tracks = street.discover();
-    const BoxTrack *ahead = fingerprint_of(discovered_tracks, street.truth[0]),
-                   *oncoming = fingerprint_of(discovered_tracks, street.truth[1]);
+    const std::vector<BoxTrack> found = street.discover();
+    const BoxTrack *ahead = fingerprint_of(found, street.truth[0]),
+                   *oncoming = fingerprint_of(found, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
     EXPECT_EQ(ahead->size_guess, "car");
     EXPECT_NEAR(ahead->size_m.x, street.truth[0].size_m.x, 0.5);
@@ -181,11 +181,10 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
         check_sequence(street.log);
-        const std::vector<BoxTrack> discovered_tracks =
-            discover_tracks(street.log, split_frames(street.log, 10).train);
-        EXPECT_EQ(discovered_tracks.size(), street.truth.size()) << first_frame_is_complete;
+        const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
+        EXPECT_EQ(found.size(), street.truth.size()) << first_frame_is_complete;
         for (const BoxTrack& truth : street.truth)
-            EXPECT_NE(fingerprint_of(discovered_tracks, truth), nullptr) << "box " << truth.id;
+            EXPECT_NE(fingerprint_of(found, truth), nullptr) << "box " << truth.id;
     }
 }
 

@@ -108,7 +108,7 @@ void add_street(const StreetOptions& options, Score& score) {
     const std::vector<int> train = split_frames(log, 10).train;
     const std::vector<BoxTrack> tracks = discover_tracks(log, train);
     std::vector<char> is_matched(tracks.size(), 0);
-    const std::vector<std::size_t> n_visible_frames = list_frames_that_see(log, train, truth);
+    const std::vector<std::size_t> n_visible = list_frames_that_see(log, train, truth);
     score.discovered += tracks.size();
     for (std::size_t k = 0; k < truth.size(); ++k) {
         const BoxTrack& thing = truth[k];
@@ -126,9 +126,9 @@ void add_street(const StreetOptions& options, Score& score) {
             ++score.right;
             covered.insert(covered.end(), times.begin(), times.end());
         }
-        if (n_visible_frames[k] < kMinVisibleFrames) continue;
+        if (n_visible[k] < kMinVisibleFrames) continue;
         ++score.present;
-        score.recalled += 2 * covered.size() >= n_visible_frames[k];
+        score.recalled += 2 * covered.size() >= n_visible[k];
     }
 }
 
@@ -163,8 +163,8 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
                      glm::dvec3(random.sample_normal(), random.sample_normal(), 0.3 * random.sample_normal());
             pose.translation += off_m;
         }
-        for (const BoxTrack& discovered_track : discover_tracks(log, split_frames(log, 10).train)) {
-            const PoseTrack& track = discovered_track.world_from_box;
+        for (const BoxTrack& mover : discover_tracks(log, split_frames(log, 10).train)) {
+            const PoseTrack& track = mover.world_from_box;
             const bool is_one = std::ranges::any_of(truth, [&](const BoxTrack& thing) {
                 std::size_t inside = 0;
                 for (std::size_t i = 0; i < track.pose.size(); ++i)
@@ -172,8 +172,8 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
                         thing.contains_point(track.pose[i].translation, track.time_s[i], kDriftMargin_m);
                 return 2 * inside > track.pose.size();
             });
-            EXPECT_TRUE(is_one) << "street " << seed << ": " << discovered_track.id << " in "
-                                << track.pose.size() << " frames";
+            EXPECT_TRUE(is_one) << "street " << seed << ": " << mover.id << " in " << track.pose.size()
+                                << " frames";
         }
     }
 }

@@ -131,16 +131,15 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
 
 TEST_F(MirroredCar, KeepsWhatWasSeen) {
     const Surfels left = make_random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
-    const Surfels asset_surfels =
-        extract_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
+    const Surfels surfels = extract_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
     for (std::size_t i = 0; i < left.size(); ++i) {
-        const auto it = std::ranges::find(asset_surfels.mean, left.mean[i]);
-        ASSERT_NE(it, asset_surfels.mean.end()) << i;
-        const auto k = std::size_t(it - asset_surfels.mean.begin());
-        EXPECT_EQ(asset_surfels.rotation[k], left.rotation[i]);
+        const auto it = std::ranges::find(surfels.mean, left.mean[i]);
+        ASSERT_NE(it, surfels.mean.end()) << i;
+        const auto k = std::size_t(it - surfels.mean.begin());
+        EXPECT_EQ(surfels.rotation[k], left.rotation[i]);
         EXPECT_TRUE(std::equal(left.sh.begin() + std::ptrdiff_t(i * kShFloats),
                                left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
-                               asset_surfels.sh.begin() + std::ptrdiff_t(k * kShFloats)));
+                               surfels.sh.begin() + std::ptrdiff_t(k * kShFloats)));
     }
 }
 

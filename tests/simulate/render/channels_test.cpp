@@ -184,12 +184,11 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
         config.sensor.sub_rays = sub_rays;
         config.sensor.divergence_mrad = 3.0;
         for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
-            const RenderedScan rendered_scan = scan(sensor);
+            const RenderedScan rendered = scan(sensor);
             std::vector<std::string> names, expected = optional_names();
-            for (const ScanChannel& channel : rendered_scan.channels) {
+            for (const ScanChannel& channel : rendered.channels) {
                 names.push_back(channel.info.name);
-                EXPECT_EQ(count_values(channel.values), rendered_scan.image.range_m.size())
-                    << channel.info.name;
+                EXPECT_EQ(count_values(channel.values), rendered.image.range_m.size()) << channel.info.name;
                 EXPECT_FALSE(channel.info.meaning.empty());
             }
             std::ranges::sort(names);
@@ -201,19 +200,19 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
 
 /// The head does not tilt, so the velocity is that of the sensor along the ray.
 TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
-    const RenderedScan rendered_scan = scan();
-    const std::vector<float>& velocity = *find_values<float>(rendered_scan.channels, "velocity");
-    const glm::dvec3 driven_length_m =
+    const RenderedScan rendered = scan();
+    const std::vector<float>& velocity = *find_values<float>(rendered.channels, "velocity");
+    const glm::dvec3 driven_m =
         log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
-    ASSERT_NEAR(glm::length(driven_length_m) / (log.frames[2].time_s - log.frames[0].time_s),
+    ASSERT_NEAR(glm::length(driven_m) / (log.frames[2].time_s - log.frames[0].time_s),
                 StreetOptions{}.speed_mps, 0.01);
     std::size_t n_standing = 0;
     for (std::size_t i = 0; i < velocity.size(); ++i) {
-        if (rendered_scan.instance[i] != 0) continue;
+        if (rendered.instance[i] != 0) continue;
         const glm::dvec3 direction =
-            rendered_scan.firing_pose(i).rotation * glm::dvec3(rendered_scan.image.direction[i]);
-        ASSERT_NEAR(velocity[i],
-                    -StreetOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_length_m)), 0.01);
+            rendered.firing_pose(i).rotation * glm::dvec3(rendered.image.direction[i]);
+        ASSERT_NEAR(velocity[i], -StreetOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_m)),
+                    0.01);
         ++n_standing;
     }
     EXPECT_GT(n_standing, velocity.size() / 4);

@@ -181,9 +181,9 @@ TEST_F(CompensatedLog, ItsOwnSensorIsCompensatedAndSaysSo) {
     write(choose_sensor("native", run.config, run.sequence), false);
     expect_statements(true);
     expect_recordings(false);
-    const std::vector<TimedPoint> native_points = points();
-    ASSERT_GT(native_points.size(), 20u);
-    for (const auto& [position_m, time_s] : native_points) {
+    const std::vector<TimedPoint> points_m = points();
+    ASSERT_GT(points_m.size(), 20u);
+    for (const auto& [position_m, time_s] : points_m) {
         EXPECT_EQ(time_s, kFirst_s) << "all rays are fired at the scan's time";
         EXPECT_NEAR(position_m.x + compute_sensor_x(time_s), kWall_m, kTolerance_m);
     }

@@ -77,7 +77,7 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
                                                         kStep_deg * (kBeams / 2 - row - 0.5)));
         return of_row;
     };
-    const std::vector<double> expected_near = expected_in(kSteps / 2 + 24),
+    const std::vector<double> near = expected_in(kSteps / 2 + 24),
                               expected_far = expected_in(kSteps / 2 - 60);
     for (std::uint64_t seed = 0; seed < 40; ++seed) {
         const std::vector<LidarEcho> stray = compute_stray_light(scan, 1e-4, seed);
@@ -88,7 +88,7 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
                             &beside = stray[ray_at(row, kSteps / 2 - 60)];
             ASSERT_EQ(here.source, ReturnCause::blooming);
             ASSERT_NEAR(here.range_m, 4.0, 1e-6);
-            const double deviate = here.reflectivity / expected_near[std::size_t(row)];
+            const double deviate = here.reflectivity / near[std::size_t(row)];
             EXPECT_NEAR(beside.reflectivity / expected_far[std::size_t(row)] / deviate, 1.0, 0.15);
             sum += std::log(deviate);
             squares += std::log(deviate) * std::log(deviate);

@@ -98,22 +98,20 @@ protected:
     std::optional<ScanRenderer> renderer;
 };
 
-void expect_equal(const RenderedPoints& actual, const RenderedPoints& expected,
-                  const std::string& description) {
+void expect_equal(const RenderedPoints& actual, const RenderedPoints& expected, const std::string& text) {
     const LidarPoints &p = actual.points, &e = expected.points;
-    ASSERT_EQ(p.size(), e.size()) << description;
-    ASSERT_GT(p.size(), 100u) << description;
-    EXPECT_EQ(actual.n_rays, expected.n_rays) << description;
-    EXPECT_EQ(actual.unseen_share, expected.unseen_share) << description;
-    EXPECT_EQ(p.time_s, e.time_s) << description;
-    EXPECT_EQ(p.world_from_points.translation, e.world_from_points.translation) << description;
-    EXPECT_EQ(std::memcmp(p.position_m.data(), e.position_m.data(), p.size() * sizeof(glm::vec3)), 0)
-        << description;
-    EXPECT_EQ(p.intensity, e.intensity) << description;
-    EXPECT_EQ(p.ring, e.ring) << description;
-    EXPECT_EQ(p.time_offset_s, e.time_offset_s) << description;
-    EXPECT_EQ(p.instance, e.instance) << description;
-    EXPECT_EQ(p.return_number, e.return_number) << description;
+    ASSERT_EQ(p.size(), e.size()) << text;
+    ASSERT_GT(p.size(), 100u) << text;
+    EXPECT_EQ(actual.n_rays, expected.n_rays) << text;
+    EXPECT_EQ(actual.unseen_share, expected.unseen_share) << text;
+    EXPECT_EQ(p.time_s, e.time_s) << text;
+    EXPECT_EQ(p.world_from_points.translation, e.world_from_points.translation) << text;
+    EXPECT_EQ(std::memcmp(p.position_m.data(), e.position_m.data(), p.size() * sizeof(glm::vec3)), 0) << text;
+    EXPECT_EQ(p.intensity, e.intensity) << text;
+    EXPECT_EQ(p.ring, e.ring) << text;
+    EXPECT_EQ(p.time_offset_s, e.time_offset_s) << text;
+    EXPECT_EQ(p.instance, e.instance) << text;
+    EXPECT_EQ(p.return_number, e.return_number) << text;
 }
 
 /// Columns share a firing time, rows have different times, or rays have any order.
@@ -301,19 +299,19 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
         expect_equal(renderer->wait_for_points(), scan_expected, "refined");
     std::vector<PointRequest> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
-    std::vector<RenderedPoints> expected_points;
-    for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
+    std::vector<RenderedPoints> expected_each;
+    for (const PointRequest& wish : beside) expected_each.push_back(alone(wish));
     renderer->set_parallel(3);
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
-        for (const RenderedPoints& scan_expected : expected_points)
+        for (const RenderedPoints& scan_expected : expected_each)
             expect_equal(renderer->wait_for_points(), scan_expected, "refined side by side");
     }
     renderer->set_parallel(1);
     std::vector<std::uint64_t> buffers;
     for (int round = 0; round < 3; ++round) {
-        expect_equal(alone(beside[2]), expected_points[2], "by turns");
-        expect_equal(alone(beside[3]), expected_points[3], "by turns");
+        expect_equal(alone(beside[2]), expected_each[2], "by turns");
+        expect_equal(alone(beside[3]), expected_each[3], "by turns");
         buffers.push_back(device().impl().n_buffers);
     }
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";

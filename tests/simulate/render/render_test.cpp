@@ -134,15 +134,14 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
         return int(std::min_element(scan.image.drop_prob.begin(), scan.image.drop_prob.end()) -
                    scan.image.drop_prob.begin());
     };
-    const SimulatedSensor configured_sensor = make_sensor(config, log);
-    EXPECT_TRUE(configured_sensor.follows_sweeps);
+    const SimulatedSensor sensor = make_sensor(config, log);
+    EXPECT_TRUE(sensor.follows_sweeps);
     const int nominal = kColumns / 2;  // the azimuth starts at pi and decreases from column to column
-    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.0)), nominal) << "a sweep without a shift";
-    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 1.0)), nominal + 1)
+    EXPECT_EQ(column_of_post(renderer.render(sensor, 0.0)), nominal) << "a sweep without a shift";
+    EXPECT_EQ(column_of_post(renderer.render(sensor, 1.0)), nominal + 1)
         << "the head points one column to the left of where it should";
-    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, 0.5)), nominal) << "no sweep of the log";
-    EXPECT_EQ(column_of_post(renderer.render(configured_sensor, ScanRequest{1.0, {{1.0}, {Pose{}}}})),
-              nominal);
+    EXPECT_EQ(column_of_post(renderer.render(sensor, 0.5)), nominal) << "no sweep of the log";
+    EXPECT_EQ(column_of_post(renderer.render(sensor, ScanRequest{1.0, {{1.0}, {Pose{}}}})), nominal);
     config.render.follow_sweeps = false;
     EXPECT_EQ(column_of_post(renderer.render(make_sensor(config, log), 1.0)), nominal);
     EXPECT_FALSE(choose_sensor("HDL-32E", config, log).follows_sweeps);
@@ -184,10 +183,10 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     Config config;
     config.render.range = "normalised";
     ScanRenderer renderer(device(), wrap_background(wall), config, log);
-    const SimulatedSensor configured_sensor = make_sensor(config, log);
-    const std::size_t ahead = find_ray_towards(configured_sensor.rays, {1, 0, 0}) % 4;
-    const RenderedScan scan = renderer.render(configured_sensor, 0.0);
-    SimulatedSensor ideal = configured_sensor;
+    const SimulatedSensor sensor = make_sensor(config, log);
+    const std::size_t ahead = find_ray_towards(sensor.rays, {1, 0, 0}) % 4;
+    const RenderedScan scan = renderer.render(sensor, 0.0);
+    SimulatedSensor ideal = sensor;
     ideal.beams.clear();
     const RenderedScan surface = renderer.render(ideal, 0.0);
     ASSERT_NEAR(surface.image.range_m[4 + ahead], 10.0, 1e-4);

@@ -43,12 +43,12 @@ protected:
 };
 
 TEST_F(Seen, AHeldOutScanLooksWhereTheLogDid) {
-    const RenderedScan native_scan = scan({}, config);
-    EXPECT_LT(native_scan.unseen_share.value(), 0.02);
-    ASSERT_EQ(seen(native_scan).size(), native_scan.image.range_m.size());
-    EXPECT_EQ(native_scan.unseen_share.value(),
-              double(std::ranges::count_if(seen(native_scan), [](float s) { return s < 0.5f; })) /
-                  double(seen(native_scan).size()));
+    const RenderedScan native = scan({}, config);
+    EXPECT_LT(native.unseen_share.value(), 0.02);
+    ASSERT_EQ(seen(native).size(), native.image.range_m.size());
+    EXPECT_EQ(native.unseen_share.value(),
+              double(std::ranges::count_if(seen(native), [](float s) { return s < 0.5f; })) /
+                  double(seen(native).size()));
     EXPECT_LT(unseen({0.0, 3.0, 0.0}), kMuchUnseen) << "the next lane";
 }
 
@@ -69,14 +69,14 @@ TEST_F(Seen, AShareIsKnownWithoutTheChannel) {
 }
 
 TEST_F(Seen, BinnedAndMergedScansKeepIt) {
-    const RenderedScan native_scan = scan({}, config), grid = scan({}, config, "kitti360"),
+    const RenderedScan native = scan({}, config), grid = scan({}, config, "kitti360"),
                        below = scan({{1, 0, 0, 0}, {0, 0, -5.0}}, config);
     EXPECT_EQ(seen(grid).size(), grid.image.range_m.size());
-    EXPECT_EQ(grid.unseen_share, native_scan.unseen_share);
-    const RenderedScan both = merge_scans({native_scan, below}, {Pose{}, Pose{{1, 0, 0, 0}, {0, 0, -5.0}}});
-    ASSERT_EQ(seen(both).size(), seen(native_scan).size() + seen(below).size());
+    EXPECT_EQ(grid.unseen_share, native.unseen_share);
+    const RenderedScan both = merge_scans({native, below}, {Pose{}, Pose{{1, 0, 0, 0}, {0, 0, -5.0}}});
+    ASSERT_EQ(seen(both).size(), seen(native).size() + seen(below).size());
     EXPECT_EQ(seen(both).back(), seen(below).back());
-    EXPECT_NEAR(both.unseen_share.value(), (*native_scan.unseen_share + *below.unseen_share) / 2.0, 1e-12);
+    EXPECT_NEAR(both.unseen_share.value(), (*native.unseen_share + *below.unseen_share) / 2.0, 1e-12);
 }
 
 TEST_F(Seen, AScanWithoutBackgroundHasNoShare) {
@@ -101,10 +101,9 @@ TEST_F(Seen, AScanWithoutBackgroundHasNoShare) {
 
 TEST_F(Seen, WithoutACoverageNothingIsClaimed) {
     ScanRenderer renderer(device(), scene, config, log);
-    const RenderedScan native_scan =
-        renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
-    EXPECT_FALSE(native_scan.unseen_share.has_value());
-    EXPECT_TRUE(native_scan.channels.empty());
+    const RenderedScan native = renderer.render(choose_sensor("native", config, log), log.frames[0].time_s);
+    EXPECT_FALSE(native.unseen_share.has_value());
+    EXPECT_TRUE(native.channels.empty());
 }
 
 }  // namespace

@@ -142,25 +142,25 @@ double faced_at(const BoxTrack& box, double time_s) {
 void expect_actors(const Log& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
-    for (const BoxTrack& expected_box : actors()) {
-        const BoxTrack* loaded_box = find_box(log, expected_box.id);
-        ASSERT_NE(loaded_box, nullptr) << expected_box.id;
-        EXPECT_EQ(loaded_box->category, expected_box.category);
-        EXPECT_LT(glm::distance(loaded_box->size_m, expected_box.size_m), 1e-9);
-        EXPECT_EQ(loaded_box->is_moving(), expected_box.is_moving());
-        EXPECT_EQ(loaded_box->world_from_box.time_s.size(), expected_box.id == "bin" ? kFrames : kFrames - 1);
-        for (std::size_t k = 0; k < loaded_box->world_from_box.time_s.size(); ++k) {
-            const double at_s = loaded_box->world_from_box.time_s[k] + kFirst_s;
-            BoxTrack there = expected_box;
+    for (const BoxTrack& expected : actors()) {
+        const BoxTrack* loaded = find_box(log, expected.id);
+        ASSERT_NE(loaded, nullptr) << expected.id;
+        EXPECT_EQ(loaded->category, expected.category);
+        EXPECT_LT(glm::distance(loaded->size_m, expected.size_m), 1e-9);
+        EXPECT_EQ(loaded->is_moving(), expected.is_moving());
+        EXPECT_EQ(loaded->world_from_box.time_s.size(), expected.id == "bin" ? kFrames : kFrames - 1);
+        for (std::size_t k = 0; k < loaded->world_from_box.time_s.size(); ++k) {
+            const double at_s = loaded->world_from_box.time_s[k] + kFirst_s;
+            BoxTrack there = expected;
             for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
             EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
-                << expected_box.id << ": within a column";
-            const Pose pose = expected_box.world_from_box.pose_at(at_s);
-            EXPECT_LT(glm::distance(loaded_box->world_from_box.pose[k].translation + log.world_offset_m,
+                << expected.id << ": within a column";
+            const Pose pose = expected.world_from_box.pose_at(at_s);
+            EXPECT_LT(glm::distance(loaded->world_from_box.pose[k].translation + log.world_offset_m,
                                     pose.translation + moved_m),
                       1e-6);
-            EXPECT_NEAR(std::abs(glm::dot(loaded_box->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
+            EXPECT_NEAR(std::abs(glm::dot(loaded->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
                         1e-12);
         }
     }

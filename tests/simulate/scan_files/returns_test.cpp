@@ -101,13 +101,13 @@ std::size_t count_points_of_foxglove(const std::string& message) {
 /// Counts the pixels of the first image (the ranges) whose colour differs from the colour
 /// of the first pixel, which is sky.
 std::size_t count_shown_pixels(const std::filesystem::path& path) {
-    png_image description{};
-    description.version = PNG_IMAGE_VERSION;
-    EXPECT_TRUE(png_image_begin_read_from_file(&description, path.c_str())) << description.message;
-    description.format = PNG_FORMAT_RGB;
-    std::vector<std::uint8_t> rgb(PNG_IMAGE_SIZE(description));
-    EXPECT_TRUE(png_image_finish_read(&description, nullptr, rgb.data(), 0, nullptr)) << description.message;
-    EXPECT_EQ(description.width, unsigned(kSteps));
+    png_image text{};
+    text.version = PNG_IMAGE_VERSION;
+    EXPECT_TRUE(png_image_begin_read_from_file(&text, path.c_str())) << text.message;
+    text.format = PNG_FORMAT_RGB;
+    std::vector<std::uint8_t> rgb(PNG_IMAGE_SIZE(text));
+    EXPECT_TRUE(png_image_finish_read(&text, nullptr, rgb.data(), 0, nullptr)) << text.message;
+    EXPECT_EQ(text.width, unsigned(kSteps));
     const std::size_t stretch = std::size_t(std::max(1L, std::lround(kSteps / (8.0 * kBeams))));
     std::size_t n = 0;
     for (std::size_t row = 0; row < std::size_t(kBeams); ++row)

@@ -118,11 +118,11 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
         const WeatherRaySimulator air = make_air_of(weather, make_sensor_to(80.0));
         int n = 0;
         for (std::uint64_t seed = 0; seed < 200; ++seed) {
-            const LidarEcho strongest_echo = echoes_of(air, surface_at(12.0, 0.8), seed).strongest;
-            if (strongest_echo.source != ReturnCause::surface) continue;
+            const LidarEcho strongest = echoes_of(air, surface_at(12.0, 0.8), seed).strongest;
+            if (strongest.source != ReturnCause::surface) continue;
             ++n;
-            EXPECT_EQ(strongest_echo.range_m, 12.0);
-            EXPECT_NEAR(strongest_echo.reflectivity, 0.8 * std::exp(-2.0 * extinction_per_m(weather) * 12.0),
+            EXPECT_EQ(strongest.range_m, 12.0);
+            EXPECT_NEAR(strongest.reflectivity, 0.8 * std::exp(-2.0 * extinction_per_m(weather) * 12.0),
                         1e-12);
         }
         EXPECT_GT(n, 50) << format_weather(weather);
