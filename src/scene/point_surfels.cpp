@@ -14,6 +14,8 @@
 namespace relidar {
 namespace {
 
+using Neighbours = std::vector<std::size_t>;  // indices of samples
+
 constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
 /// SH constant of degree 1; the three functions multiply it by -y, z and -x
 constexpr double kSh1 = 0.4886025119029199;
@@ -45,7 +47,7 @@ struct NeighbourPlane {
 /// eigenvalue. If all points lie on one scan line, the normal is the one that faces the
 /// sensor most. If the points form no surface, the normal points to the sensor, because
 /// rays of the next scan would miss a surfel that is edge-on.
-NeighbourPlane fit_neighbours(const LidarSamples& samples, const std::vector<std::size_t>& neighbours,
+NeighbourPlane fit_neighbours(const LidarSamples& samples, const Neighbours& neighbours,
                               const glm::dvec3& direction, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (const std::size_t j : neighbours)
@@ -91,8 +93,7 @@ struct ScanLineGap {
 
 /// @param neighbours indices of points on the surface, sorted by distance; the
 /// first is the point itself
-ScanLineGap measure_gap(const LidarSamples& samples, const std::vector<std::size_t>& neighbours,
-                        const glm::dvec3& normal) {
+ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbours, const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
     // Cosine of 45 degrees, the largest angle between `gap.across` and the direction of a
@@ -141,12 +142,11 @@ void set_harmonics(float* sh, const LidarSample& sample, const glm::dvec3& norma
     sh[3] = static_cast<float>(-slope.x);
 }
 
-/// Returns the indices of the `count` nearest samples, sorted by distance.
-std::vector<std::size_t> find_nearest(const Tree& tree, const LidarSample& sample, std::size_t count,
-                                      std::vector<float>& distance2) {
-    std::vector<std::size_t> samples(count);
-    distance2.resize(count);
-    samples.resize(tree.knnSearch(&sample.position.x, count, samples.data(), distance2.data()));
+/// Returns the indices of the `n` nearest samples, sorted by distance.
+Neighbours find_nearest(const Tree& tree, const LidarSample& sample, std::size_t n, std::vector<float>& d2) {
+    Neighbours samples(n);
+    d2.resize(n);
+    samples.resize(tree.knnSearch(&sample.position.x, n, samples.data(), d2.data()));
     return samples;
 }
 
@@ -160,7 +160,7 @@ struct SurfelPlacement {
 /// more samples if all lie on one scan line, because the plane could rotate about this
 /// line, or if there is no sample on the left or right scan line.
 SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, std::size_t sample,
-                                 std::vector<std::size_t> nearest, const InitOptions& options) {
+                                 Neighbours nearest, const InitOptions& options) {
     constexpr int kMaxWidenings = 2;  // maximum number of repeated searches with more neighbours
     SurfelPlacement placement{fit_neighbours(samples, nearest, samples[sample].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return placement;
@@ -190,7 +190,7 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
-    std::vector<std::size_t> nearest = find_nearest(tree, samples[surfel], k, distance2);
+    Neighbours nearest = find_nearest(tree, samples[surfel], k, distance2);
     double distance_sum_m = 0.0;
     std::size_t n_others = 0;
     for (std::size_t j = 1; j < nearest.size() && n_others < kScaleNeighbours; ++j, ++n_others)
@@ -231,7 +231,7 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
 }  // namespace
 
 Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, double incidence,
-                     const Progress& progress, std::vector<std::uint32_t>* order) {
+                     const Progress& progress, SampleIndices* order) {
     const SampleKdTreeAdapter cloud{samples};
     const Tree tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(16));
     Surfels surfels;
@@ -240,16 +240,16 @@ Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, do
     progress_blocks(samples.size(), progress, "estimating normals", [&](std::size_t index) {
         set_surfel(surfels, index, samples, tree, options, incidence);
     });
-    const std::vector<std::uint32_t> sorted = kd_tree_order(surfels.mean);
+    const SampleIndices sorted = kd_tree_order(surfels.mean);
     if (order) *order = sorted;
     return surfels.reorder(sorted);
 }
 
-LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, std::vector<std::uint32_t>* kept) {
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleIndices* kept) {
     // The jitter of labelled boxes blurs smaller details.
     constexpr double kThinningVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
-    std::vector<std::uint32_t> first;
+    SampleIndices first;
     for (std::size_t i = 0; i < samples.size(); ++i) {
         const glm::ivec3 cell =
             glm::ivec3(glm::floor(glm::dvec3(samples[i].position) / kThinningVoxel_m)) + 512;

@@ -17,6 +17,7 @@ struct LidarSample {
     int frame = 0;          ///< index in the log of the point's frame; used only for actors
 };
 using LidarSamples = std::vector<LidarSample>;
+using SampleIndices = std::vector<std::uint32_t>;
 
 /// Calls `work` with each return of a frame (as a WorldReturn), ray by ray.
 /// @param second_returns if true, also calls `work` with second returns
@@ -38,12 +39,11 @@ void for_each_return(const Log& log, const Frame& frame, bool second_returns, co
 /// @param incidence strength of this dependence (IntensityResponse)
 /// @param order output [n]: the index of each surfel's sample
 Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, double incidence,
-                     const Progress& progress = {}, std::vector<std::uint32_t>* order = nullptr);
+                     const Progress& progress = {}, SampleIndices* order = nullptr);
 
-/// Returns the first sample of each voxel of an actor, at most `max_count`. The samples
+/// Returns the first sample of each voxel of an actor, at most `most`. The samples
 /// of a voxel are not averaged: labels jitter, so averages would shrink the actor.
 /// @param selected output: indices of the returned samples
-LidarSamples thin_samples(const LidarSamples& samples, std::size_t max_count,
-                          std::vector<std::uint32_t>* selected = nullptr);
+LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleIndices* selected = nullptr);
 
 }  // namespace relidar

@@ -47,6 +47,7 @@ struct ActorVisibility {
     /// rays that would hit the actor if no other object hid it
     std::size_t n_rays_alone = 0;
 };
+using ActorViews = std::vector<ActorVisibility>;
 
 /// A range image with the ray of each pixel, in the sensor frame at its own firing time.
 struct RenderedScan {
@@ -78,7 +79,7 @@ struct RenderedScan {
     /// Set by the command `relidar render`, not by ScanRenderer.
     UnobservedActorSides unseen_sides = {};
     /// Empty if ScanRenderer::count_actor_rays() was not called.
-    std::vector<ActorVisibility> actor_views = {};
+    ActorViews actor_views = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses during the scan, in the dataset's world frame; a single pose if it is
     /// constant.

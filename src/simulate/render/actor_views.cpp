@@ -46,8 +46,8 @@ RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sw
 
 /// A ray at the edge of an actor counts only if surfaces absorb at least half of its
 /// light.
-std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const {
-    std::vector<ActorVisibility> views;
+ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const {
+    ActorViews views;
     for (const ModelInstance& instance : sweeps.layout().instances) views.push_back({instance.track});
     for (std::size_t ray = 0; ray < scan.instance.size(); ++ray)
         if (scan.instance[ray] >= 0 && scan.weight[ray] >= 0.5f &&
@@ -58,7 +58,7 @@ std::vector<ActorVisibility> ScanRenderer::Impl::count_first_hits(const Rendered
 
 /// Traces the rays near each actor in a scene that contains only this actor.
 void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                                          std::vector<ActorVisibility>& views) {
+                                          ActorViews& views) {
     const std::vector<FiredRay> rays = fired_rays(sweep);
     for (std::size_t i = 0; i < views.size() && !rays.empty(); ++i) {
         if (views[i].track.empty() || !sweep.instances[i].present) continue;

@@ -54,13 +54,13 @@ RenderedScan rig_at_firing_times(const RenderedScan& rig_scan, const RenderedSca
 
 /// Poses of rig and sensor are interpolated separately, so the pose of the sensor
 /// relative to the rig is not exactly constant.
-class RigPoseInterpolator {
+class RigPoses {
 public:
     /// @param scan must outlive this object
-    RigPoseInterpolator(const RenderedScan& merged, const RenderedScan& scan)
+    RigPoses(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(rig_at_firing_times(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
-    RigPoseInterpolator(const RigPoseInterpolator&) = delete;
-    RigPoseInterpolator& operator=(const RigPoseInterpolator&) = delete;
+    RigPoses(const RigPoses&) = delete;
+    RigPoses& operator=(const RigPoses&) = delete;
     Pose pose_in_rig(std::size_t ray) {
         return inverse(world_from_rig_.pose_of(ray)) * world_from_firing_.pose_of(ray);
     }
@@ -70,8 +70,7 @@ private:
     FiringPoseInterpolator world_from_rig_, world_from_firing_;
 };
 
-void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoseInterpolator& rig,
-                     std::size_t first_ray) {
+void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t first) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
         // clang 14 cannot capture structured bindings in lambdas.
@@ -82,13 +81,12 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoseInte
                 all.push_back(scan_values ? (*scan_values)[i] : empty_value<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; scan_values && info.turns && i < n; ++i)
-                    all[first_ray + i] =
-                        glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
+                    all[first + i] = glm::vec3(rig.pose_in_rig(i).rotation * glm::dvec3((*scan_values)[i]));
         };
         std::visit(add, channel.values);
         for (const ScanChannel& scan_channel : scan.channels)
             if (scan_channel.info.name == info.name && count_values(scan_channel.second) > 0)
-                append_second(channel, scan_channel, first_ray);
+                append_second(channel, scan_channel, first);
     }
 }
 
@@ -125,7 +123,7 @@ void merge_counts(RenderedScan& merged, const RenderedScan& scan) {
 }
 
 /// @param ring number of this scan's ring 0 in the merged scan
-void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoseInterpolator& rig, std::size_t ring) {
+void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);
         merged.ring.push_back(static_cast<std::uint16_t>(ring + scan.ring[i]));
@@ -152,7 +150,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     for (const RenderedScan& scan : scans) {
         check_channels(scan.channels, scan.image.range_m.size(), "a scan of a rig");
         add_channels(merged, scan);
-        RigPoseInterpolator poses(merged, scan);
+        RigPoses poses(merged, scan);
         append_rays(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         if (rings > 65536)

@@ -34,8 +34,7 @@ std::vector<RayReturnIndex> select_returns(const RenderedScan& scan, const std::
 }
 
 /// Returns no poses if the points are in the sensor's frame.
-std::vector<shared::SensorPose> sensor_poses(const RenderedScan& scan,
-                                             const std::optional<Pose>& dataset_from_points) {
+SensorPoses sensor_poses(const RenderedScan& scan, const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
@@ -44,7 +43,7 @@ std::vector<shared::SensorPose> sensor_poses(const RenderedScan& scan,
 }
 
 /// Must select the same pose as shaders/simulate/render/sensor_way.glsl.
-const shared::SensorPose& find_pose(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
+const shared::SensorPose& find_pose(const SensorPoses& poses, float time_offset_s) {
     std::size_t k = 0, end = std::max<std::size_t>(poses.size(), 2) - 1;
     while (end - k > 1) {
         const std::size_t middle = (k + end) / 2;
@@ -60,7 +59,7 @@ LidarPoints place_points(const RenderedScan& scan, const Config& config,
     const std::vector<float>& range_m = point_ranges(scan, config);
     check_channels(scan.channels, range_m.size(), "a scan");
     const std::vector<RayReturnIndex> returns = select_returns(scan, range_m, selection);
-    const std::vector<shared::SensorPose> poses = sensor_poses(scan, dataset_from_points);
+    const SensorPoses poses = sensor_poses(scan, dataset_from_points);
     const std::size_t n = returns.size();
     LidarPoints points{.position_m = std::vector<glm::vec3>(n),
                        .intensity = std::vector<float>(n),

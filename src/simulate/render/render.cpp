@@ -371,9 +371,8 @@ RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, double time_s, 
     return impl_->render_sweep(impl_->sweeps.on_recorded_path(followed, time_s, offset), sample);
 }
 
-RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, const ScanRequest& request,
-                                  SampleSeed sample) {
-    return impl_->render_sweep(impl_->sweeps.of_request(sensor, request), sample);
+RenderedScan ScanRenderer::render(const SimulatedSensor& sensor, const ScanRequest& at, SampleSeed sample) {
+    return impl_->render_sweep(impl_->sweeps.of_request(sensor, at), sample);
 }
 
 }  // namespace relidar

@@ -59,9 +59,8 @@ struct ScanRenderer::Impl {
                                                    const RayTable& rays, bool with_drop);
     TracedScan trace_rays(const SimulatedSweep& sweep, const RayTable& ray_table, bool with_drop = false);
     RenderedScan trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config);
-    std::vector<ActorVisibility> count_first_hits(const RenderedScan& scan) const;
-    void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
-                          std::vector<ActorVisibility>& views);
+    ActorViews count_first_hits(const RenderedScan& scan) const;
+    void count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan, ActorViews& views);
     void correct_drop(RenderedScan& scan);
     void apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed);
     RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);

@@ -53,13 +53,12 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names
     return result;
 }
 
-std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double time_s,
-                                              double first_offset_s, double last_offset_s) {
+SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
-    const std::size_t first = world_from_sensor.find_segment(time_s + first_offset_s).left,
-                      last = std::min(world_from_sensor.find_segment(time_s + last_offset_s).left + 1,
-                                      pose.size() - 1);
-    std::vector<shared::SensorPose> poses;
+    const std::size_t first = world_from_sensor.find_segment(time_s + first_s).left,
+                      last =
+                          std::min(world_from_sensor.find_segment(time_s + last_s).left + 1, pose.size() - 1);
+    SensorPoses poses;
     for (std::size_t k = first; k <= last; ++k) {
         const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
         const glm::vec3 position(pose[k].translation);
@@ -129,8 +128,7 @@ void DeviceSensorRays::upload(const RayTable& rays, const std::string& name, con
     last_s_ = *last;
 }
 
-std::vector<shared::SensorPose> DeviceSensorRays::sweep_poses(const PoseTrack& world_from_sensor,
-                                                              double time_s) const {
+SensorPoses DeviceSensorRays::sweep_poses(const PoseTrack& world_from_sensor, double time_s) const {
     return poses_between(world_from_sensor, time_s, double(first_s_), double(last_s_));
 }
 

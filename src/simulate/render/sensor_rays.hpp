@@ -12,6 +12,7 @@
 
 namespace relidar {
 
+using SensorPoses = std::vector<shared::SensorPose>;
 using RayFunction = std::function<float(std::size_t)>;  ///< value of the ray with this index
 
 struct RayMeasurementOptions {
@@ -53,7 +54,7 @@ public:
     const Array<shared::SensorRay>& device_rays() const { return rays_; }
     const Array<shared::MeasuredRay>& device_measured() const { return measured_; }
     Address<float, shared::DropProbabilities> drop_address() const { return address_or_null(refined_); }
-    std::vector<shared::SensorPose> sweep_poses(const PoseTrack& world_from_sensor, double time_s) const;
+    SensorPoses sweep_poses(const PoseTrack& world_from_sensor, double time_s) const;
 
 private:
     Device& device_;
@@ -79,9 +80,8 @@ private:
 std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channels);
 
 /// Also has one pose before the first ray and one after the last ray.
-/// @param first_offset_s firing times, relative to `time_s`
-std::vector<shared::SensorPose> poses_between(const PoseTrack& world_from_sensor, double time_s,
-                                              double first_offset_s, double last_offset_s);
+/// @param first_s firing times, relative to `time_s`
+SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s);
 PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar

@@ -102,15 +102,14 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
 }
 
 /// @param scan scan of the first sensor
-std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan,
-                                                       std::vector<double> times_s) {
-    std::ranges::sort(times_s);
+std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan, std::vector<double> at_s) {
+    std::ranges::sort(at_s);
     const Pose sensor_from_vehicle = inverse(recorded_rig().sensors.front().vehicle_from_sensor);
     const auto world_from_vehicle = [&](double t_s) {
         return sensor_pose_at(scan, t_s) * sensor_from_vehicle;
     };
     std::vector<RecordedPose> poses;
-    for (const double t_s : times_s) {
+    for (const double t_s : at_s) {
         const std::uint64_t time_ns = to_stamp_ns(t_s);
         // Sweeps can overlap in time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
