@@ -138,9 +138,9 @@ std::vector<float> range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
-/// @param infos the network's inputs
+/// @param inputs the network's inputs
 /// @param origin_m [3] from first_position()
-RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& infos,
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& inputs,
                              const glm::dvec3& origin_m);
 
 /// [3] First position of the log's vehicle in metres, in the dataset's world frame.

@@ -67,32 +67,32 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
     throw;
 }
 
-RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& pending, LidarPoints memory) {
-    if (pending.ready) return std::move(*pending.ready);
+RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoints memory) {
+    if (scan.ready) return std::move(*scan.ready);
     lanes->submit_batch();
     const DevicePointComputer::GatheredPoints gathered =
-        DevicePointComputer::wait(pending.renderer->stream(), *pending.points);
-    if (gathered.n_capped > 0) pending.renderer->check_truncation();
-    const RayTable& rays = pending.rays->ray_table();
+        DevicePointComputer::wait(scan.renderer->stream(), *scan.points);
+    if (gathered.n_capped > 0) scan.renderer->check_truncation();
+    const RayTable& rays = scan.rays->ray_table();
     IntensityScatterModel steps;
-    steps.step = pending.step;
+    steps.step = scan.step;
     RenderedPoints result{std::move(memory), rays.size()};
     result.points.return_number.clear();
     result.points.firing.clear();
     result.points.channels.clear();
-    result.points.world_from_points = pending.dataset_from_points;
-    result.points.time_s = pending.time_s;
+    result.points.world_from_points = scan.dataset_from_points;
+    result.points.time_s = scan.time_s;
     copy_points(gathered.points, steps, result.points);
-    if (settings.coverage.empty() || !pending.is_background_shown) return result;
+    if (settings.coverage.empty() || !scan.is_background_shown) return result;
     const auto ray_at = [&](std::size_t index) {
         const std::size_t i = DevicePointComputer::sample_ray(index, rays.size());
         return RayWithSurfaceRange{
-            pending.dataset_from_sensor.pose_at(pending.time_s + double(rays.time_offset_s[i])),
+            scan.dataset_from_sensor.pose_at(scan.time_s + double(rays.time_offset_s[i])),
             glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.requested_m[index]};
     };
     result.unseen_share =
         relidar::unobserved_share(gathered.requested_m.size(), ray_at,
-                                  {settings.coverage, sweeps.sequence().world_offset_m, pending.max_range_m});
+                                  {settings.coverage, sweeps.sequence().world_offset_m, scan.max_range_m});
     return result;
 }
 

@@ -46,15 +46,15 @@ glm::dvec3 first_position(const Log& log) {
     return log.world_offset_m + (poses.empty() ? glm::dvec3(0.0) : poses.front().translation);
 }
 
-RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& infos,
+RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& inputs,
                              const glm::dvec3& first_vehicle_position_m) {
     RayDropImage image{scan.image.rows, scan.image.columns, {}, {}};
     image.circular = is_full_turn(image.rows, image.columns, scan.image.direction);
     const glm::vec3 origin_m(scan.world_from_sensor.translation - first_vehicle_position_m);
     const std::size_t n = scan.median_range_m.size();
-    image.channels.resize(infos.size() * n);
+    image.channels.resize(inputs.size() * n);
     std::size_t first = 0;
-    for (const std::uint32_t number : channel_numbers(infos)) {
+    for (const std::uint32_t number : channel_numbers(inputs)) {
         const auto channel = drop_input(scan, number, origin_m);
         parallel_blocks(n, [&](std::size_t index) { image.channels[first + index] = channel(index); });
         first += n;

@@ -67,7 +67,7 @@ struct ScanRenderer::Impl {
 
     PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                 const ScanRenderPlan& plan, SubmissionTiming timing);
-    RenderedPoints collect_points(PendingPoints& pending_points, LidarPoints memory = {});
+    RenderedPoints collect_points(PendingPoints& scan, LidarPoints memory = {});
     void finish_pending();
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;
