@@ -4,7 +4,6 @@
 // (RELIDAR_ASSERTS). Errors in files or arguments throw an Error instead.
 #pragma once
 
-/// Checks a <= b or a == b, and prints both if the check fails.
 #define RELIDAR_ASSERT_LE(a, b) RELIDAR_ASSERT_THAT(a, <=, b)
 #define RELIDAR_ASSERT_EQ(a, b) RELIDAR_ASSERT_THAT(a, ==, b)
 

@@ -22,19 +22,17 @@ std::vector<std::string_view> split_csv_cells(std::string_view line) {
     return cells;
 }
 
-std::vector<int> find_columns(const std::vector<std::string_view>& header_cells,
-                              const std::vector<std::string>& known_columns,
-                              const std::string& location_for_errors) {
-    std::vector<int> at(known_columns.size(), -1);
-    for (std::size_t c = 0; c < header_cells.size(); ++c) {
-        const auto f = static_cast<std::size_t>(
-            std::find(known_columns.begin(), known_columns.end(), header_cells[c]) - known_columns.begin());
-        if (f == known_columns.size()) {
-            fail("{}: column '{}' is unknown{} (known: {})", location_for_errors, quote(header_cells[c]),
-                 did_you_mean(header_cells[c], known_columns, "'"), fmt::join(known_columns, ", "));
+std::vector<int> find_columns(const std::vector<std::string_view>& cells,
+                              const std::vector<std::string>& known, const std::string& where) {
+    std::vector<int> at(known.size(), -1);
+    for (std::size_t c = 0; c < cells.size(); ++c) {
+        const auto f =
+            static_cast<std::size_t>(std::find(known.begin(), known.end(), cells[c]) - known.begin());
+        if (f == known.size()) {
+            fail("{}: column '{}' is unknown{} (known: {})", where, quote(cells[c]),
+                 did_you_mean(cells[c], known, "'"), fmt::join(known, ", "));
         }
-        if (at[f] >= 0)
-            fail("{}: column '{}' occurs twice, expected it once", location_for_errors, header_cells[c]);
+        if (at[f] >= 0) fail("{}: column '{}' occurs twice, expected it once", where, cells[c]);
         at[f] = static_cast<int>(c);
     }
     return at;

@@ -14,8 +14,7 @@ std::vector<std::string_view> split_csv_cells(std::string_view line);
 /// Returns -1 for a missing column.
 /// @throws DataError for an unknown column, because the values of a misspelt column would
 /// otherwise be read as 0, and for a column that occurs twice
-std::vector<int> find_columns(const std::vector<std::string_view>& header_cells,
-                              const std::vector<std::string>& known_columns,
-                              const std::string& location_for_errors);
+std::vector<int> find_columns(const std::vector<std::string_view>& cells,
+                              const std::vector<std::string>& known, const std::string& where);
 
 }  // namespace relidar

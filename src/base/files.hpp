@@ -16,10 +16,8 @@ std::string read_file(const std::filesystem::path& path);
 /// @throws DataError if the file cannot be read, or begins with a UTF-16 byte-order mark
 std::string read_text_file(const std::filesystem::path& path);
 
-/// @throws DataError if the system reports an error, for example missing permission
 bool does_path_exist(const std::filesystem::path& path);
 
-/// @throws DataError if the path is not a folder or cannot be accessed
 void require_folder(const std::filesystem::path& path, const std::string& expected_description);
 
 /// Sorted by name.

@@ -43,8 +43,8 @@ void JsonField::reject(const std::string& found, const std::string& expected) co
     fail("{}: {}, {}", location(), found, expected);
 }
 
-bool JsonField::has_member(const std::string& member_name) const {
-    return value_->is_object() && value_->contains(member_name);
+bool JsonField::has_member(const std::string& member) const {
+    return value_->is_object() && value_->contains(member);
 }
 
 JsonField JsonField::at(const std::string& key) const {
@@ -135,7 +135,7 @@ std::vector<double> JsonField::numbers() const {
     return result;
 }
 
-nlohmann::json parse_json(const std::string& text, const std::string& file_name) {
+nlohmann::json parse_json(const std::string& text, const std::string& file) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
@@ -146,7 +146,7 @@ nlohmann::json parse_json(const std::string& text, const std::string& file_name)
         // "; last read" quotes the file and can be very long.
         why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
-        fail("{}: the file is not valid JSON, or it is truncated or damaged: {}", file_name, why);
+        fail("{}: the file is not valid JSON, or it is truncated or damaged: {}", file, why);
     }
 }
 

@@ -17,11 +17,11 @@ class JsonField {
 public:
     /// @param value must outlive this object
     /// @param name empty for the root value
-    JsonField(const nlohmann::json& value, const std::string& file_name, std::string name)
-        : value_(&value), file_(&file_name), name_(std::move(name)) {}
+    JsonField(const nlohmann::json& value, const std::string& file, std::string name)
+        : value_(&value), file_(&file), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
-    bool has_member(const std::string& member_name) const;
+    bool has_member(const std::string& member) const;
     JsonField at(std::size_t index) const;  ///< Returns an entry of an array.
     std::size_t size() const;               ///< Returns the number of entries of an array.
     bool is_string() const;
@@ -56,7 +56,6 @@ private:
     std::string name_;
 };
 
-/// @throws DataError with the file and the position of the syntax error
-nlohmann::json parse_json(const std::string& text, const std::string& file_name);
+nlohmann::json parse_json(const std::string& text, const std::string& file);
 
 }  // namespace relidar

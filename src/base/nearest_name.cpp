@@ -44,18 +44,18 @@ bool contains_text(std::string_view text, std::string_view substring) {
 
 }  // namespace
 
-std::string nearest_name(std::string_view query, const std::vector<std::string>& valid_names) {
-    const auto best = std::min_element(valid_names.begin(), valid_names.end(),
+std::string nearest_name(std::string_view query, const std::vector<std::string>& names) {
+    const auto best = std::min_element(names.begin(), names.end(),
                                        [&](const std::string& first, const std::string& second) {
                                            return edit_distance(query, first) < edit_distance(query, second);
                                        });
-    return best == valid_names.end() ? std::string() : *best;
+    return best == names.end() ? std::string() : *best;
 }
 
-std::string did_you_mean(std::string_view query, const std::vector<std::string>& valid_names,
-                         std::string_view quote_mark, std::string_view text_if_none) {
+std::string did_you_mean(std::string_view query, const std::vector<std::string>& names,
+                         std::string_view quote, std::string_view otherwise) {
     std::vector<std::string> similar_names;
-    for (const std::string& name : valid_names) {
+    for (const std::string& name : names) {
         // One name contains the other, or at most 2/5 of the letters differ.
         const std::size_t max_distance =
             std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
@@ -63,12 +63,12 @@ std::string did_you_mean(std::string_view query, const std::vector<std::string>&
             contains_text(name, query))
             similar_names.push_back(name);
     }
-    if (similar_names.empty()) return std::string(text_if_none);
-    return fmt::format(", did you mean {}{}{}?", quote_mark, nearest_name(query, similar_names), quote_mark);
+    if (similar_names.empty()) return std::string(otherwise);
+    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(query, similar_names), quote);
 }
 
-std::optional<std::string> find_name(std::string_view query, const std::vector<std::string>& valid_names) {
-    for (const std::string& name : valid_names)
+std::optional<std::string> find_name(std::string_view query, const std::vector<std::string>& names) {
+    for (const std::string& name : names)
         if (std::equal(query.begin(), query.end(), name.begin(), name.end(), is_same_letter)) return name;
     return std::nullopt;
 }

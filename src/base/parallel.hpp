@@ -12,7 +12,6 @@
 
 namespace relidar {
 
-/// Number of threads that would run a loop of the calling thread, at least 1.
 std::size_t max_threads();
 
 /// Runs task(i) for every i in [0, n_tasks), on the calling thread and on idle threads of
@@ -30,7 +29,6 @@ inline std::size_t choose_block_size(std::size_t n_items) {
     return std::clamp(n_items / (kBlocksPerThread * max_threads()), kMinBlockItems, kMaxBlockItems);
 }
 
-/// Runs task(begin, end) in parallel for ranges of `range_size` items.
 template <class Task>
 void parallel_ranges(std::size_t n_items, std::size_t range_size, const Task& task) {
     parallel_for(static_cast<int>((n_items + range_size - 1) / range_size), [&](int index) {
@@ -38,7 +36,6 @@ void parallel_ranges(std::size_t n_items, std::size_t range_size, const Task& ta
     });
 }
 
-/// Each thread processes blocks of consecutive items.
 template <class Task>
 void parallel_blocks(std::size_t n_items, const Task& task) {
     parallel_ranges(n_items, choose_block_size(n_items), [&](std::size_t begin, std::size_t end) {

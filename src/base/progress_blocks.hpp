@@ -35,7 +35,6 @@ void progress_for(std::size_t n_tasks, const Progress& progress, std::string_vie
     if (progress) progress(text, 1.0);
 }
 
-/// Same, with blocks of consecutive items.
 template <class Task>
 void progress_blocks(std::size_t n_items, const Progress& progress, std::string_view text, const Task& task) {
     const std::size_t size = choose_block_size(n_items);

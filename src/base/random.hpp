@@ -28,7 +28,6 @@ public:
 
     std::uint64_t next_uint64() { return hash_integer(state_ += 0x9E3779B97F4A7C15ull); }
 
-    /// For saving and restoring.
     std::uint64_t& state() { return state_; }
 
     double sample_uniform() { return static_cast<double>(next_uint64() >> 11) * 0x1.0p-53; }

@@ -16,7 +16,6 @@ struct SharedBytes {
     std::shared_ptr<const void> memory;
     std::string_view bytes;
 
-    /// Shares the memory.
     SharedBytes share_part(std::string_view subview) const { return {memory, subview}; }
 };
 

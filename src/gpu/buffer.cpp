@@ -114,11 +114,10 @@ VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
-VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements,
-                                       std::uint64_t max_piece_bytes) {
-    for (std::uint64_t offset = 0; offset < requirements.size; offset += max_piece_bytes) {
+VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes) {
+    for (std::uint64_t offset = 0; offset < requirements.size; offset += max_bytes) {
         VkMemoryRequirements piece_needs = requirements;
-        piece_needs.size = std::min(max_piece_bytes, requirements.size - offset);
+        piece_needs.size = std::min(max_bytes, requirements.size - offset);
         gpu::MemorySuballocation piece;
         const VkResult result = device->memory->suballocate(piece_needs, use, piece);
         if (result != VK_SUCCESS) return result;
@@ -127,11 +126,10 @@ VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements,
     return device->bind_sparse(handle, memory);
 }
 
-VkResult Device::Impl::bind_sparse(VkBuffer buffer,
-                                   const std::vector<gpu::MemorySuballocation>& memory_pieces) {
+VkResult Device::Impl::bind_sparse(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& pieces) {
     std::vector<VkSparseMemoryBind> binds;
     VkDeviceSize offset = 0;
-    for (const gpu::MemorySuballocation& piece : memory_pieces) {
+    for (const gpu::MemorySuballocation& piece : pieces) {
         binds.push_back({offset, piece.n_bytes, piece.block->memory, piece.offset, 0});
         offset += piece.n_bytes;
     }

@@ -17,16 +17,15 @@ struct Buffer::Impl {
     std::size_t n_bytes = 0;
     std::byte* mapped = nullptr;
 
-    /// @throws OutOfDeviceMemory if memory is exhausted or the buffer is too large
     Impl(Device::Impl& device, std::size_t n_bytes, gpu::BufferPurpose use, const std::string& text);
     ~Impl();
     Impl(const Impl&) = delete;
     Impl& operator=(const Impl&) = delete;
 
 private:
-    /// As one piece, or (sparse binding) as pieces of at most `max_piece_bytes`.
+    /// As one piece, or (sparse binding) as pieces of at most `max_bytes`.
     VkResult allocate(const VkMemoryRequirements& requirements);
-    VkResult allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_piece_bytes);
+    VkResult allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes);
 };
 
 }  // namespace relidar

@@ -61,34 +61,32 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperationNames = {
 constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
-/// Results of all subgroup operations for the thread `lane_index` of a subgroup.
-std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lane_values,
-                                                                  std::size_t lane_index,
-                                                                  std::uint32_t sum_of_earlier_subgroups,
-                                                                  std::uint32_t workgroup_sum) {
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lanes, std::size_t lane,
+                                                                  std::uint32_t earlier_sum,
+                                                                  std::uint32_t total) {
     std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
-    for (std::size_t i = 0; i < lane_values.size(); ++i) {
-        const std::uint32_t x = lane_values[i];
+    for (std::size_t i = 0; i < lanes.size(); ++i) {
+        const std::uint32_t x = lanes[i];
         sum += x;
-        if (i < lane_index) earlier += x;
+        if (i < lane) earlier += x;
         largest = std::max(largest, x);
         if (x & 1u) {
             ++n_odd;
             odd_sum += x;
         }
     }
-    const auto size = static_cast<std::uint32_t>(lane_values.size());
+    const auto size = static_cast<std::uint32_t>(lanes.size());
     return {size,
             sum,
             earlier,
             largest,
             n_odd,
-            lane_values[lane_index ^ 1u],
+            lanes[lane ^ 1u],
             (n_odd > 0 ? 1u : 0u) + (n_odd == size ? 2u : 0u),
-            lane_values.front(),
-            lane_values[lane_index] & 1u ? odd_sum : 0u,
-            sum_of_earlier_subgroups + earlier,
-            workgroup_sum};
+            lanes.front(),
+            lanes[lane] & 1u ? odd_sum : 0u,
+            earlier_sum + earlier,
+            total};
 }
 
 std::string run_subgroup_test(Device& device) {
@@ -123,7 +121,6 @@ std::string run_subgroup_test(Device& device) {
     return {};
 }
 
-/// Returns an empty text if the order is right.
 std::string run_sort_test(Device& device) {
     if (!device.info().can_require_subgroup_size) return {};
     constexpr std::uint32_t kCheckKeys = 5000;

@@ -54,9 +54,9 @@ std::string vk_result_name(VkResult result) {
 namespace {
 
 VkBool32 on_validation(VkDebugUtilsMessageSeverityFlagBitsEXT, VkDebugUtilsMessageTypeFlagsEXT,
-                       const VkDebugUtilsMessengerCallbackDataEXT* message_data, void* instance_pointer) {
-    static_cast<VulkanInstance*>(instance_pointer)->n_messages++;
-    std::fprintf(stderr, "validation: %s\n", message_data->pMessage);
+                       const VkDebugUtilsMessengerCallbackDataEXT* message, void* instance) {
+    static_cast<VulkanInstance*>(instance)->n_messages++;
+    std::fprintf(stderr, "validation: %s\n", message->pMessage);
     return VK_FALSE;
 }
 

@@ -27,7 +27,6 @@ class PipelineCache;
 class BufferTransfers;
 
 void vk_check(VkResult result, const char* call_name);
-/// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
 [[noreturn]] void vk_fail(VkResult result, const std::string& message);
 std::string vk_result_name(VkResult result);
 
@@ -52,25 +51,21 @@ struct VulkanInstance {
 
     explicit VulkanInstance(bool validation);
     ~VulkanInstance();
-    VulkanInstance(const VulkanInstance&) = delete;
-    VulkanInstance& operator=(const VulkanInstance&) = delete;
 
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
-/// Has no effect if the Vulkan loader lacks VK_EXT_debug_utils.
 template <class Handle>
-void set_object_name(VkDevice device, VkObjectType object_type, Handle handle,
-                     const std::string& object_name) {
+void set_object_name(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
     if (!vkSetDebugUtilsObjectNameEXT) return;
     VkDebugUtilsObjectNameInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT};
-    info.objectType = object_type;
+    info.objectType = type;
     info.objectHandle = reinterpret_cast<std::uint64_t>(handle);
-    info.pObjectName = object_name.c_str();
+    info.pObjectName = name.c_str();
     vkSetDebugUtilsObjectNameEXT(device, &info);
 }
 
-bool has_extension(VkPhysicalDevice physical_device, const char* extension_name);
+bool has_extension(VkPhysicalDevice physical, const char* extension_name);
 
 struct Missing {
     std::string text;
@@ -88,17 +83,17 @@ struct OptionalFeatures {
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
-OptionalFeatures query_features(VkPhysicalDevice physical_device);
+OptionalFeatures query_features(VkPhysicalDevice physical);
 
-bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-                           const OptionalFeatures& optional_features);
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-                                 const OptionalFeatures& optional_features);
+bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                           const OptionalFeatures& optional);
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroups,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional);
 
-std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-                                 const OptionalFeatures& optional_features);
+std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroups,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional);
 
 /// Kernels with equal names, constants and subgroup requirements share one pipeline until
 /// the device is closed, because trainings and renderers create dozens of kernels.
@@ -115,7 +110,7 @@ struct ComputePipelines {
                                         std::ptrdiff_t(max_threads())};
 };
 
-DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index);
+DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index);
 
 }  // namespace relidar::gpu
 
@@ -135,14 +130,11 @@ struct Device::Impl {
     std::uint64_t timestamp_mask = ~std::uint64_t(0);  ///< valid bits of the queue's time stamps
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// True if a buffer may consist of several allocations (Vulkan's sparse binding).
     bool binds_sparse = false;
     struct DriverMemoryLimit {
         std::uint64_t n_bytes;
         const char* name;
     };
-    /// If `binds_sparse` is true, an array larger than largest_allocation consists of
-    /// several allocations.
     DriverMemoryLimit largest_buffer{}, largest_allocation{};
     std::unique_ptr<gpu::DeviceMemoryAllocator> memory;
     std::unique_ptr<gpu::BufferTransfers> transfers;
@@ -156,15 +148,12 @@ struct Device::Impl {
     std::unique_ptr<Buffer::Impl> nothing;
     std::uint64_t memory_limit_bytes = 0;  ///< Maximum size of all arrays in bytes. 0 means no limit.
     bool compile_only = false;
-    /// The device failed the test of atomic additions with both methods.
     bool wrong_sums = false;
-    /// The device failed the test with the driver's default size of subgroups.
     bool forced_lanes = false;
     ForcedBehaviour forced;  ///< Behaviour that a test has selected instead of the default.
     /// On a GPU. On a CPU, each pipeline is compiled at its first launch.
     bool compiles_ahead = false;
     bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
-    /// Only if the device was opened for compilation only.
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Total size of all allocated arrays, in bytes.
     std::atomic<std::uint64_t> peak{0};
@@ -189,14 +178,10 @@ struct Device::Impl {
     void create_device();
     void query_limits();
     void create_layout();
-    /// Locks a mutex, because only one thread at a time may use a queue.
     void submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence = VK_NULL_HANDLE);
-    /// Ignores errors, because destructors call this function.
     void wait_idle() noexcept;
-    /// Waits until the queue has bound all pieces.
-    VkResult bind_sparse(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& memory_pieces);
+    VkResult bind_sparse(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& pieces);
     void destroy_buffer(const OrphanedBuffer& buffer) noexcept;
-    /// Does nothing if a stream still has recorded commands.
     void free_orphans();
 };
 

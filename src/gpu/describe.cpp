@@ -15,10 +15,10 @@ namespace relidar::gpu {
 
 namespace {
 
-std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical_device) {
+std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical) {
     return enumerate<VkExtensionProperties>(
         "vkEnumerateDeviceExtensionProperties", [&](std::uint32_t* n, auto* properties) {
-            return vkEnumerateDeviceExtensionProperties(physical_device, nullptr, n, properties);
+            return vkEnumerateDeviceExtensionProperties(physical, nullptr, n, properties);
         });
 }
 
@@ -37,9 +37,9 @@ const char* device_type_name(VkPhysicalDeviceType device_type) {
     }
 }
 
-std::uint64_t largest_heap_bytes(VkPhysicalDevice physical_device) {
+std::uint64_t largest_heap_bytes(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryProperties memory;
-    vkGetPhysicalDeviceMemoryProperties(physical_device, &memory);
+    vkGetPhysicalDeviceMemoryProperties(physical, &memory);
     std::uint64_t largest = 0;
     for (std::uint32_t i = 0; i < memory.memoryHeapCount; ++i)
         if (memory.memoryHeaps[i].flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT)
@@ -58,24 +58,24 @@ bool contains_extension(const std::vector<VkExtensionProperties>& extensions, co
 
 }  // namespace
 
-OptionalFeatures query_features(VkPhysicalDevice physical_device) {
+OptionalFeatures query_features(VkPhysicalDevice physical) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
-    vkGetPhysicalDeviceProperties2(physical_device, &properties);
+    vkGetPhysicalDeviceProperties2(physical, &properties);
     VkPhysicalDeviceShaderSubgroupUniformControlFlowFeaturesKHR uniform{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_FEATURES_KHR};
     VkPhysicalDeviceSubgroupSizeControlFeatures control{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical_device);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
     uniform.pNext = &maximal;
 #endif
-    vkGetPhysicalDeviceFeatures2(physical_device, &features);
+    vkGetPhysicalDeviceFeatures2(physical, &features);
     optional.subgroup_size = sizes.minSubgroupSize != sizes.maxSubgroupSize && control.subgroupSizeControl &&
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
     optional.full_subgroups = control.computeFullSubgroups;
@@ -90,10 +90,10 @@ OptionalFeatures query_features(VkPhysicalDevice physical_device) {
     return optional;
 }
 
-bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-                           const OptionalFeatures& optional_features) {
-    return size_control_properties.minSubgroupSize == size_control_properties.maxSubgroupSize ||
-           (optional_features.subgroup_size && optional_features.full_subgroups);
+bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                           const OptionalFeatures& optional) {
+    return sizes.minSubgroupSize == sizes.maxSubgroupSize ||
+           (optional.subgroup_size && optional.full_subgroups);
 }
 
 /// lavapipe on arm64 with LLVM 19 or older ignores failed stores on a CPU without LSE
@@ -112,39 +112,37 @@ bool loses_float_adds([[maybe_unused]] const VkPhysicalDeviceDriverProperties& d
 
 constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
-std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-                                 const OptionalFeatures& optional_features) {
+std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroups,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional) {
     const auto operations = [&](VkSubgroupFeatureFlags required) {
-        return (subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-               (subgroup_properties.supportedOperations & required) == required;
+        return (subgroups.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+               (subgroups.supportedOperations & required) == required;
     };
     Missing groups;
     groups.require(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
     groups.require(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
     groups.require(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
     groups.require(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
-    groups.require(
-        size_control_properties.minSubgroupSize >= 4 && size_control_properties.maxSubgroupSize <= 64,
-        "subgroups with 4 to 64 lanes");
-    groups.require(can_fix_subgroup_size(size_control_properties, optional_features),
+    groups.require(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups with 4 to 64 lanes");
+    groups.require(can_fix_subgroup_size(sizes, optional),
                    "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup_properties,
-                                 const VkPhysicalDeviceSubgroupSizeControlProperties& size_control_properties,
-                                 const OptionalFeatures& optional_features) {
+std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroups,
+                                 const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                                 const OptionalFeatures& optional) {
     Missing groups;
-    groups.require(subgroup_properties.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
+    groups.require(subgroups.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
                    "subgroup shuffles in compute");
-    groups.require(can_fix_subgroup_size(size_control_properties, optional_features),
+    groups.require(can_fix_subgroup_size(sizes, optional),
                    "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
 
-bool has_extension(VkPhysicalDevice physical_device, const char* extension_name) {
-    return contains_extension(list_extensions(physical_device), extension_name);
+bool has_extension(VkPhysicalDevice physical, const char* extension_name) {
+    return contains_extension(list_extensions(physical), extension_name);
 }
 
 namespace {
@@ -153,7 +151,7 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
                                 const VkPhysicalDeviceDriverProperties& driver_properties,
                                 const VkPhysicalDeviceVulkan12Features& vulkan_1_2_features,
                                 const VkPhysicalDeviceVulkan13Features& vulkan_1_3_features,
-                                const VkPhysicalDeviceSubgroupProperties& subgroup_properties) {
+                                const VkPhysicalDeviceSubgroupProperties& subgroups) {
     Missing base;
     base.require(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
     // Older compilers of lavapipe terminate the process on some CPUs (docs/debugging.md).
@@ -168,11 +166,10 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
     base.require(vulkan_1_2_features.timelineSemaphore, "timelineSemaphore");
     base.require(vulkan_1_2_features.hostQueryReset, "hostQueryReset");
     base.require(vulkan_1_3_features.maintenance4, "maintenance4");
-    base.require((subgroup_properties.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-                     (subgroup_properties.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+    base.require((subgroups.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+                     (subgroups.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
                  "subgroup arithmetic and ballots in compute");
-    base.require(subgroup_properties.subgroupSize >= 4 && subgroup_properties.subgroupSize <= 64,
-                 "subgroups with 4 to 64 lanes");
+    base.require(subgroups.subgroupSize >= 4 && subgroups.subgroupSize <= 64, "subgroups with 4 to 64 lanes");
     return base.text;
 }
 
@@ -190,15 +187,15 @@ std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& exte
 
 }  // namespace
 
-DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) {
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical_device);
+DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index) {
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
     VkPhysicalDeviceSubgroupProperties subgroup{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_PROPERTIES,
                                                 &sizes};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &subgroup};
-    vkGetPhysicalDeviceProperties2(physical_device, &properties);
+    vkGetPhysicalDeviceProperties2(physical, &properties);
 
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -210,8 +207,8 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) 
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
-    if (is_13) vkGetPhysicalDeviceFeatures2(physical_device, &features);
-    const OptionalFeatures optional = is_13 ? query_features(physical_device) : OptionalFeatures();
+    if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
+    const OptionalFeatures optional = is_13 ? query_features(physical) : OptionalFeatures();
 
     DeviceInfo info;
     info.index = device_index;
@@ -223,7 +220,7 @@ DeviceInfo make_device_info(VkPhysicalDevice physical_device, int device_index) 
     info.api_version =
         fmt::format("{}.{}.{}", VK_API_VERSION_MAJOR(packed_version), VK_API_VERSION_MINOR(packed_version),
                     VK_API_VERSION_PATCH(packed_version));
-    info.memory_bytes = largest_heap_bytes(physical_device);
+    info.memory_bytes = largest_heap_bytes(physical);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
     info.float_atomics = contains_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&

@@ -10,8 +10,8 @@ namespace relidar {
 
 std::size_t validation_count(const Device& device) { return device.impl().instance->n_messages; }
 
-ForcedBehaviourScope::ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced_behaviour)
-    : device_(device), before_(std::exchange(device.impl().forced, forced_behaviour)) {}
+ForcedBehaviourScope::ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced)
+    : device_(device), before_(std::exchange(device.impl().forced, forced)) {}
 ForcedBehaviourScope::~ForcedBehaviourScope() { device_.impl().forced = before_; }
 
 bool should_coalesce(const Device& device) {

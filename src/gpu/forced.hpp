@@ -9,10 +9,8 @@
 
 namespace relidar {
 
-/// Warnings and errors of the Vulkan validation layer.
 std::size_t validation_count(const Device& device);
 
-/// Behaviour of a device that a test can select instead of the default of the device.
 struct ForcedBehaviour {
     bool brute_force = false;
     /// Whether neighbouring threads access neighbouring floats. Default: not on a CPU.
@@ -23,7 +21,7 @@ struct ForcedBehaviour {
 /// While an object of this class exists, new objects on the device behave as forced.
 class ForcedBehaviourScope {
 public:
-    ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced_behaviour);
+    ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced);
     ~ForcedBehaviourScope();
     ForcedBehaviourScope(const ForcedBehaviourScope&) = delete;
     ForcedBehaviourScope& operator=(const ForcedBehaviourScope&) = delete;

@@ -43,18 +43,18 @@ bool skips_dead_loads(const std::string& driver_name) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_view kernel_name_with_variant,
-                                        std::string_view kernel_base_name,
+std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_view name,
+                                        std::string_view base,
                                         const std::vector<SpecialisationConstant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words =
-        gpu::mark_params_readonly(gpu::remove_branches(embedded_spirv(kernel_name_with_variant), values));
+        gpu::mark_params_readonly(gpu::remove_branches(embedded_spirv(name), values));
     if (device.info.driver.starts_with("llvmpipe")) {
         if (!skips_dead_loads(device.info.driver)) words = gpu::make_nonuniform(words);
         words = gpu::hoist_loads(words);
     }
-    if (std::find(kReconvergingKernels.begin(), kReconvergingKernels.end(), kernel_base_name) !=
+    if (std::find(kReconvergingKernels.begin(), kReconvergingKernels.end(), base) !=
         kReconvergingKernels.end()) {
         if (device.optional.maximal_reconvergence)
             return gpu::add_execution_mode(words, gpu::kMaximallyReconverges);
@@ -65,17 +65,17 @@ std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_
 }
 
 gpu::ComputePipelines::CompiledPipeline create_pipeline(Device::Impl& device,
-                                                        std::span<const std::uint32_t> spirv_words,
-                                                        const std::string& debug_name,
+                                                        std::span<const std::uint32_t> words,
+                                                        const std::string& name,
                                                         const std::vector<SpecialisationConstant>& constants,
-                                                        SubgroupRequirement subgroup_requirement) {
+                                                        SubgroupRequirement subgroups) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
-    module_info.codeSize = spirv_words.size_bytes();
-    module_info.pCode = spirv_words.data();
+    module_info.codeSize = words.size_bytes();
+    module_info.pCode = words.data();
     VkShaderModule module = VK_NULL_HANDLE;
     gpu::vk_check(vkCreateShaderModule(device.device, &module_info, nullptr, &module),
                   "vkCreateShaderModule");
-    gpu::set_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, debug_name);
+    gpu::set_object_name(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, name);
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < constants.size(); ++i)
         map.push_back({static_cast<std::uint32_t>(constants[i].id),
@@ -97,10 +97,9 @@ gpu::ComputePipelines::CompiledPipeline create_pipeline(Device::Impl& device,
     VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{
         VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
     lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
-    if ((subgroup_requirement == SubgroupRequirement::full || device.forced_lanes) &&
-        device.optional.subgroup_size)
+    if ((subgroups == SubgroupRequirement::full || device.forced_lanes) && device.optional.subgroup_size)
         info.stage.pNext = &lanes;
-    if (subgroup_requirement == SubgroupRequirement::full && device.optional.full_subgroups)
+    if (subgroups == SubgroupRequirement::full && device.optional.full_subgroups)
         info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
     const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
@@ -108,11 +107,10 @@ gpu::ComputePipelines::CompiledPipeline create_pipeline(Device::Impl& device,
     made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     if (made.result == VK_SUCCESS)
-        gpu::set_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, debug_name);
+        gpu::set_object_name(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, name);
     return made;
 }
 
-/// Occupies one of the limited slots for compiling a pipeline.
 class CompilerSlot {
 public:
     explicit CompilerSlot(std::counting_semaphore<>& free_compiler_slots) : compilers_(free_compiler_slots) {
@@ -124,13 +122,13 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-std::string format_constants(std::span<const std::uint32_t> spirv_words,
+std::string format_constants(std::span<const std::uint32_t> words,
                              std::vector<SpecialisationConstant> constants) {
     std::sort(constants.begin(), constants.end(),
               [](const SpecialisationConstant& first, const SpecialisationConstant& second) {
                   return first.id < second.id;
               });
-    const std::set<std::uint32_t> of_module = gpu::list_constants(spirv_words);
+    const std::set<std::uint32_t> of_module = gpu::list_constants(words);
     std::string text;
     for (const SpecialisationConstant& c : constants) {
         if (c.id == SpecialisationConstantId::WORKGROUP_SIZE ||
@@ -142,19 +140,19 @@ std::string format_constants(std::span<const std::uint32_t> spirv_words,
 }
 
 /// Creates the pipeline if no kernel with the same name and constants exists.
-/// @param launch_mode at its first use (deferred), or immediately in another thread
+/// @param mode at its first use (deferred), or immediately in another thread
 /// (async)
 std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_pipeline(Device::Impl& device,
                                                                           const KernelBase::Impl& kernel,
-                                                                          std::launch launch_mode) {
+                                                                          std::launch mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
     std::string key = fmt::format("{} {}", kernel.module, kernel.subgroups == SubgroupRequirement::full);
     for (const SpecialisationConstant& c : kernel.constants)
         key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
     std::shared_future<gpu::ComputePipelines::CompiledPipeline>& made = device.pipelines.by_key[key];
     if (!made.valid())
-        made = std::async(launch_mode, [&device, module = kernel.module, stem = kernel.name,
-                                        constants = kernel.constants, subgroups = kernel.subgroups] {
+        made = std::async(mode, [&device, module = kernel.module, stem = kernel.name,
+                                 constants = kernel.constants, subgroups = kernel.subgroups] {
             const CompilerSlot compiler_slot(device.pipelines.compilers);
             const std::string constants_shown = format_constants(embedded_spirv(module), constants);
             return create_pipeline(device, kernel_spirv(device, module, stem, constants),
@@ -178,15 +176,14 @@ const char* constant_name(SpecialisationConstantId constant_id) {
 }
 
 KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
-                       const std::vector<SpecialisationConstant>& constants,
-                       SubgroupRequirement subgroup_requirement)
+                       const std::vector<SpecialisationConstant>& constants, SubgroupRequirement subgroups)
     : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
     impl_->module = std::string(kernel_name);
     impl_->name = std::string(kernel_name.substr(0, kernel_name.find('@')));
     impl_->constants = constants;
-    impl_->subgroups = subgroup_requirement;
+    impl_->subgroups = subgroups;
     std::vector<SpecialisationConstant>& all = impl_->constants;
     const auto size = std::find_if(all.begin(), all.end(), [](const SpecialisationConstant& c) {
         return c.id == SpecialisationConstantId::WORKGROUP_SIZE;

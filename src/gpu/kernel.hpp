@@ -23,7 +23,6 @@ struct EmbeddedKernel {
 
 std::span<const EmbeddedKernel> embedded_kernels();
 
-/// Ids of specialisation constants. The shaders use the same names.
 enum class SpecialisationConstantId : std::uint32_t {
 #define RELIDAR_CONSTANT_ID(name, id) name = id,
     RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
@@ -40,7 +39,6 @@ struct SpecialisationConstant {
 /// some compilers choose smaller ones.
 enum class SubgroupRequirement { any, full };
 
-/// Returns an empty text if the kernel is unknown.
 constexpr std::string_view params_name(std::string_view kernel_name) {
     for (const auto& [kernel, params] : kKernelParams)
         if (kernel == kernel_name) return params;
@@ -64,10 +62,8 @@ public:
     /// launch. If the driver rejects the kernel, the first launch throws a DeviceError.
     KernelBase(Device& device, std::string_view kernel_name,
                const std::vector<SpecialisationConstant>& constants = {},
-               SubgroupRequirement subgroup_requirement = SubgroupRequirement::any);
+               SubgroupRequirement subgroups = SubgroupRequirement::any);
     ~KernelBase();
-    KernelBase(const KernelBase&) = delete;
-    KernelBase& operator=(const KernelBase&) = delete;
 
     struct Impl;
     Impl& impl() const { return *impl_; }

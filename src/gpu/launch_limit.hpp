@@ -16,11 +16,9 @@ namespace relidar::gpu {
 /// simultaneously, one measurement can be lost.
 class KernelSpeed {
 public:
-    /// Number of workgroups per dispatch for a kernel whose speed is unknown.
     static constexpr std::uint32_t kUnknownGroups = 4096;
 
     std::uint32_t workgroups_for(double target_dispatch_s) const;
-    /// Returns 0 if the speed is unknown.
     double estimate_s(std::uint32_t n_workgroups) const;
     /// The first 8 dispatches of a kernel are measured, and then every 64th.
     bool should_measure(double target_dispatch_s, std::uint32_t n_workgroups);

@@ -35,13 +35,13 @@ std::vector<VkMemoryPropertyFlags> preferred_flags(BufferPurpose purpose) {
 
 }  // namespace
 
-MemoryBudget query_budget(VkPhysicalDevice physical_device) {
+MemoryBudget query_budget(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};
     VkPhysicalDeviceMemoryProperties2 memory{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_PROPERTIES_2};
-    const bool has_budgets = has_extension(physical_device, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
+    const bool has_budgets = has_extension(physical, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
     if (has_budgets) memory.pNext = &budgets;
-    vkGetPhysicalDeviceMemoryProperties2(physical_device, &memory);
+    vkGetPhysicalDeviceMemoryProperties2(physical, &memory);
     MemoryBudget largest;
     for (std::uint32_t i = 0; i < memory.memoryProperties.memoryHeapCount; ++i) {
         const VkMemoryHeap& heap = memory.memoryProperties.memoryHeaps[i];
@@ -53,12 +53,10 @@ MemoryBudget query_budget(VkPhysicalDevice physical_device) {
     return largest;
 }
 
-std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes,
-                                                        std::uint64_t alignment_bytes) {
+std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes, std::uint64_t alignment) {
     for (auto range = ranges_.begin(); range != ranges_.end(); ++range) {
         const auto [begin, size] = *range;
-        const std::uint64_t offset = (begin + alignment_bytes - 1) / alignment_bytes * alignment_bytes,
-                            end = begin + size;
+        const std::uint64_t offset = (begin + alignment - 1) / alignment * alignment, end = begin + size;
         if (offset > end || end - offset < n_bytes) continue;
         ranges_.erase(range);
         if (offset > begin) ranges_[begin] = offset - begin;
@@ -85,9 +83,8 @@ void FreeRanges::release_range(std::uint64_t offset, std::uint64_t n_bytes) {
     ranges_[offset] = n_bytes;
 }
 
-DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical_device, VkDevice device)
-    : device_(device) {
-    vkGetPhysicalDeviceMemoryProperties(physical_device, &properties_);
+DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device) : device_(device) {
+    vkGetPhysicalDeviceMemoryProperties(physical, &properties_);
 }
 
 DeviceMemoryAllocator::~DeviceMemoryAllocator() {
@@ -95,9 +92,8 @@ DeviceMemoryAllocator::~DeviceMemoryAllocator() {
 }
 
 /// Smaller for a small heap, for example the 256 MiB that a host can access.
-std::uint64_t DeviceMemoryAllocator::new_block_bytes(std::uint32_t memory_type_index) const {
-    const std::uint64_t heap_bytes =
-        properties_.memoryHeaps[properties_.memoryTypes[memory_type_index].heapIndex].size;
+std::uint64_t DeviceMemoryAllocator::new_block_bytes(std::uint32_t type) const {
+    const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
     // Drivers without hardware report a heap size of 0.
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
@@ -122,8 +118,8 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequi
 }
 
 std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
-    const VkMemoryRequirements& requirements, std::uint32_t memory_type_index) {
-    for (const std::unique_ptr<MemoryBlock>& block : blocks_[memory_type_index])
+    const VkMemoryRequirements& requirements, std::uint32_t type) {
+    for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])
         if (const auto offset = block->free.allocate_range(
                 requirements.size, std::max(requirements.alignment, kBufferAlignment)))
             return MemorySuballocation{block.get(), *offset, requirements.size};
@@ -147,34 +143,32 @@ VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirem
 }
 
 VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& requirements,
-                                                   std::uint32_t memory_type_index,
+                                                   std::uint32_t type,
                                                    std::optional<MemorySuballocation>& suballocation) {
-    const std::uint64_t shared = new_block_bytes(memory_type_index);
+    const std::uint64_t shared = new_block_bytes(type);
     VkResult result = VK_SUCCESS;
-    // First tries a block that several buffers can share.
     for (const std::uint64_t n_bytes :
          {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
-        result = allocate_block(memory_type_index, n_bytes);
-        if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, memory_type_index)))
-            return VK_SUCCESS;
-        release_empty(memory_type_index, 0);
+        result = allocate_block(type, n_bytes);
+        if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, type))) return VK_SUCCESS;
+        release_empty(type, 0);
     }
     return result;
 }
 
-VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t memory_type_index, std::uint64_t n_bytes) {
+VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t type, std::uint64_t n_bytes) {
     VkMemoryAllocateFlagsInfo flags{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
     flags.flags = VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
     VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
     info.allocationSize = n_bytes;
-    info.memoryTypeIndex = memory_type_index;
+    info.memoryTypeIndex = type;
     auto block = std::make_unique<MemoryBlock>(
-        MemoryBlock{VK_NULL_HANDLE, memory_type_index, n_bytes, nullptr, FreeRanges(n_bytes)});
+        MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes)});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
     if (result != VK_SUCCESS) return result;
     set_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
-                    fmt::format("block of {} MiB, type {}", n_bytes >> 20, memory_type_index));
-    blocks_[memory_type_index].push_back(std::move(block));
+                    fmt::format("block of {} MiB, type {}", n_bytes >> 20, type));
+    blocks_[type].push_back(std::move(block));
     return result;
 }
 
@@ -187,17 +181,16 @@ VkResult DeviceMemoryAllocator::map_block(MemoryBlock& block) {
 }
 
 /// Keeps one empty block of each memory type for short-lived buffers.
-void DeviceMemoryAllocator::release(const MemorySuballocation& suballocation) {
+void DeviceMemoryAllocator::release(const MemorySuballocation& result) {
     const std::lock_guard lock(mutex_);
-    suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
-    if (suballocation.block->free.is_all_free()) release_empty(suballocation.block->type, 1);
+    result.block->free.release_range(result.offset, result.n_bytes);
+    if (result.block->free.is_all_free()) release_empty(result.block->type, 1);
 }
 
-/// @param n_blocks_to_keep number of empty blocks of normal size that are kept
-void DeviceMemoryAllocator::release_empty(std::uint32_t memory_type_index, std::size_t n_blocks_to_keep) {
-    std::erase_if(blocks_[memory_type_index], [&](const std::unique_ptr<MemoryBlock>& block) {
+void DeviceMemoryAllocator::release_empty(std::uint32_t type, std::size_t n_blocks_to_keep) {
+    std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {
         if (!block->free.is_all_free()) return false;
-        if (n_blocks_to_keep > 0 && block->n_bytes == new_block_bytes(memory_type_index)) {
+        if (n_blocks_to_keep > 0 && block->n_bytes == new_block_bytes(type)) {
             --n_blocks_to_keep;
             return false;
         }

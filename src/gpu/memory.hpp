@@ -36,14 +36,14 @@ struct MemoryBudget {
 };
 /// With VK_EXT_memory_budget, memory of other programs is subtracted. Otherwise n_used is
 /// 0.
-MemoryBudget query_budget(VkPhysicalDevice physical_device);
+MemoryBudget query_budget(VkPhysicalDevice physical);
 
 class FreeRanges {
 public:
     explicit FreeRanges(std::uint64_t n_bytes) : n_bytes_(n_bytes), ranges_{{0, n_bytes}} {}
     /// First fit.
-    /// @param alignment_bytes a power of two
-    std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment_bytes);
+    /// @param alignment a power of two
+    std::optional<std::uint64_t> allocate_range(std::uint64_t n_bytes, std::uint64_t alignment);
     void release_range(std::uint64_t offset, std::uint64_t n_bytes);
     bool is_all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
@@ -67,20 +67,17 @@ struct MemorySuballocation {
     std::uint64_t n_bytes = 0;
 };
 
-/// Allocator for all memory of a device. Thread-safe.
 class DeviceMemoryAllocator {
 public:
     static constexpr std::uint64_t kBlockBytes = std::uint64_t(64) << 20;
 
-    DeviceMemoryAllocator(VkPhysicalDevice physical_device, VkDevice device);
+    DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device);
     ~DeviceMemoryAllocator();
-    DeviceMemoryAllocator(const DeviceMemoryAllocator&) = delete;
-    DeviceMemoryAllocator& operator=(const DeviceMemoryAllocator&) = delete;
 
     /// @return result of the driver for the last memory type that was tried
     VkResult suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
-                         MemorySuballocation& suballocation);
-    void release(const MemorySuballocation& suballocation);
+                         MemorySuballocation& result);
+    void release(const MemorySuballocation& result);
     std::size_t block_count() const;
 
 private:
@@ -93,14 +90,14 @@ private:
 
     std::vector<std::uint32_t> find_types(const VkMemoryRequirements& requirements,
                                           BufferPurpose purpose) const;
-    std::uint64_t new_block_bytes(std::uint32_t memory_type_index) const;
+    std::uint64_t new_block_bytes(std::uint32_t type) const;
     std::optional<MemorySuballocation> place_in_block(const VkMemoryRequirements& requirements,
-                                                      std::uint32_t memory_type_index);
-    VkResult place_in_new_block(const VkMemoryRequirements& requirements, std::uint32_t memory_type_index,
-                                std::optional<MemorySuballocation>& suballocation);
+                                                      std::uint32_t type);
+    VkResult place_in_new_block(const VkMemoryRequirements& requirements, std::uint32_t type,
+                                std::optional<MemorySuballocation>& result);
     VkResult map_block(MemoryBlock& block);
-    VkResult allocate_block(std::uint32_t memory_type_index, std::uint64_t n_bytes);
-    void release_empty(std::uint32_t memory_type_index, std::size_t n_blocks_to_keep);
+    VkResult allocate_block(std::uint32_t type, std::uint64_t n_bytes);
+    void release_empty(std::uint32_t type, std::size_t n_blocks_to_keep);
 };
 
 }  // namespace relidar::gpu

@@ -37,8 +37,7 @@ PipelineCacheHeader make_cache_header(std::string_view cache_data) {
 }
 
 /// Empty if the file is missing, truncated, damaged, or from another driver.
-std::string read_cache(const std::filesystem::path& path,
-                       const VkPhysicalDeviceProperties& device_properties) {
+std::string read_cache(const std::filesystem::path& path, const VkPhysicalDeviceProperties& properties) {
     std::ifstream file(path, std::ios::binary);
     PipelineCacheHeader header;
     if (!file.read(reinterpret_cast<char*>(&header), sizeof header)) return {};
@@ -52,8 +51,8 @@ std::string read_cache(const std::filesystem::path& path,
     std::memcpy(&driver, bytes.data(), sizeof driver);
     const bool same_driver =
         driver.headerVersion == VK_PIPELINE_CACHE_HEADER_VERSION_ONE &&
-        driver.vendorID == device_properties.vendorID && driver.deviceID == device_properties.deviceID &&
-        std::memcmp(driver.pipelineCacheUUID, device_properties.pipelineCacheUUID, VK_UUID_SIZE) == 0;
+        driver.vendorID == properties.vendorID && driver.deviceID == properties.deviceID &&
+        std::memcmp(driver.pipelineCacheUUID, properties.pipelineCacheUUID, VK_UUID_SIZE) == 0;
     return header.magic == expected.magic && header.hash == expected.hash && same_driver ? bytes
                                                                                          : std::string();
 }
@@ -73,18 +72,17 @@ void write_cache_file(const std::filesystem::path& path, std::string_view bytes)
     if (!file || failed) std::filesystem::remove(temporary, failed);
 }
 
-std::string cache_file_name(const VkPhysicalDeviceProperties& device_properties) {
+std::string cache_file_name(const VkPhysicalDeviceProperties& properties) {
     std::string uuid;
-    for (const std::uint8_t byte : device_properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
-    return fmt::format("{:04x}_{:04x}_{}", device_properties.vendorID, device_properties.deviceID, uuid);
+    for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
+    return fmt::format("{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
 }
 
-PipelineCache::PipelineCache(VkPhysicalDevice physical_device, VkDevice device,
-                             const std::filesystem::path& cache_folder)
+PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder)
     : device_(device) {
     VkPhysicalDeviceProperties properties;
-    vkGetPhysicalDeviceProperties(physical_device, &properties);
-    if (!cache_folder.empty()) path_ = cache_folder / ("pipelines_" + cache_file_name(properties));
+    vkGetPhysicalDeviceProperties(physical, &properties);
+    if (!folder.empty()) path_ = folder / ("pipelines_" + cache_file_name(properties));
 
     const std::string bytes = path_.empty() ? std::string() : read_cache(path_, properties);
     read_bytes_ = bytes.size();

@@ -16,14 +16,11 @@ namespace relidar::gpu {
 /// Atomically. Ignores failures, because they only make the next start slower.
 void write_cache_file(const std::filesystem::path& path, std::string_view bytes);
 
-/// Unique for the device and its driver version.
-std::string cache_file_name(const VkPhysicalDeviceProperties& device_properties);
+std::string cache_file_name(const VkPhysicalDeviceProperties& properties);
 
 class PipelineCache {
 public:
-    /// @param cache_folder if empty, no file is read or written
-    PipelineCache(VkPhysicalDevice physical_device, VkDevice device,
-                  const std::filesystem::path& cache_folder);
+    PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;

@@ -10,7 +10,6 @@ namespace relidar {
 
 struct ReadbackBuffer::Impl {
     std::string what;
-    /// Shared with the stream until the copy is complete.
     std::shared_ptr<Buffer::Impl> host;
     /// Number of the submission that contains the copy. 0 means that no copy is pending.
     std::uint64_t ticket = 0;

@@ -9,23 +9,23 @@
 
 namespace relidar::gpu {
 
-std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> spirv_words,
-                                              const ExecutionMode& execution_mode) {
+std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
+                                              const ExecutionMode& mode) {
     // The name of the extension ends with a zero byte, which may need another word.
-    const std::string_view extension_name = execution_mode.extension;
+    const std::string_view extension_name = mode.extension;
     std::vector<std::uint32_t> extension_words(1 + extension_name.size() / 4 + 1, 0u);
     std::memcpy(extension_words.data() + 1, extension_name.data(), extension_name.size());
     extension_words[0] = static_cast<std::uint32_t>(extension_words.size()) << 16 | kOpExtension;
 
-    std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords), modes;
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords), modes;
     bool extended = false;
-    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (!extended && opcode != kOpCapability && opcode != kOpExtension) {
             append_instruction(result, extension_words);
             extended = true;
         }
         if (opcode == kOpEntryPoint) {
-            append_instruction(modes, kOpExecutionMode, {instruction[2], execution_mode.mode});
+            append_instruction(modes, kOpExecutionMode, {instruction[2], mode.mode});
         } else {  // Inserts the execution mode after the last entry point, as SPIR-V requires.
             append_instruction(result, modes);
             modes.clear();
@@ -35,10 +35,10 @@ std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> spi
     return result;
 }
 
-std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> spirv_words) {
-    std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
+std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> words) {
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     std::uint32_t block = 0;  // Id of the type of the parameter block.
-    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block = instruction[1];
         append_instruction(result, instruction);
         if (opcode == kOpMemberDecorate && instruction[1] == block && instruction[3] == kOffset)
@@ -47,9 +47,9 @@ std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> s
     return result;
 }
 
-std::set<std::uint32_t> list_constants(std::span<const std::uint32_t> spirv_words) {
+std::set<std::uint32_t> list_constants(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> ids;
-    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && instruction[2] == kSpecId) ids.insert(instruction[3]);
     });
     return ids;

@@ -20,25 +20,24 @@ public:
 
     std::uint32_t block_type() const { return block_; }
 
-    /// Byte offsets of all device addresses in a value at `value_offset_bytes`.
-    void append_pointers(std::uint32_t type_id, std::uint32_t value_offset_bytes,
-                         std::vector<std::uint32_t>& pointer_offsets) const {
+    /// Byte offsets of all device addresses in a value at `offset`.
+    void append_pointers(std::uint32_t type_id, std::uint32_t offset,
+                         std::vector<std::uint32_t>& offsets) const {
         const auto type_entry = types_.find(type_id);
         // Numbers and vectors cannot contain a device address.
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
             case kOpTypePointer:
-                pointer_offsets.push_back(value_offset_bytes);
+                offsets.push_back(offset);
                 break;
             case kOpTypeArray:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
-                    append_pointers(t[2], value_offset_bytes + k * strides_.at(type_id), pointer_offsets);
+                    append_pointers(t[2], offset + k * strides_.at(type_id), offsets);
                 break;
             default:
                 for (std::uint32_t k = 0; k + 2 < t.size(); ++k)
-                    append_pointers(t[k + 2], value_offset_bytes + offsets_.at({type_id, k}),
-                                    pointer_offsets);
+                    append_pointers(t[k + 2], offset + offsets_.at({type_id, k}), offsets);
         }
     }
 
@@ -63,8 +62,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> list_pointers(std::span<const std::uint32_t> spirv_words) {
-    const ParameterTypes types(spirv_words);
+std::vector<std::uint32_t> list_pointers(std::span<const std::uint32_t> words) {
+    const ParameterTypes types(words);
     std::vector<std::uint32_t> offsets;
     types.append_pointers(types.block_type(), 0, offsets);
     return offsets;

@@ -21,8 +21,8 @@ public:
     explicit SpirvConstantValues(const std::map<std::uint32_t, std::uint32_t>& constants)
         : constants_(constants) {}
 
-    std::optional<std::uint32_t> find_value(std::uint32_t result_id) const {
-        const auto match = value_by_id_.find(result_id);
+    std::optional<std::uint32_t> find_value(std::uint32_t result) const {
+        const auto match = value_by_id_.find(result);
         return match == value_by_id_.end() ? std::nullopt : std::optional(match->second);
     }
 
@@ -133,28 +133,26 @@ public:
         });
     }
 
-    /// Returns true if the branch from `source_block` to `successor_block` can be
+    /// Returns true if the branch from `from` to `to` can be
     /// removed. If it leads directly to the merge block, the merge block must not have a
     /// phi instruction. Otherwise, the blocks behind the branch become unreachable. They
-    /// must not lead back to `source_block`, and must not end or continue a loop that
+    /// must not lead back to `from`, and must not end or continue a loop that
     /// starts before them.
-    /// @param merge_block block in which both paths of the branch join
-    bool can_remove(std::uint32_t source_block, std::uint32_t successor_block,
-                    std::uint32_t merge_block) const {
-        if (successor_block == merge_block) return !with_phi_.contains(merge_block);
-        std::set<std::uint32_t> behind = {successor_block};
-        for (std::vector<std::uint32_t> open = {successor_block}; !open.empty();) {
+    /// @param merge block in which both paths of the branch join
+    bool can_remove(std::uint32_t from, std::uint32_t to, std::uint32_t merge) const {
+        if (to == merge) return !with_phi_.contains(merge);
+        std::set<std::uint32_t> behind = {to};
+        for (std::vector<std::uint32_t> open = {to}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
             if (next == next_.end()) continue;  // A block without a successor returns from the function.
             for (const std::uint32_t block : next->second)
-                if (block != merge_block && behind.insert(block).second) open.push_back(block);
+                if (block != merge && behind.insert(block).second) open.push_back(block);
         }
-        return !behind.contains(source_block) &&
-               std::all_of(behind.begin(), behind.end(), [&](std::uint32_t block) {
-                   const auto header = header_of_.find(block);
-                   return header == header_of_.end() || behind.contains(header->second);
-               });
+        return !behind.contains(from) && std::all_of(behind.begin(), behind.end(), [&](std::uint32_t block) {
+            const auto header = header_of_.find(block);
+            return header == header_of_.end() || behind.contains(header->second);
+        });
     }
 
 private:
@@ -166,15 +164,14 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> remove_branches(
-    std::span<const std::uint32_t> spirv_words,
-    const std::map<std::uint32_t, std::uint32_t>& constant_value_by_id) {
-    std::vector<std::uint32_t> result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
-    SpirvConstantValues values(constant_value_by_id);
-    const ControlFlowGraph blocks(spirv_words);
+std::vector<std::uint32_t> remove_branches(std::span<const std::uint32_t> words,
+                                           const std::map<std::uint32_t, std::uint32_t>& constants) {
+    std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
+    SpirvConstantValues values(constants);
+    const ControlFlowGraph blocks(words);
     std::uint32_t block = 0;
     SpirvInstruction merge;  // Merge instruction that belongs to the next branch.
-    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         values.evaluate(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];
         if (opcode == kOpSelectionMerge) {

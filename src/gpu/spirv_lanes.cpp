@@ -123,8 +123,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> make_nonuniform(std::span<const std::uint32_t> spirv_words) {
-    return LaneIndexRewriter(spirv_words).rewrite();
+std::vector<std::uint32_t> make_nonuniform(std::span<const std::uint32_t> words) {
+    return LaneIndexRewriter(words).rewrite();
 }
 
 }  // namespace relidar::gpu

@@ -72,12 +72,10 @@ private:
     }
 };
 
-/// Replaces loads of parameters by loads of private variables.
 class ParameterLoadHoister {
 public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
-    /// A number, a vector, an address or a struct of these.
     bool is_copyable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kOpTypeStruct) return alignment_bytes(type_id).has_value();
@@ -86,18 +84,16 @@ public:
         return true;
     }
 
-    /// Appends the load of a parameter from its private variable.
-    void append_load(SpirvWords& instructions, std::uint32_t type_id, const MemberPath& member_path,
-                     std::uint32_t result_id) {
+    void append_load(SpirvWords& instructions, std::uint32_t type_id, const MemberPath& path,
+                     std::uint32_t result) {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kOpTypeStruct) {
-            append_instruction(instructions, kOpLoad,
-                               {type_id, result_id, declare_private(type_id, member_path)});
+            append_instruction(instructions, kOpLoad, {type_id, result, declare_private(type_id, path)});
             return;
         }
-        SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kOpCompositeConstruct, type_id, result_id};
+        SpirvWords construct{std::uint32_t(t.size() + 1) << 16 | kOpCompositeConstruct, type_id, result};
         for (std::size_t k = 2; k < t.size(); ++k) {
-            MemberPath member = member_path;
+            MemberPath member = path;
             member.push_back(std::uint32_t(k - 2));
             construct.push_back(next_++);
             append_load(instructions, t[k], member, construct.back());
@@ -107,8 +103,8 @@ public:
 
     /// Adds the private variables, and at the start of the entry point the copies to
     /// them.
-    /// @param function_code all functions; they must load parameters from these variables
-    SpirvWords make_module(std::span<const std::uint32_t> spirv_words, const SpirvWords& function_code) {
+    /// @param code all functions; they must load parameters from these variables
+    SpirvWords make_module(std::span<const std::uint32_t> spirv_words, const SpirvWords& code) {
         const SpirvWords first = copy_parameters();
         SpirvWords result(spirv_words.begin(), spirv_words.begin() + kHeaderWords);
         bool functions = false, decorated = false;
@@ -125,7 +121,7 @@ public:
             }
             append_instruction(result, words);
         });
-        append_functions(result, function_code, first);
+        append_functions(result, code, first);
         result[3] = next_;
         return result;
     }
@@ -140,7 +136,6 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     SpirvWords globals_, decorations_;
 
-    /// Returns nullopt for structs.
     std::optional<std::uint32_t> alignment_bytes(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
@@ -155,9 +150,9 @@ private:
                 return std::nullopt;
         }
     }
-    std::uint32_t declare_pointer(std::map<std::uint32_t, std::uint32_t>& pointer_type_by_target_type,
-                                  std::uint32_t storage_class, std::uint32_t type_id) {
-        const auto [at, is_new] = pointer_type_by_target_type.try_emplace(type_id, next_);
+    std::uint32_t declare_pointer(std::map<std::uint32_t, std::uint32_t>& types, std::uint32_t storage_class,
+                                  std::uint32_t type_id) {
+        const auto [at, is_new] = types.try_emplace(type_id, next_);
         if (is_new) append_instruction(globals_, kOpTypePointer, {next_++, storage_class, type_id});
         return at->second;
     }
@@ -168,16 +163,15 @@ private:
         if (is_new) append_instruction(globals_, kOpConstant, {module_.int_type, next_++, value});
         return at->second;
     }
-    std::uint32_t declare_private(std::uint32_t type_id, const MemberPath& member_path) {
-        if (const auto existing_variable = variables_.find(member_path);
-            existing_variable != variables_.end())
+    std::uint32_t declare_private(std::uint32_t type_id, const MemberPath& path) {
+        if (const auto existing_variable = variables_.find(path); existing_variable != variables_.end())
             return existing_variable->second.id;
         const std::uint32_t pointer_type = declare_pointer(private_pointer_, kPrivateStorage, type_id),
                             id = next_++;
         append_instruction(globals_, kOpVariable, {pointer_type, id, kPrivateStorage});
         if ((module_.types.at(type_id)[0] & 0xffffu) == kOpTypePointer)
             append_instruction(decorations_, kOpDecorate, {id, kAliasedPointer});
-        variables_[member_path] = {id, type_id};
+        variables_[path] = {id, type_id};
         return id;
     }
     SpirvWords copy_parameters() {
@@ -200,30 +194,28 @@ private:
         }
         return code;
     }
-    /// Inserts `prologue_instructions` into the entry point after its variables.
-    void append_functions(SpirvWords& module_words, const SpirvWords& function_code,
-                          const SpirvWords& prologue_instructions) const {
+    void append_functions(SpirvWords& module, const SpirvWords& code, const SpirvWords& prologue) const {
         bool in_entry = false, filled = false;
-        for (std::size_t at = 0; at < function_code.size(); at += function_code[at] >> 16) {
-            const std::uint32_t op = function_code[at] & 0xffffu;
-            in_entry = in_entry || (op == kOpFunction && function_code[at + 2] == module_.entry);
+        for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
+            const std::uint32_t op = code[at] & 0xffffu;
+            in_entry = in_entry || (op == kOpFunction && code[at + 2] == module_.entry);
             if (in_entry && !filled && !is_function_head(op)) {
-                append_instruction(module_words, prologue_instructions);
+                append_instruction(module, prologue);
                 filled = true;
             }
-            append_instruction(module_words, std::span(function_code).subspan(at, function_code[at] >> 16));
+            append_instruction(module, std::span(code).subspan(at, code[at] >> 16));
         }
     }
 };
 
 }  // namespace
 
-std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> spirv_words) {
-    const SpirvModule module(spirv_words);
+std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> words) {
+    const SpirvModule module(words);
     ParameterLoadHoister result(module);
     SpirvWords code;
     bool functions = false, any = false;
-    for_instructions(spirv_words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
+    for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
         functions = functions || opcode == kOpFunction;
         if (!functions) return;
         const auto path_entry =
@@ -233,7 +225,7 @@ std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> spirv_word
         result.append_load(code, instruction[1], path_entry->second, instruction[2]);
         any = true;
     });
-    return any ? result.make_module(spirv_words, code) : SpirvWords(spirv_words.begin(), spirv_words.end());
+    return any ? result.make_module(words, code) : SpirvWords(words.begin(), words.end());
 }
 
 }  // namespace relidar::gpu

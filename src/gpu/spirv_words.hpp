@@ -13,7 +13,6 @@
 namespace relidar::gpu {
 
 inline constexpr std::size_t kHeaderWords = 5;
-// Opcodes.
 inline constexpr std::uint32_t kOpName = 5, kOpMemberName = 6, kOpLine = 8, kOpExtension = 10,
                                kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17,
                                kOpTypeBool = 20, kOpTypeInt = 21, kOpTypeFloat = 22, kOpTypeVector = 23,
@@ -39,19 +38,19 @@ inline constexpr std::uint32_t kAligned = 2;
 using SpirvInstruction = std::span<const std::uint32_t>;
 
 template <class F>
-void for_instructions(std::span<const std::uint32_t> spirv_words, const F& function) {
-    for (std::size_t at = kHeaderWords; at < spirv_words.size(); at += spirv_words[at] >> 16)
-        function(spirv_words[at] & 0xffffu, spirv_words.subspan(at, spirv_words[at] >> 16));
+void for_instructions(std::span<const std::uint32_t> words, const F& function) {
+    for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)
+        function(words[at] & 0xffffu, words.subspan(at, words[at] >> 16));
 }
 
-inline void append_instruction(std::vector<std::uint32_t>& spirv_words, SpirvInstruction instruction) {
-    spirv_words.insert(spirv_words.end(), instruction.begin(), instruction.end());
+inline void append_instruction(std::vector<std::uint32_t>& words, SpirvInstruction instruction) {
+    words.insert(words.end(), instruction.begin(), instruction.end());
 }
 
-inline void append_instruction(std::vector<std::uint32_t>& spirv_words, std::uint32_t opcode,
+inline void append_instruction(std::vector<std::uint32_t>& words, std::uint32_t opcode,
                                std::initializer_list<std::uint32_t> operands) {
-    spirv_words.push_back(std::uint32_t(operands.size() + 1) << 16 | opcode);
-    spirv_words.insert(spirv_words.end(), operands);
+    words.push_back(std::uint32_t(operands.size() + 1) << 16 | opcode);
+    words.insert(words.end(), operands);
 }
 
 /// Texts are stored as little-endian bytes and end with a zero byte.
@@ -65,7 +64,6 @@ inline bool is_parameter_block_name(std::uint32_t opcode, SpirvInstruction instr
     return opcode == kOpName && std::string_view(read_spirv_string(instruction.subspan(2))) == "ParamsBlock";
 }
 
-/// Returns true for instructions that precede the code of a function.
 inline bool is_function_head(std::uint32_t opcode) {
     return opcode == kOpFunction || opcode == kOpLabel || opcode == kOpVariable || opcode == kOpLine ||
            opcode == kOpNoLine;

@@ -110,9 +110,9 @@ void Stream::Impl::end_concurrent() {
     barrier_or_defer();
 }
 
-void Stream::Impl::add_command(const std::string& command_name, VulkanCommandRecorder command) {
+void Stream::Impl::add_command(const std::string& name, VulkanCommandRecorder command) {
     CommandSequence& chosen = lanes[lane];
-    if (chosen.empty() || chosen.back().closed) chosen.push_back({command_name, {}});
+    if (chosen.empty() || chosen.back().closed) chosen.push_back({name, {}});
     chosen.back().commands.push_back(std::move(command));
     barrier_or_defer();
 }
@@ -156,16 +156,15 @@ void Stream::Impl::record_barrier() {
                          0, nullptr);
 }
 
-void Stream::Impl::begin_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed,
-                                std::uint32_t n_workgroups, bool continues_launch) {
-    last_kernel = command_name;
+void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_workgroups,
+                                bool continues) {
+    last_kernel = name;
     VkCommandBuffer buffer = open_commands();
     SubmissionSlot& slot = slots[current];
-    if (kernel_speed && !kernel_speed->should_measure(device->launch_limit.piece_s, n_workgroups))
-        kernel_speed = nullptr;
-    timed = slot.queries && (timing || kernel_speed) && slot.launches.size() < kMaxLaunches;
+    if (speed && !speed->should_measure(device->launch_limit.piece_s, n_workgroups)) speed = nullptr;
+    timed = slot.queries && (timing || speed) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
-    slot.launches.push_back({command_name, kernel_speed, n_workgroups, continues_launch});
+    slot.launches.push_back({name, speed, n_workgroups, continues});
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                         2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
@@ -206,14 +205,13 @@ void Stream::Impl::record_write(const Buffer& buffer, const void* host_bytes, st
 }
 
 void Stream::Impl::record_copy(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
-                               const VkBufferCopy& copied_region) {
-    if (copied_region.size == 0) return;
-    record_command("read back",
-                   [this, source = source.handle, target, copied_region](VkCommandBuffer commands) {
-                       vkCmdCopyBuffer(commands, source, target->handle, 1, &copied_region);
-                       slots[current].retained_buffers.push_back(target);
-                       host_reads = true;
-                   });
+                               const VkBufferCopy& region) {
+    if (region.size == 0) return;
+    record_command("read back", [this, source = source.handle, target, region](VkCommandBuffer commands) {
+        vkCmdCopyBuffer(commands, source, target->handle, 1, &region);
+        slots[current].retained_buffers.push_back(target);
+        host_reads = true;
+    });
 }
 
 std::uint64_t Stream::Impl::stage_parameters(const KernelBase& kernel, const void* parameter_struct,
@@ -247,31 +245,29 @@ struct Stream::Impl::Dispatch {
 
 namespace {
 
-Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push_constants,
-                                    std::uint32_t n_workgroups, std::uint32_t max_workgroups_per_dispatch) {
-    // Maximum number of workgroups per dimension that every Vulkan device supports.
+Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push,
+                                    std::uint32_t n_workgroups, std::uint32_t max_groups) {
     constexpr std::uint32_t kMaxGroups = 65535;
-    const std::uint32_t columns = std::max(std::min({n_workgroups, kMaxGroups, max_workgroups_per_dispatch}),
-                                           (n_workgroups - 1) / kMaxGroups + 1);
+    const std::uint32_t columns =
+        std::max(std::min({n_workgroups, kMaxGroups, max_groups}), (n_workgroups - 1) / kMaxGroups + 1);
     // Equal rows, so that the launch has few superfluous workgroups.
     const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
     // A launch that is short enough, or must not be split, is one dispatch.
-    const std::uint32_t rows_per_piece = max_workgroups_per_dispatch >= n_workgroups
-                                             ? rows
-                                             : std::max(1u, max_workgroups_per_dispatch / even_columns);
-    return {pipeline, push_constants, rows, even_columns, rows_per_piece};
+    const std::uint32_t rows_per_piece =
+        max_groups >= n_workgroups ? rows : std::max(1u, max_groups / even_columns);
+    return {pipeline, push, rows, even_columns, rows_per_piece};
 }
 
 }  // namespace
 
-void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threads,
-                                 const void* parameter_struct, std::size_t n_parameter_bytes) {
+void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params,
+                                 std::size_t n_bytes) {
     if (device->compile_only)
         throw Error(ExitCode::bug,
                     fmt::format("cannot run kernel {}: the device was opened only to compile kernels",
                                 kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().wait_for_pipeline();
-    const std::array<std::uint64_t, 2> pushed{stage_parameters(kernel, parameter_struct, n_parameter_bytes),
+    const std::array<std::uint64_t, 2> pushed{stage_parameters(kernel, params, n_bytes),
                                               device->nothing->address};
     const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;

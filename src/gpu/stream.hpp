@@ -25,9 +25,7 @@ struct KernelBase::Impl {
     std::vector<SpecialisationConstant> constants;
     SubgroupRequirement subgroups = SubgroupRequirement::any;
     std::uint32_t workgroup_size = 0;  ///< Number of threads per workgroup.
-    /// Null if the launches must not be split into several dispatches.
     gpu::KernelSpeed* speed = nullptr;
-    /// Byte offsets at which the parameter struct contains device addresses.
     std::vector<std::uint32_t> addresses = {};
 
     /// Waits until the pipeline is compiled.
@@ -43,23 +41,19 @@ private:
 struct Stream::Impl {
     static constexpr std::size_t kMaxPending = 3;  ///< Maximum number of pending submissions.
     static constexpr std::size_t kBlockBytes = 1 << 16;
-    /// Maximum number of timed launches per submission.
     static constexpr std::uint32_t kMaxLaunches = 256;
 
     struct SubmissionSlot {
         VkCommandPool pool = VK_NULL_HANDLE;
         VkCommandBuffer commands = VK_NULL_HANDLE;
-        /// A long submission has several command buffers. Later submissions reuse them.
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
         /// Commands between a pair of timestamps, in the order of the timestamps.
         struct TimedCommands {
             std::string name;
-            /// Updated with this measurement. May be null.
             gpu::KernelSpeed* speed;
             std::uint32_t n_groups;  ///< Number of workgroups.
-            /// These commands continue the split launch of the previous entry.
             bool continues;
         };
         std::vector<TimedCommands> launches;
@@ -93,26 +87,23 @@ struct Stream::Impl {
     std::vector<CommandSequence> lanes = {};
     std::size_t lane = 0;  ///< Index of the lane that receives new commands.
     bool timed = false;    ///< True if timestamps measure the launch that is currently recorded.
-    /// True if the next barrier must also make device writes visible to the host.
     bool host_reads = false;
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
-    /// Expected duration of the commands since the last submission, in seconds.
     double recorded_s = 0.0;
     KernelTimes times;
 
     Impl(Device& device, bool timing);
     ~Impl();
 
-    /// Starts a new recording if there is none.
     VkCommandBuffer open_commands();
     /// With timestamps and a barrier. In a ConcurrentSequenceScope, stored for later.
     template <class Recorded>
-    void record_command(const std::string& command_name, Recorded command) {
-        if (!lanes.empty()) return add_command(command_name, std::move(command));
-        begin_timing(command_name);
-        begin_debug_label(command_name);
+    void record_command(const std::string& name, Recorded command) {
+        if (!lanes.empty()) return add_command(name, std::move(command));
+        begin_timing(name);
+        begin_debug_label(name);
         command(open_commands());
         end_debug_label();
         end_timing();
@@ -128,16 +119,15 @@ struct Stream::Impl {
     };
     /// Stores a value from the host where the kernels of this submission can read it.
     StagedValue stage_bytes(const void* host_bytes, std::size_t n_bytes);
-    /// Returns the device address of the values.
     template <class T>
     Address<T> stage_values(const std::vector<T>& host_values) {
         return Address<T>(stage_bytes(host_values.data(), host_values.size() * sizeof(T)).address);
     }
     void record_write(const Buffer& buffer, const void* host_bytes, std::size_t n_bytes);
     void record_copy(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
-                     const VkBufferCopy& copied_region);
-    void record_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* parameter_struct,
-                       std::size_t n_parameter_bytes);
+                     const VkBufferCopy& region);
+    void record_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params,
+                       std::size_t n_bytes);
     void wait_for(std::uint64_t ticket);
     void collect_times(SubmissionSlot& slot);
     struct Dispatch;
@@ -145,17 +135,15 @@ struct Stream::Impl {
 private:
     /// Each address 0 in the struct becomes the address of a buffer with zeros.
     /// @return device address of the stored struct
-    std::uint64_t stage_parameters(const KernelBase& kernel, const void* parameter_struct,
-                                   std::size_t n_bytes);
-    void add_command(const std::string& command_name, VulkanCommandRecorder command);
+    std::uint64_t stage_parameters(const KernelBase& kernel, const void* params, std::size_t n_bytes);
+    void add_command(const std::string& name, VulkanCommandRecorder command);
     /// In a ConcurrentLaunchScope, only the end of the scope records a barrier.
     void barrier_or_defer();
     void record_barrier();
-    /// @param continues_launch true if the command continues a launch that was split
-    void begin_timing(const std::string& command_name, gpu::KernelSpeed* kernel_speed = nullptr,
-                      std::uint32_t n_workgroups = 0, bool continues_launch = false);
+    /// @param continues true if the command continues a launch that was split
+    void begin_timing(const std::string& name, gpu::KernelSpeed* speed = nullptr,
+                      std::uint32_t n_workgroups = 0, bool continues = false);
     void end_timing();
-    /// Begins a named region that debuggers show. end_debug_label() ends it.
     void begin_debug_label(const std::string& label_text);
     void end_debug_label();
     void submit_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch);

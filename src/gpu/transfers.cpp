@@ -34,35 +34,35 @@ BufferTransfers::~BufferTransfers() {
     vkDestroyCommandPool(device_.device, pool_, nullptr);
 }
 
-Buffer::Impl& BufferTransfers::ensure_staging(std::unique_ptr<Buffer::Impl>& staging_buffer,
-                                              BufferPurpose purpose, std::size_t n_bytes) {
+Buffer::Impl& BufferTransfers::ensure_staging(std::unique_ptr<Buffer::Impl>& staging, BufferPurpose purpose,
+                                              std::size_t n_bytes) {
     const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kMinStagingBytes, kMaxStagingBytes);
-    if (!staging_buffer || staging_buffer->n_bytes < staging_bytes) {
-        staging_buffer.reset();
-        staging_buffer = std::make_unique<Buffer::Impl>(device_, staging_bytes, purpose, "staging");
+    if (!staging || staging->n_bytes < staging_bytes) {
+        staging.reset();
+        staging = std::make_unique<Buffer::Impl>(device_, staging_bytes, purpose, "staging");
     }
-    return *staging_buffer;
+    return *staging;
 }
 
-void BufferTransfers::upload(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
+void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
                              std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
     const Buffer::Impl& from = ensure_staging(upload_, BufferPurpose::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
-        std::memcpy(from.mapped, static_cast<const std::byte*>(host_data) + done, n);
+        std::memcpy(from.mapped, static_cast<const std::byte*>(data) + done, n);
         copy_now(from.handle, target.handle, {0, offset_bytes + done, n});
     }
 }
 
-void BufferTransfers::download(const Buffer::Impl& source, void* host_data, std::size_t n_bytes,
+void BufferTransfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
                                std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
     const Buffer::Impl& to = ensure_staging(download_, BufferPurpose::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
         copy_now(source.handle, to.handle, {offset_bytes + done, 0, n});
-        std::memcpy(static_cast<std::byte*>(host_data) + done, to.mapped, n);
+        std::memcpy(static_cast<std::byte*>(data) + done, to.mapped, n);
     }
 }
 

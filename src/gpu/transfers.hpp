@@ -14,12 +14,9 @@ class BufferTransfers {
 public:
     explicit BufferTransfers(Device::Impl& device) : device_(device) {}
     ~BufferTransfers();
-    BufferTransfers(const BufferTransfers&) = delete;
-    BufferTransfers& operator=(const BufferTransfers&) = delete;
 
-    void upload(const Buffer::Impl& target, const void* host_data, std::size_t n_bytes,
-                std::size_t offset_bytes);
-    void download(const Buffer::Impl& source, void* host_data, std::size_t n_bytes, std::size_t offset_bytes);
+    void upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
+    void download(const Buffer::Impl& source, void* data, std::size_t n_bytes, std::size_t offset_bytes);
     void copy_buffer(const Buffer::Impl& source, const Buffer::Impl& target, std::size_t n_bytes);
 
 private:
@@ -32,7 +29,7 @@ private:
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void create_commands();
-    Buffer::Impl& ensure_staging(std::unique_ptr<Buffer::Impl>& staging_buffer, BufferPurpose purpose,
+    Buffer::Impl& ensure_staging(std::unique_ptr<Buffer::Impl>& staging, BufferPurpose purpose,
                                  std::size_t n_bytes);
     void copy_now(VkBuffer source, VkBuffer target, const VkBufferCopy& region);
 };

@@ -25,7 +25,6 @@ std::string& injected_faults() {
     return faults;
 }
 
-/// Results that could not be written to a file, by device, driver and RELIDAR_FAULTS.
 struct UnsavedTestResults {
     std::mutex mutex;
     std::map<std::string, DeviceTestResults> by_device;
@@ -39,16 +38,15 @@ UnsavedTestResults& unsaved_results() {
 thread_local const DeviceTestResults* fixed_trust = nullptr;
 
 /// A file is accepted only if it equals this text exactly.
-std::string format_results(const std::string& driver_version, const DeviceTestResults& test_results) {
+std::string format_results(const std::string& driver_version, const DeviceTestResults& results) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
         "driver {}\nfloat_atomics {}\nfloat_swaps {}\nsubgroup_size {}\nray_query {}\n",
-        RELIDAR_VERSION, driver_version, int(test_results.float_atomics), int(test_results.float_swaps),
-        test_results.subgroup_size, int(test_results.ray_query));
+        RELIDAR_VERSION, driver_version, int(results.float_atomics), int(results.float_swaps),
+        results.subgroup_size, int(results.ray_query));
 }
 
-std::optional<DeviceTestResults> read_results(const std::filesystem::path& path,
-                                              const std::string& expected_driver_version) {
+std::optional<DeviceTestResults> read_results(const std::filesystem::path& path, const std::string& driver) {
     std::ifstream file(path);
     std::stringstream content;
     content << file.rdbuf();
@@ -64,7 +62,7 @@ std::optional<DeviceTestResults> read_results(const std::filesystem::path& path,
     trust.float_atomics = atomics != 0;
     trust.float_swaps = swaps != 0;
     trust.ray_query = CheckVerdict(ray_query);
-    return text == format_results(expected_driver_version, trust) ? std::optional(trust) : std::nullopt;
+    return text == format_results(driver, trust) ? std::optional(trust) : std::nullopt;
 }
 
 }  // namespace
@@ -75,8 +73,8 @@ void set_open_callbacks(DeviceOpenCallbacks callbacks) {
     unsaved_results().by_device.clear();
 }
 
-ScopedDeviceTestResults::ScopedDeviceTestResults(const DeviceTestResults& test_results)
-    : before_(fixed_trust), trust_(test_results) {
+ScopedDeviceTestResults::ScopedDeviceTestResults(const DeviceTestResults& results)
+    : before_(fixed_trust), trust_(results) {
     fixed_trust = &trust_;
 }
 ScopedDeviceTestResults::~ScopedDeviceTestResults() { fixed_trust = before_; }
@@ -122,31 +120,30 @@ void report_note(const std::string& text) {
     if (open_callbacks().note && !fixed_trust) open_callbacks().note(text);
 }
 
-void disable_failed(Device::Impl& device, const DeviceTestResults& test_results) {
+void disable_failed(Device::Impl& device, const DeviceTestResults& results) {
     DeviceInfo& info = device.info;
     const auto note = [&](const std::string& text) { report_note(fmt::format("{}: {}", info.name, text)); };
-    if (!test_results.float_atomics && info.float_atomics) {
+    if (!results.float_atomics && info.float_atomics) {
         info.float_atomics = false;
         note(
             "atomic additions of floats give wrong sums on this device, so relidar adds gradients without "
             "them");
     }
-    if (!test_results.float_swaps && !info.float_atomics) {
+    if (!results.float_swaps && !info.float_atomics) {
         device.wrong_sums = true;
         note(
             "all methods of adding floats give wrong sums on this device; relidar can render on it, but "
             "cannot train");
     }
-    if (test_results.subgroup_size != 0 && test_results.subgroup_size != info.subgroup_size) {
+    if (results.subgroup_size != 0 && results.subgroup_size != info.subgroup_size) {
         note(
             fmt::format("subgroups of {} lanes give wrong results on this device; relidar uses subgroups of "
                         "{} lanes instead",
-                        info.subgroup_size, test_results.subgroup_size));
-        info.subgroup_size = test_results.subgroup_size;
+                        info.subgroup_size, results.subgroup_size));
+        info.subgroup_size = results.subgroup_size;
         device.forced_lanes = true;
     }
-    if (test_results.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query)
-        return;
+    if (results.ray_query != CheckVerdict::wrong || device.traversal != RayTracingBackend::ray_query) return;
     note(fmt::format(
         "hardware ray queries of this device find other surfels than a search through all surfels; {}",
         info.software ? "relidar uses software traversal instead"

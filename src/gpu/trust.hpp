@@ -19,8 +19,7 @@ DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions&
 
 /// Prints a line about devices, unless this thread has fixed test results.
 void report_note(const std::string& text);
-/// Prints one line for each method. Call it before the device is opened.
-void disable_failed(Device::Impl& device, const DeviceTestResults& test_results);
+void disable_failed(Device::Impl& device, const DeviceTestResults& results);
 
 /// For tests: float_atomics, float_swaps, subgroups:N, ray_query. In builds with
 /// RELIDAR_ASSERTS, apply_environment() reads them from RELIDAR_FAULTS.

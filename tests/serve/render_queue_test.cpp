@@ -29,7 +29,6 @@ struct FunctionsRequest : QueuedRequest {
 };
 using Outcome = RenderQueue::RequestOutcome;
 
-/// Work that blocks the render thread until the object is destroyed.
 class Blocker {
 public:
     explicit Blocker(RenderQueue& queue)

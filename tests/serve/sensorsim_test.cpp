@@ -259,7 +259,6 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
         << "a sensor that stands may take no time";
 }
 
-/// Calls a method of the service with raw bytes under the package name of NuRec 26.10.
 std::string call_renamed(const std::string& address, const std::string& method, const std::string& request) {
     grpc::GenericStub stub(open_channel(address));
     grpc::ClientContext context;

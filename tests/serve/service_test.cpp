@@ -83,7 +83,6 @@ std::vector<float> read_ply_positions(const std::filesystem::path& path) {
     return values<float>(positions);
 }
 
-/// @param ends [n, 3] end points of all rays
 std::vector<float> list_returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
     std::vector<float> positions;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)

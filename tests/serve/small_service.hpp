@@ -67,7 +67,6 @@ protected:
     std::vector<std::string> assets;      ///< folders of the assets
     std::optional<std::string> channels;  ///< channels of all scans
     Weather weather;                      ///< weather of scans whose request has no weather
-    /// order of pose components in SensorsimService. Empty if the service is not offered.
     std::optional<PoseTransformOrder> sensorsim;
     std::optional<ScanServer> server;
 

@@ -19,7 +19,6 @@ const std::vector<view::WebPageFile> kAssets = {{"/", "text/html", "page"},
 constexpr int kTogether = 8;         // requests per connection
 constexpr int kBetweenChecks = 500;  // requests between checks
 
-/// Changes random characters of a text.
 class Changer {
 public:
     explicit Changer(unsigned seed) : random_(seed) {}
@@ -95,7 +94,6 @@ bool is_server_alive(int port) {
                test::ask(port, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")) == 200;
 }
 
-/// Opens a connection and sends several requests or frames without waiting for responses.
 void bother(int port, Changer& change) {
     test::RawClient client(port);
     const bool as_socket = change.below(3) == 0;

@@ -11,15 +11,11 @@ namespace relidar::test {
 
 class RawClient {
 public:
-    /// Connects to a port of 127.0.0.1.
-    /// @throws std::runtime_error if no server listens on the port
     explicit RawClient(int port);
     ~RawClient();
     RawClient(const RawClient&) = delete;
     RawClient& operator=(const RawClient&) = delete;
 
-    /// Sends bytes.
-    /// @return false if the server has closed the connection
     bool send(std::string_view bytes);
     /// Receives bytes until the server closes the connection, `n_bytes` were received, or
     /// no byte arrives within `patience`.
@@ -32,7 +28,6 @@ private:
     int socket_ = -1;
 };
 
-/// Sends a request on a new connection and returns the response.
 std::string ask(int port, std::string_view request);
 /// Returns the status code of a response such as "HTTP/1.1 404 Not Found". Returns 0 if
 /// the response has no status line.

@@ -26,7 +26,6 @@ std::string scan(const std::string& place, const std::string& edits = kNoEdits,
            R"(", "simulate": true, "real": false, "edits": )" + edits + "}";
 }
 
-/// Returns the error message of a request, or an empty string if it is valid.
 std::string refusal(const std::string& message) {
     try {
         (void)parse_request(message);

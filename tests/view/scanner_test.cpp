@@ -21,7 +21,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// Makes an untrained run of a street with two moving cars.
 Run make_small_run() {
     Run run;
     run.folder = "nowhere";
@@ -42,7 +41,6 @@ Run make_small_run() {
     return run;
 }
 
-/// Decodes a frame message like page/frame.js.
 struct Read {
     Json header;
     std::string arrays;
@@ -69,7 +67,6 @@ struct Read {
     }
 };
 
-/// Checks that a message and a scan have the same ranges and points.
 void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
     const std::vector<float> range_m = point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
@@ -96,7 +93,6 @@ protected:
     }
     BrowserScanRenderer& scanner() { return *made_; }
     const relidar::Run& run() const { return made_->trained_run(); }
-    /// Renders a scan like `relidar render`.
     RenderedScan rendered(const relidar::Run& run, double time_s, const Pose& offset,
                           const Weather& weather = {}) {
         ScanRenderer renderer(device(), run);

@@ -28,7 +28,6 @@ constexpr const char* kToken = "0123456789abcdef0123456789abcdef";
 const std::vector<WebPageFile> kAssets = {{"/", "text/html", "<p>the page</p>"},
                                           {"/main.js", "text/javascript", "let a = 1;"}};
 
-/// Server that echoes texts and stores the events of its clients.
 struct Echo {
     WebServer server;
 
@@ -47,7 +46,6 @@ struct Echo {
         return options;
     }
     int port() const { return server.port(); }
-    /// Returns the status of the response to a request.
     int status(std::string_view request) const { return status_of(ask(port(), request)); }
     bool is_server_alive() const { return status("GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") != 0; }
 
@@ -72,7 +70,6 @@ std::string make_foxglove_request(const std::string& origin, const std::string& 
                                 target);
 }
 
-/// A client with an open WebSocket.
 struct Socket : RawClient {
     explicit Socket(int port, const std::string& handshake = make_upgrade_request()) : RawClient(port) {
         send(handshake);
@@ -134,7 +131,6 @@ TEST(ViewServer, ServesItsAssetsByTheirExactNames) {
     EXPECT_TRUE(head.ends_with("\r\n\r\n"));
 }
 
-/// Changes to a temporary working folder while it exists.
 class InTemporaryFolder {
 public:
     InTemporaryFolder() {

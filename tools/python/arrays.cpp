@@ -10,7 +10,6 @@
 namespace relidar::python {
 namespace {
 
-/// Returns a shape as text. Unspecified lengths are called n or m.
 std::string format_shape(const NumpyShape& shape) {
     std::string text;
     for (std::size_t i = 0; i < shape.size(); ++i) {
@@ -23,11 +22,10 @@ std::string format_shape(const NumpyShape& shape) {
 
 std::string format_dtype(const py::dtype& dtype) { return py::str(py::handle(dtype)); }
 
-bool has_shape(const py::array& array, const NumpyShape& expected_shape) {
-    if (static_cast<std::size_t>(array.ndim()) != expected_shape.size()) return false;
-    for (std::size_t i = 0; i < expected_shape.size(); ++i)
-        if (expected_shape[i] != kAnyLength && expected_shape[i] != array.shape(static_cast<py::ssize_t>(i)))
-            return false;
+bool has_shape(const py::array& array, const NumpyShape& shape) {
+    if (static_cast<std::size_t>(array.ndim()) != shape.size()) return false;
+    for (std::size_t i = 0; i < shape.size(); ++i)
+        if (shape[i] != kAnyLength && shape[i] != array.shape(static_cast<py::ssize_t>(i))) return false;
     return true;
 }
 
@@ -50,20 +48,20 @@ py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays) {
     return dict;
 }
 
-void check_array(const py::handle& object, const std::string& name_for_errors,
-                 const py::dtype& expected_dtype, const NumpyShape& expected_shape) {
+void check_array(const py::handle& object, const std::string& where, const py::dtype& expected_dtype,
+                 const NumpyShape& shape) {
     const std::string expected =
-        fmt::format("an array of {} {}", format_dtype(expected_dtype), format_shape(expected_shape));
+        fmt::format("an array of {} {}", format_dtype(expected_dtype), format_shape(shape));
     if (!py::isinstance<py::array>(object)) {
-        throw DataError(fmt::format("{}: found an object of type {}, expected {}", name_for_errors,
+        throw DataError(fmt::format("{}: found an object of type {}, expected {}", where,
                                     std::string(py::str(py::type::handle_of(object).attr("__name__"))),
                                     expected));
     }
     const auto array = py::reinterpret_borrow<py::array>(object);
-    if (!array.dtype().equal(expected_dtype) || !has_shape(array, expected_shape)) {
+    if (!array.dtype().equal(dtype) || !has_shape(array, shape)) {
         const NumpyShape actual_shape(array.shape(), array.shape() + array.ndim());
-        throw DataError(fmt::format("{}: found {} {}, expected {}", name_for_errors,
-                                    format_dtype(array.dtype()), format_shape(actual_shape), expected));
+        throw DataError(fmt::format("{}: found {} {}, expected {}", where, format_dtype(array.dtype()),
+                                    format_shape(actual_shape), expected));
     }
     const bool ordered = (array.flags() & py::array::c_style) != 0,
                aligned = array.attr("flags").attr("aligned").cast<bool>();
@@ -71,7 +69,7 @@ void check_array(const py::handle& object, const std::string& name_for_errors,
         throw DataError(
             fmt::format("{}: found an array that is not contiguous, expected {} in C order; "
                         "numpy.ascontiguousarray() converts it",
-                        name_for_errors, expected));
+                        where, expected));
 }
 
 }  // namespace relidar::python

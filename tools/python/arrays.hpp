@@ -30,8 +30,6 @@ py::array move_to_numpy(std::vector<Element>&& values, const NumpyShape& shape) 
     return py::array(py::dtype::of<Number>(), shape, owned_values->data(), owner);
 }
 
-/// Returns a read-only numpy array of values that belong to the Python object `owner`.
-/// The array keeps `owner` alive.
 template <class Number, class Element>
 py::array read_only_view(const std::vector<Element>& values, const NumpyShape& shape,
                          const py::handle& owner) {
@@ -46,25 +44,24 @@ py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays);
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
-void check_array(const py::handle& object, const std::string& name_for_errors,
-                 const py::dtype& expected_dtype, const NumpyShape& expected_shape);
+void check_array(const py::handle& object, const std::string& where, const py::dtype& expected_dtype,
+                 const NumpyShape& shape);
 
 /// Returns the values of a numpy array in C order, without a copy.
-/// @param name_for_errors name of the values, for error messages
-/// @param expected_shape expected shape; kAnyLength means any length
+/// @param where name of the values, for error messages
+/// @param shape expected shape; kAnyLength means any length
 /// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
-std::span<const Number> array_values(const py::handle& object, const std::string& name_for_errors,
-                                     const NumpyShape& expected_shape) {
-    check_array(object, name_for_errors, py::dtype::of<Number>(), expected_shape);
+std::span<const Number> array_values(const py::handle& object, const std::string& where,
+                                     const NumpyShape& shape) {
+    check_array(object, where, py::dtype::of<Number>(), shape);
     const auto array = py::reinterpret_borrow<py::array>(object);
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
 template <class Number, class Element>
-std::vector<Element> copy_array(const py::handle& object, const std::string& name_for_errors,
-                                const NumpyShape& expected_shape) {
-    const std::span<const Number> values = array_values<Number>(object, name_for_errors, expected_shape);
+std::vector<Element> copy_array(const py::handle& object, const std::string& where, const NumpyShape& shape) {
+    const std::span<const Number> values = array_values<Number>(object, where, shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());
     return {first, first + values.size() * sizeof(Number) / sizeof(Element)};
 }

@@ -17,8 +17,6 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// Python callback that reports progress. Its arguments are the name of the step, and the
-/// finished share from 0 to 1.
 using PythonProgressCallback = std::optional<std::function<void(const std::string&, double)>>;
 
 /// Converts a Python callback to a C++ progress callback. If the Python callback raises

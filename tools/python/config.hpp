@@ -11,7 +11,6 @@
 
 namespace relidar::python {
 
-/// @throws UsageError if the type, the key or the value is wrong
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
 void show_warning(const std::string& message);
 void set_values(Config& config, const pybind11::dict& settings);

@@ -20,7 +20,7 @@ SharedDevice& default_device() {
     return device;
 }
 
-SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string& traversal_name,
+SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string& traversal,
                          IntegerArgument<std::uint64_t, "memory_limit_bytes"> memory_limit_bytes,
                          bool enable_validation) {
     if (index < -1)
@@ -29,7 +29,7 @@ SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string&
             index.value));
     DeviceOptions options;
     options.index = index;
-    options.traversal = parse_backend(traversal_name);
+    options.traversal = parse_backend(traversal);
     options.memory_limit_bytes = memory_limit_bytes;
     options.validation = enable_validation;
     const py::gil_scoped_release others_run;

@@ -17,7 +17,6 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// An open device, its mutex, and the id of the thread that currently uses it.
 struct LockableDevice {
     Device device;
     std::mutex in_use;

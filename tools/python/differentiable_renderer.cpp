@@ -18,37 +18,34 @@
 namespace relidar::python {
 namespace {
 
-struct PythonDifferentiableRenderer {
+struct PythonRenderer {
     DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
 
-std::unique_ptr<PythonDifferentiableRenderer> make_renderer(const Scene& scene,
-                                                            const std::optional<Config>& config,
-                                                            bool with_pose_gradients, bool with_ray_gradients,
-                                                            SharedDevice device) {
+std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
+                                              bool for_poses, bool for_rays, SharedDevice device) {
     const Config settings = config.value_or(make_preset("default"));
     ImageModel image = settings.image;
     image.primitive = scene.surfels.primitive;
     const RendererOptions options{
         {}, common_options(settings), 0, static_cast<std::uint32_t>(settings.trace.keep_hits)};
-    const GradientOptions gradients{backward_options(settings),
-                                    {.rays = with_ray_gradients, .poses = with_pose_gradients}};
+    const GradientOptions gradients{backward_options(settings), {.rays = for_rays, .poses = for_poses}};
     device = device_or_default(device);
     std::unique_ptr<DifferentiableRenderer> made;
     {
         const DeviceLock use(*device);
         made = std::make_unique<DifferentiableRenderer>(device->device, scene, image, options, gradients);
     }
-    auto held = std::make_unique<PythonDifferentiableRenderer>();
+    auto held = std::make_unique<PythonRenderer>();
     held->differentiable = DeviceObject<DifferentiableRenderer>(device, std::move(made));
     held->placed.resize(scene.instances.size());
     return held;
 }
 
-void set_poses(PythonDifferentiableRenderer& renderer, const py::object& poses, const py::object& view_origin,
-               const std::optional<std::vector<bool>>& is_instance_present) {
+void set_poses(PythonRenderer& renderer, const py::object& poses, const py::object& view_origin,
+               const std::optional<std::vector<bool>>& present) {
     std::vector<InstancePose> placed = renderer.placed;
     const auto check_count = [&](std::size_t found, const char* text) {
         if (found != placed.size())
@@ -61,9 +58,9 @@ void set_poses(PythonDifferentiableRenderer& renderer, const py::object& poses, 
         check_count(model_poses.size(), "poses");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
-    if (is_instance_present) {
-        check_count(is_instance_present->size(), "present");
-        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*is_instance_present)[i];
+    if (present) {
+        check_count(present->size(), "present");
+        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
     glm::vec3 view(0.0f);
     if (view_origin.is_none()) {
@@ -77,8 +74,7 @@ void set_poses(PythonDifferentiableRenderer& renderer, const py::object& poses, 
     renderer.placed = std::move(placed);
 }
 
-py::dict run_forward(PythonDifferentiableRenderer& renderer, const py::object& origins,
-                     const py::object& directions) {
+py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const py::object& directions) {
     const WorldRays rays{copy_array<float, glm::vec3>(origins, "origins", {kAnyLength, 3}),
                          copy_array<float, glm::vec3>(directions, "directions", {kAnyLength, 3})};
     if (rays.origin.size() != rays.direction.size())
@@ -109,13 +105,13 @@ py::dict run_forward(PythonDifferentiableRenderer& renderer, const py::object& o
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
-RenderedGradients read_gradients(const py::dict& gradient_arrays_by_name, std::size_t n_rays) {
+RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients d;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
     const std::vector<std::pair<std::string, std::vector<float>*>> gradient_arrays{
         RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
 #undef RELIDAR_VALUES
-    for (const auto& [key, array] : gradient_arrays_by_name) {
+    for (const auto& [key, array] : arrays) {
         const std::string name = py::str(key);
         const auto match = std::find_if(gradient_arrays.begin(), gradient_arrays.end(),
                                         [&](const auto& p) { return p.first == name; });
@@ -130,8 +126,8 @@ RenderedGradients read_gradients(const py::dict& gradient_arrays_by_name, std::s
     return d;
 }
 
-py::dict backward(PythonDifferentiableRenderer& renderer, const py::dict& gradients_of_rendered_values) {
-    const RenderedGradients d = read_gradients(gradients_of_rendered_values, renderer.n_rays);
+py::dict backward(PythonRenderer& renderer, const py::dict& gradients_of_values) {
+    const RenderedGradients d = read_gradients(gradients_of_values, renderer.n_rays);
     HostGradients gradients;
     {
         const DeviceLock use(renderer.differentiable.opened());
@@ -149,13 +145,13 @@ py::dict backward(PythonDifferentiableRenderer& renderer, const py::dict& gradie
     return dict;
 }
 
-void upload_surfels(PythonDifferentiableRenderer& renderer, const py::dict& surfel_arrays) {
-    const Surfels surfels = read_surfels(surfel_arrays);
+void upload_surfels(PythonRenderer& renderer, const py::dict& arrays) {
+    const Surfels surfels = read_surfels(arrays);
     const DeviceLock use(renderer.differentiable.opened());
     renderer.differentiable->renderer().upload_surfels(surfels);
 }
 
-py::dict download_surfels(PythonDifferentiableRenderer& renderer) {
+py::dict download_surfels(PythonRenderer& renderer) {
     Scene scene;
     {
         const DeviceLock use(renderer.differentiable.opened());
@@ -167,7 +163,7 @@ py::dict download_surfels(PythonDifferentiableRenderer& renderer) {
 }  // namespace
 
 void bind_renderer(py::module_& module) {
-    py::class_<PythonDifferentiableRenderer>(module, "DifferentiableRenderer",
+    py::class_<PythonRenderer>(module, "DifferentiableRenderer",
                              "Renders rays and computes gradients for custom losses: forward() returns rendered values, and backward() converts their gradients to gradients of all parameters.\n"
                              "Call place(), forward() and backward(). After a change of parameters, call upload() and place() again. Scales, opacities and channels are\n"
                              "stored before their activation: scale = exp(log_scale), opacity = sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")

@@ -21,37 +21,32 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct RunBeingEdited {
+struct EditedRun {
     Run run;               ///< the run before all edits, with the history of the edits
     SceneWithLog driving;  ///< the edited scene and tracks
     SharedDevice device;
-    /// Absolute path of the run that is edited. Empty if this run was not loaded from a
-    /// folder.
     std::string origin;
 
-    explicit RunBeingEdited(const LoadedRun& start)
+    explicit EditedRun(const LoadedRun& start)
         : run(start.run), driving(run.driving_scene()), device(start.device) {
         if (!run.folder.empty()) origin = fs::absolute(run.folder).lexically_normal().string();
         run.folder.clear();
     }
 
-    /// Applies an edit to the run and adds it to the history of the run.
-    /// @param history_entry text that describes the edit in scene.json
-    RunBeingEdited& apply(const std::string& history_entry,
-                          const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
-        // Applies the edit to a copy, so that the run does not change if the edit fails.
+    EditedRun& apply(const std::string& entry,
+                     const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         driving = edit_scene_with_log(driving);
-        run.edits.push_back({origin, history_entry});
+        run.edits.push_back({origin, entry});
         return *this;
     }
 
     /// Applies an edit that can change the times at which an actor is present. Warns if
     /// the actor is then missing in more frames of the log.
-    RunBeingEdited& apply_to_actor(const std::string& history_entry, const std::string& name,
-                                   const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
+    EditedRun& apply_to_actor(const std::string& entry, const std::string& name,
+                              const std::function<SceneWithLog(SceneWithLog)>& edit) {
         const BoxTrack* box = find_box(driving.sequence, name);
         const BoxTrack before = box ? *box : BoxTrack{};
-        apply(history_entry, edit_scene_with_log);
+        apply(entry, edit);
         if (const std::string note = describe_absence(before, driving.sequence); !note.empty())
             show_warning(note);
         return *this;
@@ -68,49 +63,45 @@ std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g},{:.6g},{:.6g}", vector.x, vector.y, vector.z);
 }
 
-RunBeingEdited& keep_part(RunBeingEdited& run_being_edited, const std::string& kept_part_name) {
-    if (kept_part_name == "background") return run_being_edited.apply("keep background", remove_actors);
-    if (kept_part_name == "actors") return run_being_edited.apply("keep actors", remove_background);
+EditedRun& keep_part(EditedRun& edited, const std::string& kept_part_name) {
+    if (kept_part_name == "background") return edited.apply("keep background", remove_actors);
+    if (kept_part_name == "actors") return edited.apply("keep actors", remove_background);
     throw UsageError(fmt::format("keep(): found \"{}\", expected background or actors", kept_part_name));
 }
 
-RunBeingEdited& move_actor(RunBeingEdited& run_being_edited, const std::string& name,
-                           const py::object& box_from_moved_box) {
-    const Pose box_from_moved = to_pose(box_from_moved_box, "pose");
-    return run_being_edited.apply(
+EditedRun& move_actor(EditedRun& edited, const std::string& name, const py::object& pose) {
+    const Pose box_from_moved = to_pose(pose, "pose");
+    return edited.apply(
         fmt::format("move {}:{}", name, format_vector(box_from_moved.translation)),
         [&](SceneWithLog driving) { return move_track(std::move(driving), name, box_from_moved); });
 }
 
-RunBeingEdited& replace_track(RunBeingEdited& run_being_edited, const std::string& name,
-                              const py::object& times_and_box_poses) {
-    const PoseTrack poses = to_track(times_and_box_poses, "trajectory", 0.0);
-    return run_being_edited.apply_to_actor(
+EditedRun& replace_track(EditedRun& edited, const std::string& name, const py::object& track) {
+    const PoseTrack poses = to_track(track, "trajectory", 0.0);
+    return edited.apply_to_actor(
         fmt::format("follow {}: {} poses", name, poses.pose.size()), name,
         [&](SceneWithLog driving) { return replace_track(std::move(driving), name, poses); });
 }
 
-RunBeingEdited& copy_actor(RunBeingEdited& run_being_edited, const std::string& name,
-                           const py::object& start_pose, double speed_mps) {
-    const NewActorMotion start{to_pose(start_pose, "pose"), speed_mps};
-    return run_being_edited.apply(
+EditedRun& copy_actor(EditedRun& edited, const std::string& name, const py::object& pose, double speed_mps) {
+    const NewActorMotion start{to_pose(pose, "pose"), speed_mps};
+    return edited.apply(
         fmt::format("copy {}@{}:{:.6g}", name, format_vector(start.dataset_from_box.translation), speed_mps),
         [&](SceneWithLog driving) { return copy_track(std::move(driving), name, start); });
 }
 
-RunBeingEdited& insert_actor(RunBeingEdited& run_being_edited, const LoadedRun& other_run,
-                             const std::string& name, const py::object& start_pose, double speed_mps) {
-    const NewActorMotion start{to_pose(start_pose, "pose"), speed_mps};
-    const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other_run.run.folder.string(), name,
+EditedRun& insert_actor(EditedRun& edited, const LoadedRun& other, const std::string& name,
+                        const py::object& pose, double speed_mps) {
+    const NewActorMotion start{to_pose(pose, "pose"), speed_mps};
+    const std::string said = fmt::format("insert {}#{}@{}:{:.6g}", other.run.folder.string(), name,
                                          format_vector(start.dataset_from_box.translation), speed_mps);
-    return run_being_edited.apply(said, [&](SceneWithLog driving) {
-        return insert_track(std::move(driving), other_run.run.driving_scene(), name, start);
+    return edited.apply(said, [&](SceneWithLog driving) {
+        return insert_track(std::move(driving), other.run.driving_scene(), name, start);
     });
 }
 
-std::unique_ptr<LoadedRun> save_edited_run(const RunBeingEdited& run_being_edited, const fs::path& folder,
-                                           bool overwrite) {
-    auto loaded = run_being_edited.copy_run();
+std::unique_ptr<LoadedRun> save_edited_run(const EditedRun& edited, const fs::path& folder, bool overwrite) {
+    auto loaded = edited.copy_run();
     save_run_in(loaded->run, folder, overwrite);
     return loaded;
 }
@@ -120,13 +111,13 @@ std::unique_ptr<LoadedRun> save_edited_run(const RunBeingEdited& run_being_edite
 void bind_edit_class(py::module_& module) {
     // Returns the same Python object after each edit, so that edits can be chained.
     const auto same = py::return_value_policy::reference;
-    py::class_<RunBeingEdited>(
+    py::class_<EditedRun>(
         module, "Edit",
         "A copy of a run that is being edited. Each edit returns the same object, so that calls can be "
         "chained. run() or save() finishes the edits. Raises UsageError for an unknown track.")
         .def(
             "remove",
-            [](RunBeingEdited& edits, const std::string& track) -> RunBeingEdited& {
+            [](EditedRun& edits, const std::string& track) -> EditedRun& {
                 return edits.apply("remove " + track, [&](SceneWithLog driving) {
                     return remove_track(std::move(driving), track);
                 });
@@ -139,7 +130,7 @@ void bind_edit_class(py::module_& module) {
              "relidar.pose()")
         .def(
             "retime",
-            [](RunBeingEdited& edits, const std::string& track, double seconds) -> RunBeingEdited& {
+            [](EditedRun& edits, const std::string& track, double seconds) -> EditedRun& {
                 return edits.apply_to_actor(
                     fmt::format("retime {}:{:.6g}", track, seconds), track,
                     [&](SceneWithLog driving) { return delay_track(std::move(driving), track, seconds); });
@@ -157,12 +148,12 @@ void bind_edit_class(py::module_& module) {
              py::arg("speed_mps") = 0.0, same, "Adds a copy of an actor of another run, like copy().")
         .def("keep", &keep_part, py::arg("what"), same,
              "Keeps only the \"background\" or only the \"actors\".")
-        .def("run", &RunBeingEdited::copy_run, "Returns the edited run.")
+        .def("run", &EditedRun::copy_run, "Returns the edited run.")
         .def("save", &save_edited_run, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
              "Writes the edited run to a folder and returns it.");
     const auto run = py::reinterpret_borrow<py::class_<LoadedRun>>(module.attr("Run"));
     py::class_<LoadedRun>(run).def(
-        "edit", [](const LoadedRun& loaded) { return RunBeingEdited(loaded); },
+        "edit", [](const LoadedRun& loaded) { return EditedRun(loaded); },
         "Returns a copy of the run that can be edited.");
 }
 

@@ -9,26 +9,26 @@
 namespace relidar::python {
 namespace {
 
-Evaluation evaluate_loaded(LoadedRun& loaded_run, const Log& log_with_real_scans,
-                           const std::optional<std::string>& baseline_name, const Progress& report_progress) {
-    Run run = loaded_run.run;
-    copy_scans(run, run.split.test, log_with_real_scans);
-    if (baseline_name) {
-        copy_scans(run, run.split.train, log_with_real_scans);
+Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optional<std::string>& baseline,
+                           const Progress& progress) {
+    Run run = loaded.run;
+    copy_scans(run, run.split.test, log);
+    if (baseline) {
+        copy_scans(run, run.split.train, log);
         const py::gil_scoped_release others_run;
-        return evaluate_baseline(*baseline_name, run.config, run.sequence, run.split, report_progress);
+        return evaluate_baseline(*baseline, run.config, run.sequence, run.split, progress);
     }
-    DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
+    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
     const DeviceLock use(renderer.opened());
     renderer->show_instances(std::vector<bool>(run.scene.instances.size(), true));
-    return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, report_progress);
+    return evaluate_frames(*renderer, run.config, run.sequence, run.split.test, progress);
 }
 
-py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline_name,
+py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<std::string>& baseline,
                       const PythonProgressCallback& report_progress) {
     // Throws an error if the baseline is unknown. This is checked before the log is
     // loaded, because loading takes a long time.
-    if (baseline_name) (void)parse_baseline(*baseline_name);
+    if (baseline) (void)parse_baseline(*baseline);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
     const Progress progress = wrap_progress(report_progress);
@@ -38,7 +38,7 @@ py::dict evaluate_run(LoadedRun& run, const LoadedLog* log, const std::optional<
         limit_scan_memory(std::uint64_t(run.run.config.dataset.memory_mib) << 20);
         read = load_log(run.run.config, progress);
     }
-    const Evaluation result = evaluate_loaded(run, log ? log->sequence : read, baseline_name, progress);
+    const Evaluation result = evaluate_loaded(run, log ? log->sequence : read, baseline, progress);
     py::list frames;
     for (const ScoredFrame& frame : result.frames)
         frames.append(py::dict(py::arg("frame") = frame.frame, py::arg("time_s") = frame.time_s,

@@ -20,10 +20,10 @@ namespace relidar::python {
 /// @throws pybind11::type_error if the object is no integer
 /// @throws UsageError if the integer does not fit into Integer
 template <class Integer>
-Integer read_integer(const pybind11::handle& object, const std::string& name_for_errors) {
+Integer read_integer(const pybind11::handle& object, const std::string& where) {
     using Limits = std::numeric_limits<Integer>;
     const auto describe_problem = [&] {
-        return fmt::format("{}: found {}, expected a whole number from {} to {}", name_for_errors,
+        return fmt::format("{}: found {}, expected a whole number from {} to {}", where,
                            std::string(pybind11::repr(object)), Limits::min(), Limits::max());
     };
     const auto integer = pybind11::reinterpret_steal<pybind11::object>(PyNumber_Index(object.ptr()));
@@ -42,7 +42,6 @@ struct ArgumentName {
     constexpr ArgumentName(const char (&name)[N]) { std::copy_n(name, N, text); }
 };
 
-/// An integer argument of a function that Python calls.
 template <class Integer, ArgumentName name>
 struct IntegerArgument {
     Integer value;

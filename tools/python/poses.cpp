@@ -19,19 +19,17 @@ constexpr double kMaxRotationError = 1e-4;
 /// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
 /// translation.
 /// @param matrix 16 numbers in row-major order
-Pose read_pose(const double* matrix, const std::string& name_for_errors) {
+Pose read_pose(const double* matrix, const std::string& where) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
             "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 0 0 1",
-            name_for_errors, found));
+            where, found));
     };
     if (!std::all_of(matrix, matrix + 16, [](double value) { return std::isfinite(value); }))
         fail("a matrix with a number that is not finite");
     if (matrix[12] != 0.0 || matrix[13] != 0.0 || matrix[14] != 0.0 || matrix[15] != 1.0)
         fail(fmt::format("a matrix with the last row {} {} {} {}", matrix[12], matrix[13], matrix[14],
                          matrix[15]));
-    // The constructor of the GLM matrix expects columns, so the row-major numbers are
-    // reordered.
     const glm::dmat3 rotation(matrix[0], matrix[4], matrix[8], matrix[1], matrix[5], matrix[9], matrix[2],
                               matrix[6], matrix[10]);
     const glm::dmat3 square = glm::transpose(rotation) * rotation;
@@ -55,33 +53,30 @@ void write_pose(const Pose& pose, double* output) {
 
 }  // namespace
 
-Pose to_pose(const py::handle& matrix, const std::string& name_for_errors) {
-    return read_pose(array_values<double>(matrix, name_for_errors, {4, 4}).data(), name_for_errors);
+Pose to_pose(const py::handle& matrix, const std::string& where) {
+    return read_pose(array_values<double>(matrix, where, {4, 4}).data(), where);
 }
 
-std::vector<Pose> to_poses(const py::handle& matrices, const std::string& name_for_errors) {
-    const std::span<const double> numbers =
-        array_values<double>(matrices, name_for_errors, {kAnyLength, 4, 4});
+std::vector<Pose> to_poses(const py::handle& matrices, const std::string& where) {
+    const std::span<const double> numbers = array_values<double>(matrices, where, {kAnyLength, 4, 4});
     std::vector<Pose> poses;
     for (std::size_t i = 0; i < numbers.size() / 16; ++i)
-        poses.push_back(read_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", name_for_errors, i)));
+        poses.push_back(read_pose(numbers.data() + 16 * i, fmt::format("{}[{}]", where, i)));
     return poses;
 }
 
-PoseTrack to_track(const py::handle& pose_or_times_and_poses, const std::string& name_for_errors,
-                   double time_of_single_pose_s) {
-    if (!py::isinstance<py::tuple>(pose_or_times_and_poses))
-        return {{time_of_single_pose_s}, {to_pose(pose_or_times_and_poses, name_for_errors)}};
-    const auto pair = py::reinterpret_borrow<py::tuple>(pose_or_times_and_poses);
+PoseTrack to_track(const py::handle& object, const std::string& where, double time_s) {
+    if (!py::isinstance<py::tuple>(object)) return {{time_s}, {to_pose(object, where)}};
+    const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
         throw DataError(fmt::format(
-            "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])",
-            name_for_errors, pair.size()));
-    PoseTrack track{copy_array<double, double>(pair[0], name_for_errors + ": times", {kAnyLength}),
-                    to_poses(pair[1], name_for_errors + ": poses")};
+            "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])", where,
+            pair.size()));
+    PoseTrack track{copy_array<double, double>(pair[0], where + ": times", {kAnyLength}),
+                    to_poses(pair[1], where + ": poses")};
     if (track.time_s.size() != track.pose.size())
         throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both",
-                                    name_for_errors, track.time_s.size(), track.pose.size()));
+                                    where, track.time_s.size(), track.pose.size()));
     return track;
 }
 

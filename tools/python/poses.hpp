@@ -11,15 +11,13 @@
 
 namespace relidar::python {
 
-/// @throws DataError if the matrix has a wrong type or shape, or is not a rigid motion
-Pose to_pose(const py::handle& matrix, const std::string& name_for_errors);
+Pose to_pose(const py::handle& matrix, const std::string& where);
 
-/// @param time_of_single_pose_s time of a single pose
+/// @param time_s time of a single pose
 /// @throws DataError if the object has another form, or a pose is not a rigid motion
-PoseTrack to_track(const py::handle& pose_or_times_and_poses, const std::string& name_for_errors,
-                   double time_of_single_pose_s);
+PoseTrack to_track(const py::handle& object, const std::string& where, double time_s);
 
-std::vector<Pose> to_poses(const py::handle& matrices, const std::string& name_for_errors);
+std::vector<Pose> to_poses(const py::handle& matrices, const std::string& where);
 
 py::array pose_matrix(const Pose& pose);
 

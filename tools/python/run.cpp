@@ -42,15 +42,14 @@ struct RenderArguments {
 /// Checks that a track has poses around a time. At other times, the poses would be
 /// extrapolated.
 /// @throws UsageError if the time is more than `tolerance_s` before or after the track
-void check_time(const PoseTrack& track, double time_s, double tolerance_s,
-                const std::string& name_for_errors) {
+void check_time(const PoseTrack& track, double time_s, double tolerance_s, const std::string& where) {
     // Accepts all times if the track has only one pose, because this pose is valid at all
     // times. Also accepts times that are not finite, because the renderer reports them.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
-        throw UsageError(fmt::format("{}: found {} s, expected a time from {} to {} s", name_for_errors,
-                                     time_s, begin_s, end_s));
+        throw UsageError(
+            fmt::format("{}: found {} s, expected a time from {} to {} s", where, time_s, begin_s, end_s));
 }
 
 ActorTracksByName to_tracks(const py::dict& poses_by_actor, double time_of_single_poses_s) {
@@ -75,21 +74,20 @@ int find_nearest_frame(const Log& sequence, double time_s) {
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), is_nearer)->index;
 }
 
-ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar_index) {
+ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor =
-        arguments.pose.is_none()
-            ? shift_track(run.sequence.lidar_track(lidar_index), run.sequence.world_offset_m)
-            : to_track(arguments.pose, "pose", request.time_s);
+        arguments.pose.is_none() ? shift_track(run.sequence.lidar_track(lidar), run.sequence.world_offset_m)
+                                 : to_track(arguments.pose, "pose", request.time_s);
     check_time(request.dataset_from_sensor, request.time_s, 0.0,
                arguments.pose.is_none() ? "time in the log" : "time on the poses");
     if (arguments.actors) request.dataset_from_actor = to_tracks(*arguments.actors, request.time_s);
     return request;
 }
 
-py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& output_options) {
-    const std::vector<ActorBox> boxes = actor_boxes_of(scan, output_options);
+py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& options) {
+    const std::vector<ActorBox> boxes = actor_boxes_of(scan, options);
     std::vector<std::string> tracks, categories;
     std::vector<double> sizes_m, times_s, poses, velocities_mps, shares;
     std::vector<std::int32_t> points;
@@ -118,8 +116,8 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& out
                           make_array("visible_share", {n}, shares.data(), n)});
 }
 
-py::dict render_scan(LoadedRun& loaded_run, const RenderArguments& arguments) {
-    const Run& run = loaded_run.run;
+py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
+    const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, arguments.lidar);
     const ScanRequest request = make_request(arguments, run, lidar);
     SimulatedSensor sensor = sensor_for_run(arguments.sensor, run, lidar);
@@ -136,7 +134,7 @@ py::dict render_scan(LoadedRun& loaded_run, const RenderArguments& arguments) {
             fmt::format("argument frame: found \"{}\", expected sensor or world", arguments.frame));
     format.deskew = arguments.deskew;
     const Weather weather = parse_weather(arguments.weather);
-    DeviceObject<ScanRenderer>& renderer = loaded_run.get_renderer();
+    DeviceObject<ScanRenderer>& renderer = loaded.get_renderer();
     RenderedScan scan;
     {
         const DeviceLock use(renderer.opened());
@@ -160,9 +158,9 @@ std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict&
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
-std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded_run, const py::dict& surfel_arrays) {
-    auto changed = std::make_unique<LoadedRun>(loaded_run.run, loaded_run.device);
-    Surfels surfels = read_surfels(surfel_arrays);
+std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
+    auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
+    Surfels surfels = read_surfels(arrays);
     Scene& scene = changed->run.scene;
     scene = with_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)

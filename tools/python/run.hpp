@@ -17,8 +17,7 @@ struct LoadedRun {
     DeviceObject<ScanRenderer> renderer{};
 
     // Clang before 16 needs the constructor for make_unique().
-    LoadedRun(Run trained_run, SharedDevice device_or_null)
-        : run(std::move(trained_run)), device(std::move(device_or_null)) {}
+    LoadedRun(Run r, SharedDevice d) : run(std::move(r)), device(std::move(d)) {}
 
     DeviceObject<ScanRenderer>& get_renderer();
 };

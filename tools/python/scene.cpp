@@ -18,8 +18,6 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// Calls `callback` for each parameter array of the surfels, with the name of the array,
-/// its values, and the shape of one surfel's values.
 template <class Set, class Callback>
 void for_each_array(Set& surfels, Callback&& callback) {
     callback("mean", surfels.mean, NumpyShape{3});
@@ -31,9 +29,9 @@ void for_each_array(Set& surfels, Callback&& callback) {
     callback(kGait.data(), surfels.gait, NumpyShape{5});
 }
 
-bool has_array(const Surfels& surfels, std::string_view array_name) {
-    if (array_name == kGait) return surfels.bends;
-    return array_name != kThirdScale || properties_of(surfels.primitive).third_scale;
+bool has_array(const Surfels& surfels, std::string_view name) {
+    if (name == kGait) return surfels.bends;
+    return name != kThirdScale || properties_of(surfels.primitive).third_scale;
 }
 
 NumpyShape array_shape(py::ssize_t n_rows, const NumpyShape& row_shape) {
@@ -53,19 +51,19 @@ py::dict surfel_views(const py::object& scene_object) {
     return dict;
 }
 
-std::uint32_t read_uint32(const py::dict& dict, const char* entry_name, const char* name_for_errors) {
+std::uint32_t read_uint32(const py::dict& dict, const char* entry_name, const char* where) {
     if (!dict.contains(entry_name))
-        throw DataError(fmt::format("{}: the dict has no entry \"{}\"", name_for_errors, entry_name));
-    return read_integer<std::uint32_t>(dict[entry_name], fmt::format("{}: {}", name_for_errors, entry_name));
+        throw DataError(fmt::format("{}: the dict has no entry \"{}\"", where, entry_name));
+    return read_integer<std::uint32_t>(dict[entry_name], fmt::format("{}: {}", where, entry_name));
 }
 
 /// Creates a scene from surfels.
 /// @param models dicts with name, first and count; without them, all surfels form one
 /// model
 /// @param instances dicts with model and track; without them, each model has one instance
-Scene make_scene(const py::dict& surfel_arrays, const std::optional<std::vector<py::dict>>& models,
+Scene make_scene(const py::dict& arrays, const std::optional<std::vector<py::dict>>& models,
                  const std::optional<std::vector<py::dict>>& instances) {
-    Scene scene = wrap_background(read_surfels(surfel_arrays));
+    Scene scene = wrap_background(read_surfels(arrays));
     if (models) {
         scene.models.clear();
         for (const py::dict& model : *models)
@@ -124,8 +122,6 @@ Surfels read_surfels(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
                                          did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
-    // Finds out the kind of primitive. Only 3D Gaussians have an array of third scales;
-    // 2D surfels do not.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
     surfels.primitive = kind->primitive;

@@ -61,11 +61,10 @@ RayTable read_rays(const py::dict& dict) {
 
 }  // namespace
 
-SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const Run& run, int lidar_index) {
-    if (sensor_name_or_ray_dict.is_none()) return make_sensor(run.config, run.sequence, lidar_index);
+SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const Run& run, int lidar) {
+    if (sensor_name_or_ray_dict.is_none()) return make_sensor(run.config, run.sequence, lidar);
     if (py::isinstance<py::str>(sensor_name_or_ray_dict))
-        return choose_sensor(sensor_name_or_ray_dict.cast<std::string>(), run.config, run.sequence,
-                             lidar_index);
+        return choose_sensor(sensor_name_or_ray_dict.cast<std::string>(), run.config, run.sequence, lidar);
     if (!py::isinstance<py::dict>(sensor_name_or_ray_dict))
         throw UsageError(
             "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of a sensor "
@@ -74,7 +73,7 @@ SimulatedSensor sensor_for_run(const py::handle& sensor_name_or_ray_dict, const 
     choice.rays = read_rays(py::reinterpret_borrow<py::dict>(sensor_name_or_ray_dict));
     choice.limits = intersect({}, {run.config.dataset.min_range_m, run.config.dataset.max_range_m});
     choice.name = "rays";
-    choice.lidar = lidar_index;
+    choice.lidar = lidar;
     return choice;
 }
 

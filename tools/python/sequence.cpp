@@ -25,10 +25,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-LoadedLog load_dataset(const std::string& dataset_path, const std::optional<Config>& config,
+LoadedLog load_dataset(const std::string& path, const std::optional<Config>& config,
                        const PythonProgressCallback& progress) {
     LoadedLog log{{}, config.value_or(make_preset("default"))};
-    log.config.dataset.path = absolute_dataset(dataset_path);
+    log.config.dataset.path = absolute_dataset(path);
     const py::gil_scoped_release others_run;
     limit_scan_memory(std::uint64_t(log.config.dataset.memory_mib) << 20);
     log.sequence = load_log(log.config, wrap_progress(progress));

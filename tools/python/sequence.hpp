@@ -21,12 +21,8 @@ pybind11::object frame_times(const Log& sequence);
 pybind11::object frame_numbers(const Log& sequence);
 pybind11::object vehicle_path(const Log& sequence);
 pybind11::object mounting_dict(const Log& sequence);
-/// Returns a dict from the track name to (times, poses). The poses are poses of the box
-/// centre.
 pybind11::object track_dict(const Log& sequence, const std::vector<std::string>& track_names);
 
-/// Adds the properties that logs and runs have in common.
-/// @param get returns the sequence of an Owner
 template <class Owner, class Get>
 void bind_sequence_properties(pybind11::class_<Owner>& type, Get get) {
     type.def_property_readonly(

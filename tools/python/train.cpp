@@ -128,8 +128,6 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
     try {
         result = train_scene(*device, run, arguments, python);
     } catch (const Error&) {
-        // If a Python callback raised an exception, raises this exception instead of the
-        // error of the library.
         python.rethrow();
         throw;
     }

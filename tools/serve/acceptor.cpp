@@ -31,7 +31,6 @@ namespace {
 constexpr std::chrono::milliseconds kRetryPause{50};
 // Maximum number of open file descriptors of the process. Connections count too.
 constexpr int kMostDescriptors = 16384;
-// Number of file descriptors that are reserved for files and the GPU driver.
 constexpr int kReservedDescriptors = 256;
 
 [[noreturn]] void fail_listen(const std::string& address, const std::string& reason) {
@@ -43,13 +42,13 @@ struct FreeAddresses {
 };
 using AddrInfoPtr = std::unique_ptr<addrinfo, FreeAddresses>;
 
-AddrInfoPtr resolve_host(const std::string& host, const std::string& address_for_errors) {
+AddrInfoPtr resolve_host(const std::string& host, const std::string& where) {
     addrinfo hints{};
     hints.ai_socktype = SOCK_STREAM;
     hints.ai_flags = AI_PASSIVE;
     addrinfo* all = nullptr;
     if (const int error = ::getaddrinfo(host.c_str(), nullptr, &hints, &all); error != 0)
-        fail_listen(address_for_errors, ::gai_strerror(error));
+        fail_listen(where, ::gai_strerror(error));
     return AddrInfoPtr(all);
 }
 

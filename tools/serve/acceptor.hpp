@@ -19,13 +19,10 @@ public:
     /// @throws UsageError if the address is invalid or not available
     explicit Acceptor(const std::string& address);
     ~Acceptor();
-    Acceptor(const Acceptor&) = delete;
-    Acceptor& operator=(const Acceptor&) = delete;
 
     int port() const { return port_; }
     /// If too few file descriptors are free, closes new connections immediately.
     void start_accepting(ConnectionCallback handle_connection);
-    /// Waits until a running callback has returned.
     void stop();
 
 private:

@@ -86,12 +86,12 @@ void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::Li
     if (request.points) write_points(scan.points, *message.mutable_points());
 }
 
-void write_scan(const RenderedScan& scan, const RenderRequest& request,
-                const Config& config_with_range_limits, v1::LidarScan& message) {
+void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
+                v1::LidarScan& message) {
     const Pose dataset_from_points = request.request.dataset_from_sensor.pose_at(request.points_at_s);
-    write_scan({place_points(scan, config_with_range_limits, dataset_from_points), scan.image.range_m.size(),
-                scan.unseen_share},
-               request, message);
+    write_scan(
+        {place_points(scan, config, dataset_from_points), scan.image.range_m.size(), scan.unseen_share},
+        request, message);
     if (!request.range_image && !request.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
     image.set_rows(std::uint32_t(scan.image.rows));
@@ -103,9 +103,9 @@ void write_scan(const RenderedScan& scan, const RenderRequest& request,
     add_channels(scan.channels, *image.mutable_channels());
 }
 
-void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run_with_actors,
+void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
                  v1::LidarScan& message) {
-    ScanOutputOptions format = default_options(run_with_actors, *request.sensor);
+    ScanOutputOptions format = default_options(run, *request.sensor);
     std::map<std::string, std::string> names;  // of the actors by track
     if (request.request.dataset_from_actor) {
         format.actors.clear();
@@ -149,15 +149,14 @@ void write_scene(const std::string& scene_name, const Run& run, v1::Scene& messa
     for (const std::string& actor : run_actor_names(run)) write_actor(run, actor, *message.add_actors());
 }
 
-void write_tracks(const Run& run, int lidar_index,
-                  const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,
+void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message) {
     const Log& log = run.sequence;
     const auto in_dataset = [&](const PoseTrack& track) { return shift_track(track, log.world_offset_m); };
-    write_track(in_dataset(log.lidar_track(lidar_index)), *message.mutable_dataset_from_sensor());
-    if (std::size_t(actor_names_or_all.size()) > run.scene.instances.size())
-        reject_field("actors", fmt::format("{} names", actor_names_or_all.size()), "each actor at most once");
-    std::vector<std::string> names(actor_names_or_all.begin(), actor_names_or_all.end());
+    write_track(in_dataset(log.lidar_track(lidar)), *message.mutable_dataset_from_sensor());
+    if (std::size_t(actors.size()) > run.scene.instances.size())
+        reject_field("actors", fmt::format("{} names", actors.size()), "each actor at most once");
+    std::vector<std::string> names(actors.begin(), actors.end());
     if (names.empty()) names = run_actor_names(run);
     for (const std::string& name : names) {
         const BoxTrack* box = find_box(run.sequence, name);
@@ -171,16 +170,16 @@ void write_tracks(const Run& run, int lidar_index,
     }
 }
 
-void write_asset(const AssetDescription& asset_description, v1::Asset& message) {
-    message.set_name(asset_description.name);
-    message.set_category(asset_description.category);
-    message.set_kind(name_of(asset_description.kind));
-    write_vector(asset_description.size_m, *message.mutable_size_m());
-    message.set_score(asset_description.covered_share());
-    message.set_seen(asset_description.seen);
-    message.set_nearest_m(asset_description.nearest_m);
-    message.set_surfels(asset_description.surfels);
-    message.set_sensor(asset_description.sensor);
+void write_asset(const AssetDescription& asset, v1::Asset& message) {
+    message.set_name(asset.name);
+    message.set_category(asset.category);
+    message.set_kind(name_of(asset.kind));
+    write_vector(asset.size_m, *message.mutable_size_m());
+    message.set_score(asset.covered_share());
+    message.set_seen(asset.seen);
+    message.set_nearest_m(asset.nearest_m);
+    message.set_surfels(asset.surfels);
+    message.set_sensor(asset.sensor);
 }
 
 void write_spawned(const SpawnedActorRegistry::SpawnSlot& slot, const Run& run, v1::SpawnedActor& message) {

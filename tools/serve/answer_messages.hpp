@@ -12,24 +12,22 @@
 
 namespace relidar::serve {
 
-void write_scan(const RenderedScan& scan, const RenderRequest& request,
-                const Config& config_with_range_limits, v1::LidarScan& message);
+void write_scan(const RenderedScan& scan, const RenderRequest& request, const Config& config,
+                v1::LidarScan& message);
 void write_scan(const RenderedPoints& scan, const RenderRequest& request, v1::LidarScan& message);
 
-/// @param run_with_actors may have no surfels
-void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run_with_actors,
+void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
                  v1::LidarScan& message);
 
 void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message);
 
 /// In the world frame of the dataset.
-/// @param actor_names_or_all if the list is empty, all actors are written
+/// @param actors if the list is empty, all actors are written
 /// @throws RejectedRequest if an actor is unknown
-void write_tracks(const Run& run, int lidar,
-                  const google::protobuf::RepeatedPtrField<std::string>& actor_names_or_all,
+void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message);
 
-void write_asset(const AssetDescription& asset_description, v1::Asset& message);
+void write_asset(const AssetDescription& asset, v1::Asset& message);
 
 void write_spawned(const SpawnedActorRegistry::SpawnSlot& slot, const Run& run, v1::SpawnedActor& message);
 

@@ -13,7 +13,6 @@ namespace relidar::serve {
 
 std::shared_ptr<grpc::Channel> open_channel(const std::string& address) {
     grpc::ChannelArguments arguments;
-    // Removes the size limit of messages, because a scan of a million rays needs 50 MB.
     arguments.SetMaxReceiveMessageSize(-1);
     // Its own connection, so that channels behave like separate client processes.
     arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);

@@ -14,7 +14,6 @@ namespace relidar::serve {
 /// Without TLS and without a limit of message sizes, because scans can be large.
 std::shared_ptr<grpc::Channel> open_channel(const std::string& address);
 
-/// @throws DataError with the gRPC code and message if a call fails
 class ScanClient {
 public:
     explicit ScanClient(std::string address);

@@ -15,14 +15,9 @@ namespace relidar::serve {
 /// Of a unit vector or quaternion. Clients may send float values or rounded text.
 inline constexpr double kUnitSlack = 1e-3;
 
-/// @throws RejectedRequest if a value is not finite or too large, or the rotation is no
-/// unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& name);
-/// @throws RejectedRequest also if the number of poses is wrong or the times do not
-/// increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& name);
-/// @throws RejectedRequest if the time is not finite or exceeds 1e10 s
 double checked_time(double time_s, const std::string& name);
 
 void write_vector(const glm::dvec3& vector, v1::Vector& message);

@@ -42,11 +42,11 @@ Percentiles percentiles(const std::vector<LatencySample>& samples, double Latenc
 
 /// A sweep between two successive poses of the log, starting again after the last pose.
 v1::RenderLidarRequest sweep_request(const LatencyOptions& options, const std::string& scene_name,
-                                     const v1::GetTracksResponse& tracks, int number_of_request) {
+                                     const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
     request.set_scene(scene_name);
     if (!options.sensor.empty()) request.mutable_sensor()->set_name(options.sensor);
-    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? number_of_request % (n - 1) : 0;
+    const int n = tracks.dataset_from_sensor_size(), first = n > 1 ? number % (n - 1) : 0;
     for (int i = first; i < std::min(first + 2, n); ++i) *request.add_path() = tracks.dataset_from_sensor(i);
     request.mutable_wanted()->set_points(true);
     return request;

@@ -32,7 +32,6 @@ struct LatencyResult {
     double points = 0.0;   ///< Mean number of points per scan.
 };
 
-/// @throws DataError if the service does not respond or rejects a call
 LatencyResult measure_latency(const LatencyOptions& options);
 
 }  // namespace relidar::serve

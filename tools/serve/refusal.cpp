@@ -10,33 +10,30 @@
 
 namespace relidar::serve {
 
-void reject_field(const std::string& field_name, const std::string& found_value_text,
-                  const std::string& expected_value_text) {
-    refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field_name,
-           found_value_text, expected_value_text);
+void reject_field(const std::string& field, const std::string& found, const std::string& expected) {
+    refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field, found,
+           expected);
 }
 
-void reject_name(const std::string& field_name, const std::string& name,
-                 const std::vector<std::string>& valid_names) {
-    const std::string nearest = nearest_name(name.substr(0, 80), valid_names);
+void reject_name(const std::string& field, const std::string& name, const std::vector<std::string>& names) {
+    const std::string nearest = nearest_name(name.substr(0, 80), names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
-    refuse(grpc::StatusCode::NOT_FOUND, "cannot read {}: found {}, expected {}", field_name,
+    refuse(grpc::StatusCode::NOT_FOUND, "cannot read {}: found {}, expected {}", field,
            quote_client_text(name), expected);
 }
 
-std::string quote_client_text(const std::string& client_text) {
+std::string quote_client_text(const std::string& text) {
     constexpr std::size_t kMaxQuotedBytes = 80;
-    std::size_t n = std::min(client_text.size(), kMaxQuotedBytes);
+    std::size_t n = std::min(text.size(), kMaxQuotedBytes);
     // Cuts the text before a UTF-8 character, not in the middle of it.
-    while (n < client_text.size() && n > 0 && (static_cast<unsigned char>(client_text[n]) & 0xc0) == 0x80)
-        --n;
-    std::string shown = client_text.substr(0, n);
+    while (n < text.size() && n > 0 && (static_cast<unsigned char>(text[n]) & 0xc0) == 0x80) --n;
+    std::string shown = text.substr(0, n);
     std::replace_if(
         shown.begin(), shown.end(),
         [](unsigned char character) { return character < 0x20 || character == 0x7f; }, ' ');
-    return n == client_text.size() ? fmt::format("\"{}\"", shown)
-                                   : fmt::format("\"{}...\" of {} bytes", shown, client_text.size());
+    return n == text.size() ? fmt::format("\"{}\"", shown)
+                            : fmt::format("\"{}...\" of {} bytes", shown, text.size());
 }
 
 grpc::Status call_handler(const std::function<void()>& handle_request) {

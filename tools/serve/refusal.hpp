@@ -12,7 +12,6 @@
 
 namespace relidar::serve {
 
-/// The client receives the gRPC code and the message.
 class RejectedRequest : public std::runtime_error {
 public:
     RejectedRequest(grpc::StatusCode code, const std::string& message)
@@ -23,25 +22,20 @@ private:
     grpc::StatusCode code_;
 };
 
-/// @throws RejectedRequest always, with the formatted text
 template <class... T>
 [[noreturn]] void refuse(grpc::StatusCode code, fmt::format_string<T...> text, T&&... values) {
     throw RejectedRequest(code, fmt::format(text, std::forward<T>(values)...));
 }
 
-/// @throws RejectedRequest always
-[[noreturn]] void reject_field(const std::string& field_name, const std::string& found_value_text,
-                               const std::string& expected_value_text);
+[[noreturn]] void reject_field(const std::string& field, const std::string& found,
+                               const std::string& expected);
 
-/// Suggests a similar valid name.
-/// @throws RejectedRequest always
-[[noreturn]] void reject_name(const std::string& field_name, const std::string& name,
-                              const std::vector<std::string>& valid_names);
+[[noreturn]] void reject_name(const std::string& field, const std::string& name,
+                              const std::vector<std::string>& names);
 
 /// Removes line breaks and shortens long texts.
-std::string quote_client_text(const std::string& client_text);
+std::string quote_client_text(const std::string& text);
 
-/// Converts an exception into an error status with a one-line message.
-grpc::Status call_handler(const std::function<void()>& handle_request);
+grpc::Status call_handler(const std::function<void()>& handle);
 
 }  // namespace relidar::serve

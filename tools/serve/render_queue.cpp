@@ -9,7 +9,6 @@
 namespace relidar::serve {
 namespace {
 
-/// Interval at which a waiting call checks whether its client has cancelled it.
 constexpr std::chrono::milliseconds kPollInterval{10};
 
 class FunctionRequest final : public QueuedRequest {
@@ -99,11 +98,11 @@ void RenderQueue::wait_for_end(QueuedRequest& request, std::unique_lock<std::mut
 }
 
 /// Skips cancelled requests. Returns null if there is none.
-/// @param scene_index if set, also returns null if the next request is for another scene
-QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene_index) {
+/// @param scene if set, also returns null if the next request is for another scene
+QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene) {
     while (!pending_.empty()) {
         QueuedRequest* request = pending_.front();
-        if (scene_index && request->scene != scene_index) return nullptr;
+        if (scene && request->scene != scene) return nullptr;
         pending_.pop_front();
         request->state_ = request->is_cancelled() ? QueuedRequest::RequestState::cancelled
                                                   : QueuedRequest::RequestState::in_flight;
@@ -115,15 +114,15 @@ QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene
 
 /// Step 1 submits the request to the device. Step 2, only for requests with a scene,
 /// waits for the device and stores the response. If a step fails, the request is done.
-/// @param is_last_of_batch selects step 1; no value selects step 2
-void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is_last_of_batch,
+/// @param is_last selects step 1; no value selects step 2
+void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is_last,
                                   std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
-    if (is_last_of_batch) request.submitted_at_ = QueuedRequest::Clock::now();
+    if (is_last) request.submitted_at_ = QueuedRequest::Clock::now();
     try {
-        if (is_last_of_batch) request.submit(*is_last_of_batch);
+        if (is_last) request.submit(*is_last);
         else request.finish();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
@@ -134,7 +133,7 @@ void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is
     request.finished_at_ = QueuedRequest::Clock::now();
     lock.lock();
     if (loss && !device_loss_) device_loss_ = loss;
-    if (is_last_of_batch && request.scene && !failure) return;
+    if (is_last && request.scene && !failure) return;
     request.failure_ = failure;
     request.state_ = QueuedRequest::RequestState::done;
     request.changed_.notify_one();
@@ -142,15 +141,14 @@ void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is
 
 /// Submits a request, and requests for the same scene that follow in the queue.
 /// @return requests whose results must still be read from the device
-RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first_request,
+RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first,
                                                     std::unique_lock<std::mutex>& lock) {
     RequestBatch batch;
-    for (std::size_t n = 1; first_request; ++n) {
-        QueuedRequest* following =
-            first_request->scene && n < batch_size_ ? take_request(first_request->scene) : nullptr;
-        process_request(*first_request, !following, lock);
-        if (first_request->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(first_request);
-        first_request = following;
+    for (std::size_t n = 1; first; ++n) {
+        QueuedRequest* following = first->scene && n < batch_size_ ? take_request(first->scene) : nullptr;
+        process_request(*first, !following, lock);
+        if (first->state_ == QueuedRequest::RequestState::in_flight) batch.push_back(first);
+        first = following;
     }
     return batch;
 }

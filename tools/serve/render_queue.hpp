@@ -18,12 +18,11 @@
 
 namespace relidar::serve {
 
-/// Derived classes add the data of the request and its response.
 class QueuedRequest {
 public:
     virtual ~QueuedRequest() = default;
-    /// @param is_last_of_batch false if both requests can be submitted together
-    virtual void submit(bool is_last_of_batch) = 0;
+    /// @param is_last false if both requests can be submitted together
+    virtual void submit(bool is_last) = 0;
     /// Called only for requests that have a scene.
     virtual void finish() {}
     /// True if the client has disconnected or its deadline has passed. Polled.
@@ -55,8 +54,6 @@ public:
     explicit RenderQueue(std::size_t n_pending);
     /// All QueueSlot objects must be destroyed before.
     ~RenderQueue();
-    RenderQueue(const RenderQueue&) = delete;
-    RenderQueue& operator=(const RenderQueue&) = delete;
 
     enum class RequestOutcome { done, cancelled };
     /// Only a caller that holds a slot can run requests. The destructor releases the
@@ -78,7 +75,6 @@ public:
         explicit QueueSlot(RenderQueue* queue) : queue_(queue) {}
         RenderQueue* queue_;
     };
-    /// Returns no value if the queue is full.
     std::optional<QueueSlot> reserve_slot();
     std::size_t total_slots() const { return slots_; }
     /// From now on, is_draining() returns true, so that callers reject new calls.
@@ -86,7 +82,6 @@ public:
     bool is_draining() const { return draining_; }
     /// No value as long as the device works.
     std::optional<std::string> loss_message();
-    /// The default is 1: each request is submitted alone.
     void set_batch_size(std::size_t max_requests);
 
 private:
@@ -104,10 +99,10 @@ private:
     std::thread thread_;
 
     void run_render_loop();
-    QueuedRequest* take_request(const std::optional<std::size_t>& scene_index = {});
-    RequestBatch submit_batch(QueuedRequest* first_request, std::unique_lock<std::mutex>& lock);
+    QueuedRequest* take_request(const std::optional<std::size_t>& scene = {});
+    RequestBatch submit_batch(QueuedRequest* first, std::unique_lock<std::mutex>& lock);
     void finish_batch(const RequestBatch& batch, std::unique_lock<std::mutex>& lock);
-    void process_request(QueuedRequest& request, std::optional<bool> is_last_of_batch,
+    void process_request(QueuedRequest& request, std::optional<bool> is_last,
                          std::unique_lock<std::mutex>& lock);
     void wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock);
 };

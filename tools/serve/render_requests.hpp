@@ -14,11 +14,8 @@
 
 namespace relidar::serve {
 
-/// @throws RejectedRequest if the queue is full
 RenderQueue::QueueSlot reserve_slot(RenderQueue& queue);
 
-/// The client has disconnected or its deadline has passed.
-/// @throws RejectedRequest always
 [[noreturn]] void fail_cancelled(const grpc::ServerContext& context);
 
 class ClientRequest : public QueuedRequest {
@@ -51,7 +48,6 @@ private:
     const RenderRequest& render_request_;
 };
 
-/// Maximum number of scans in one PointsRequest.
 inline constexpr std::size_t kMostAtOnce = 8;
 /// The device can hold two batches.
 inline constexpr std::size_t kBatchSize = 4;

@@ -26,19 +26,18 @@ constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of th
 // Seconds between a scan and the nearest end of the sensor's path.
 constexpr double kBeyondPath_s = 1.0;
 
-bool is_far_from_path(double time_s, const PoseTrack& sensor_path) {
-    const bool moves = sensor_path.pose.size() > 1;
-    return moves && (time_s < sensor_path.time_s.front() - kBeyondPath_s ||
-                     time_s > sensor_path.time_s.back() + kBeyondPath_s);
+bool is_far_from_path(double time_s, const PoseTrack& path) {
+    const bool moves = path.pose.size() > 1;
+    return moves &&
+           (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
-/// Rejects a time that is more than kBeyondPath_s outside the sensor's path.
-double time_near_path(double time_s, const PoseTrack& sensor_path, const std::string& field_name) {
-    checked_time(time_s, field_name);
-    if (is_far_from_path(time_s, sensor_path))
-        reject_field(field_name,
-                     fmt::format("{} s, but the path covers {} to {} s", time_s, sensor_path.time_s.front(),
-                                 sensor_path.time_s.back()),
+double time_near_path(double time_s, const PoseTrack& path, const std::string& field) {
+    checked_time(time_s, field);
+    if (is_far_from_path(time_s, path))
+        reject_field(field,
+                     fmt::format("{} s, but the path covers {} to {} s", time_s, path.time_s.front(),
+                                 path.time_s.back()),
                      fmt::format("a time at most {} s away from the path", kBeyondPath_s));
     return time_s;
 }
@@ -50,15 +49,13 @@ std::vector<std::string> list_names(const Items& items) {
     return names;
 }
 
-/// @throws RejectedRequest if no item has this name
 template <class Items>
-std::size_t find_index_of_name(const Items& items, const std::string& name, const std::string& field_name) {
+std::size_t find_index_of_name(const Items& items, const std::string& name, const std::string& field) {
     const auto match = std::ranges::find_if(items, [&](const auto& item) { return item.name == name; });
-    if (match == items.end()) reject_name(field_name, name, list_names(items));
+    if (match == items.end()) reject_name(field, name, list_names(items));
     return std::size_t(match - items.begin());
 }
 
-/// @throws RejectedRequest if poses end long before the scan or begin long after it
 std::vector<RequestedActor> read_actors(const v1::ActorTracks& message, double scan_time_s) {
     std::vector<RequestedActor> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -81,9 +78,9 @@ std::vector<std::string> list_asset_names(const AssetCatalogue& assets) {
     return names;
 }
 
-Weather read_weather(const std::string& weather_text) {
+Weather read_weather(const std::string& text) {
     try {
-        return parse_weather(weather_text);
+        return parse_weather(text);
     } catch (const UsageError& error) {
         refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}", error.what());
     }
@@ -105,17 +102,14 @@ RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector
                              const AssetCatalogue& assets, const SpawnedActorRegistry& spawned)
     : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
 
-std::size_t RequestReader::find_scene(const std::string& scene_name,
-                                      const std::string& field_name_for_errors) const {
+std::size_t RequestReader::find_scene(const std::string& scene_name, const std::string& field) const {
     if (scene_name.empty() && sources_.size() == 1) return 0;
-    return find_index_of_name(sources_, scene_name, field_name_for_errors);
+    return find_index_of_name(sources_, scene_name, field);
 }
 
-int RequestReader::find_lidar(std::size_t scene_index, const std::string& lidar_name_or_empty,
-                              const std::string& field_name_for_errors) const {
-    if (lidar_name_or_empty.empty()) return 0;
-    return int(find_index_of_name(outlines_[scene_index].sequence.lidars, lidar_name_or_empty,
-                                  field_name_for_errors));
+int RequestReader::find_lidar(std::size_t scene, const std::string& name, const std::string& field) const {
+    if (name.empty()) return 0;
+    return int(find_index_of_name(outlines_[scene].sequence.lidars, name, field));
 }
 
 std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::cache_sensor(
@@ -130,16 +124,14 @@ std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::ca
 
 /// The rays of the sensor are computed once and then cached.
 std::shared_ptr<const SimulatedSensor> RequestReader::find_built_in(const std::string& sensor_name,
-                                                                    std::size_t scene_index,
-                                                                    int lidar_index) {
-    const std::string key = fmt::format("{} {} {}", scene_index, lidar_index, sensor_name);
+                                                                    std::size_t scene, int lidar) {
+    const std::string key = fmt::format("{} {} {}", scene, lidar, sensor_name);
     if (auto sensor = named_.find_cached(key)) return sensor;
-    return named_.add_sensor(key, find_known_sensor(sensor_name, outlines_[scene_index], lidar_index));
+    return named_.add_sensor(key, find_known_sensor(sensor_name, outlines_[scene], lidar));
 }
 
 std::shared_ptr<const SimulatedSensor> RequestReader::requested_sensor(const SensorRequest& request,
-                                                                       std::size_t scene_index,
-                                                                       int lidar_index) {
+                                                                       std::size_t scene, int lidar) {
     if (request.returns > 2)
         reject_field(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
     std::shared_ptr<const SimulatedSensor> sensor;
@@ -153,23 +145,22 @@ std::shared_ptr<const SimulatedSensor> RequestReader::requested_sensor(const Sen
                    "cannot read {}.handle: {} is unknown or expired; upload the sensor again", request.field,
                    quote_client_text(request.sensor.handle()));
     } else {
-        sensor = find_built_in(request.sensor.name(), scene_index, lidar_index);
+        sensor = find_built_in(request.sensor.name(), scene, lidar);
     }
     if (count_rays(*sensor) == 0)
         reject_field(
             request.field, "a LiDAR of the log whose beams are unknown",
             "another sensor, because ray directions of this LiDAR are known only for the scans of the log");
     const int returns = int(request.returns);
-    if (sensor->lidar == lidar_index && sensor->returns == returns) return sensor;
+    if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
     SimulatedSensor placed = *sensor;
-    placed.lidar = lidar_index;
+    placed.lidar = lidar;
     placed.returns = returns;
     return std::make_shared<const SimulatedSensor>(std::move(placed));
 }
 
-/// The actors of the run and the actors that clients have added.
-std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene_index) const {
-    const Run& run = outlines_[scene_index];
+std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
+    const Run& run = outlines_[scene];
     const auto find_actor_box = [&](const std::string& track) {
         const BoxTrack* box = find_box(run.sequence, track);
         return box ? *box : BoxTrack{};
@@ -182,7 +173,7 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene_index) c
         actors.push_back({instance.track, instance.track, box.category, i, box.size_m,
                           run.scene.models[instance.model].count});
     }
-    for (const SpawnedActorRegistry::SpawnSlot& slot : spawned_.list_occupied(scene_index)) {
+    for (const SpawnedActorRegistry::SpawnSlot& slot : spawned_.list_occupied(scene)) {
         const auto& [is_asset, source] = slot.actor.source;
         actors.push_back(
             {slot.actor.name, slot_track_name(slot.position),
@@ -192,14 +183,13 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene_index) c
     return actors;
 }
 
-void RequestReader::set_visible(const std::vector<RequestedActor>& requested_visible_actors,
+void RequestReader::set_visible(const std::vector<RequestedActor>& actors,
                                 RenderRequest& render_request) const {
     const std::vector<VisibleActor> visible_actors = scene_actors(render_request.scene);
-    // A map makes the search by name fast, because a scene may have thousands of actors.
     std::map<std::string_view, const VisibleActor*> by_name;
     for (const VisibleActor& actor : visible_actors) by_name.emplace(actor.name, &actor);
     ActorTracksByName& poses = render_request.request.dataset_from_actor.emplace();
-    for (const RequestedActor& wish : requested_visible_actors) {
+    for (const RequestedActor& wish : actors) {
         const auto match = by_name.find(wish.name);
         if (match == by_name.end()) reject_name(wish.field, wish.name, list_names(visible_actors));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
@@ -210,10 +200,10 @@ void RequestReader::set_visible(const std::vector<RequestedActor>& requested_vis
 }
 
 std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest& message,
-                                                    std::size_t scene_index) const {
+                                                    std::size_t scene) const {
     if (message.actors().empty()) reject_field("actors", "none", "at least one actor");
-    const std::vector<std::string> run_actors = run_actor_names(outlines_[scene_index]);
-    const std::vector<VisibleActor> visible_actors = scene_actors(scene_index);
+    const std::vector<std::string> run_actors = run_actor_names(outlines_[scene]);
+    const std::vector<VisibleActor> visible_actors = scene_actors(scene);
     std::vector<ActorToSpawn> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
@@ -242,13 +232,12 @@ std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest
     return wishes;
 }
 
-RenderRequest RequestReader::read_one(const v1::RenderLidarRequest& message,
-                                      const SensorRequest& sensor_request,
+RenderRequest RequestReader::read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor,
                                       const std::optional<Pose>& rig_from_sensor) {
     RenderRequest render_request;
     render_request.scene = find_scene(message.scene());
-    render_request.sensor = requested_sensor(sensor_request, render_request.scene,
-                                             find_lidar(render_request.scene, message.lidar()));
+    render_request.sensor =
+        requested_sensor(sensor, render_request.scene, find_lidar(render_request.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
     render_request.request.time_s = message.has_time_s()
                                         ? time_near_path(message.time_s(), path, "time_s")

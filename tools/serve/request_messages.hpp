@@ -33,7 +33,6 @@ struct VisibleActor {
 };
 
 struct RequestedActor {
-    /// name of the field of the request that holds the actor's name, for error messages
     std::string field;
     std::string name;
     PoseTrack dataset_from_actor;
@@ -57,34 +56,21 @@ std::vector<std::string> run_actor_names(const Run& run);
 /// Caches only the sensors. The constructor's arguments must outlive this object.
 class RequestReader {
 public:
-    /// @param scenes only its thread-safe members are called
     explicit RequestReader(SceneSet& scenes);
     /// Without a SceneSet, which would need a device.
     /// @param outlines [scenes] runs without surfels
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetCatalogue& assets, const SpawnedActorRegistry& spawned);
 
-    /// @throws RejectedRequest if the scene is unknown
-    std::size_t find_scene(const std::string& scene_name,
-                           const std::string& field_name_for_errors = "scene") const;
-    /// For an empty name, returns 0.
-    /// @throws RejectedRequest if the LiDAR is unknown
-    int find_lidar(std::size_t scene_index, const std::string& lidar_name_or_empty,
-                   const std::string& field_name_for_errors = "lidar") const;
+    std::size_t find_scene(const std::string& scene_name, const std::string& field = "scene") const;
+    int find_lidar(std::size_t scene, const std::string& name, const std::string& field = "lidar") const;
     /// @return a handle, with which later requests select this sensor, and the sensor
     /// @throws RejectedRequest if the text is invalid
     std::pair<std::string, std::shared_ptr<const SimulatedSensor>> cache_sensor(const v1::SensorSpec& spec);
-    /// @throws RejectedRequest if a name is invalid, or if an actor or asset is unknown
-    std::vector<ActorToSpawn> read_spawn(const v1::SpawnActorsRequest& message,
-                                         std::size_t scene_index) const;
-    /// @throws RejectedRequest that names the first invalid field
+    std::vector<ActorToSpawn> read_spawn(const v1::SpawnActorsRequest& message, std::size_t scene) const;
     RenderRequest read_request(const v1::RenderLidarRequest& message);
-    /// Returns one scan request per sensor.
     std::vector<RenderRequest> read_rig(const v1::RenderRigRequest& message);
-    /// All other actors are hidden.
-    /// @throws RejectedRequest if an actor is unknown or appears twice
-    void set_visible(const std::vector<RequestedActor>& requested_visible_actors,
-                     RenderRequest& render_request) const;
+    void set_visible(const std::vector<RequestedActor>& actors, RenderRequest& render_request) const;
 
 private:
     const std::vector<Run>& outlines_;
@@ -98,13 +84,13 @@ private:
         std::string field;
         std::uint32_t returns;
     };
-    std::shared_ptr<const SimulatedSensor> requested_sensor(const SensorRequest& request,
-                                                            std::size_t scene_index, int lidar);
-    std::shared_ptr<const SimulatedSensor> find_built_in(const std::string& sensor_name,
-                                                         std::size_t scene_index, int lidar);
-    std::vector<VisibleActor> scene_actors(std::size_t scene_index) const;
+    std::shared_ptr<const SimulatedSensor> requested_sensor(const SensorRequest& request, std::size_t scene,
+                                                            int lidar);
+    std::shared_ptr<const SimulatedSensor> find_built_in(const std::string& sensor_name, std::size_t scene,
+                                                         int lidar);
+    std::vector<VisibleActor> scene_actors(std::size_t scene) const;
     /// @param rig_from_sensor no value if `message` contains the path of the sensor
-    RenderRequest read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor_request,
+    RenderRequest read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor,
                            const std::optional<Pose>& rig_from_sensor);
 };
 

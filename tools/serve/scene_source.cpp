@@ -27,10 +27,10 @@ Run SceneSource::load() const {
     return run;
 }
 
-std::vector<SceneSource> parse_sources(const std::vector<std::string>& name_and_folder_arguments,
+std::vector<SceneSource> parse_sources(const std::vector<std::string>& arguments,
                                        const std::optional<std::string>& channels, const Weather& weather) {
     std::vector<SceneSource> sources;
-    for (const std::string& word : name_and_folder_arguments) {
+    for (const std::string& word : arguments) {
         const std::size_t equals = word.find('=');
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;

@@ -28,7 +28,7 @@ struct SceneSource {
 
 /// "RUN" or "NAME=RUN". Without NAME: the name of the run's folder.
 /// @throws UsageError if two scenes have the same name
-std::vector<SceneSource> parse_sources(const std::vector<std::string>& name_and_folder_arguments,
+std::vector<SceneSource> parse_sources(const std::vector<std::string>& arguments,
                                        const std::optional<std::string>& channels = {},
                                        const Weather& weather = {});
 

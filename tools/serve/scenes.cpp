@@ -29,7 +29,6 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     for (std::size_t i = 0; i < sources_.size(); ++i) {
         Run run = sources_[i].load();
         load_scene(i, run);
-        // Removes the surfels and the ray-drop network, which need most of the memory.
         run.scene = strip_surfels(run.scene);
         run.drop_network = {};
         outlines_.push_back(std::move(run));
@@ -42,50 +41,48 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     }
 }
 
-SceneSet::SceneLoadNumber SceneSet::use_scene(std::size_t scene_index,
-                                              const std::optional<Weather>& weather_or_default,
-                                              const std::function<void(ScanRenderer&)>& use_renderer) {
-    loaded_[scene_index].used = ++clock_;
-    if (!loaded_[scene_index].renderer) {
-        make_room(scene_index, loaded_[scene_index].bytes);
-        load_spawned(scene_index);
+SceneSet::SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::optional<Weather>& weather,
+                                              const std::function<void(ScanRenderer&)>& use) {
+    loaded_[scene].used = ++clock_;
+    if (!loaded_[scene].renderer) {
+        make_room(scene, loaded_[scene].bytes);
+        load_spawned(scene);
     }
-    call_renderer(scene_index, [&](ScanRenderer& renderer) {
-        renderer.set_weather(weather_or_default.value_or(sources_[scene_index].weather));
+    call_renderer(scene, [&](ScanRenderer& renderer) {
+        renderer.set_weather(weather.value_or(sources_[scene].weather));
         use_renderer(renderer);
     });
     // Rendering may have allocated larger arrays, for a sensor with more rays.
-    make_room(scene_index, 0);
-    return loaded_[scene_index].load;
+    make_room(scene, 0);
+    return loaded_[scene].load;
 }
 
-void SceneSet::reuse_scene(std::size_t scene_index, SceneLoadNumber expected_load_number,
-                           const std::function<void(ScanRenderer&)>& use_renderer) {
-    if (!loaded_[scene_index].renderer || loaded_[scene_index].load != expected_load_number)
+void SceneSet::reuse_scene(std::size_t scene, SceneLoadNumber load,
+                           const std::function<void(ScanRenderer&)>& use) {
+    if (!loaded_[scene].renderer || loaded_[scene].load != load)
         fail<DeviceError>(
             "cannot render a scan of {}: the scene was unloaded for a later request; send your request again",
-            sources_[scene_index].name);
-    call_renderer(scene_index, use_renderer);
+            sources_[scene].name);
+    call_renderer(scene, use);
 }
 
-void SceneSet::call_renderer(std::size_t scene_index,
-                             const std::function<void(ScanRenderer&)>& use_renderer) {
+void SceneSet::call_renderer(std::size_t scene, const std::function<void(ScanRenderer&)>& use_renderer) {
     try {
-        count_bytes(scene_index, [&] { use_renderer(*loaded_[scene_index].renderer); });
+        count_bytes(scene, [&] { use_renderer(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown, so the next request loads the scene
         // again.
-        loaded_[scene_index].renderer.reset();
+        loaded_[scene].renderer.reset();
         throw;
     }
 }
 
-void SceneSet::load_scene(std::size_t scene_index, const Run& run) {
-    SceneInMemory& loaded = loaded_[scene_index];
+void SceneSet::load_scene(std::size_t scene, const Run& run) {
+    SceneInMemory& loaded = loaded_[scene];
     loaded.bytes = 0;
     loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
-    count_bytes(scene_index, [&] {
+    count_bytes(scene, [&] {
         loaded.renderer = std::make_unique<ScanRenderer>(device_, run);
         // Rendering a single ray uploads the complete scene to the device.
         const SimulatedSensor sensor{.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}},
@@ -102,30 +99,29 @@ void SceneSet::load_scene(std::size_t scene_index, const Run& run) {
     loaded.renderer->set_parallel(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-void SceneSet::load_spawned(std::size_t scene_index) {
-    const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene_index);
-    Run run = sources_[scene_index].load();
+void SceneSet::load_spawned(std::size_t scene) {
+    const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene);
+    Run run = sources_[scene].load();
     add_spawned(run, slots, assets_);
-    load_scene(scene_index, run);
-    loaded_[scene_index].n_slots = slots.size();
+    load_scene(scene, run);
+    loaded_[scene].n_slots = slots.size();
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene_index,
+std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene,
                                                                     const std::vector<ActorToSpawn>& actors) {
-    SceneInMemory& loaded = loaded_[scene_index];
-    const std::size_t n_before = spawned_.slot_count(scene_index);
-    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots = spawned_.assign_slots(scene_index, actors);
-    if (loaded.renderer && loaded.n_slots == spawned_.slot_count(scene_index)) return occupied_slots;
+    SceneInMemory& loaded = loaded_[scene];
+    const std::size_t n_before = spawned_.slot_count(scene);
+    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
+    if (loaded.renderer && loaded.n_slots == spawned_.slot_count(scene)) return occupied_slots;
     const auto undo = [&] {
-        // The next request loads the scene again, without the actors.
         loaded.renderer.reset();
-        spawned_.undo_assign(scene_index, occupied_slots, n_before);
+        spawned_.undo_assign(scene, occupied_slots, n_before);
     };
     try {
         loaded.renderer.reset();
-        make_room(scene_index, loaded.bytes);
-        load_spawned(scene_index);
-        make_room(scene_index, 0);
+        make_room(scene, loaded.bytes);
+        load_spawned(scene);
+        make_room(scene, 0);
     } catch (const DataError& error) {
         undo();
         refuse(grpc::StatusCode::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(),
@@ -146,23 +142,21 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
            actors.size(), needed_mib, double(memory_bytes_) / kMiB);
 }
 
-/// Unloads the least recently used scenes first.
-void SceneSet::make_room(std::size_t kept_scene_index, std::uint64_t n_bytes_needed) {
-    while (device_.allocated_bytes() + n_bytes_needed > memory_bytes_) {
+void SceneSet::make_room(std::size_t kept, std::uint64_t n_bytes) {
+    while (device_.allocated_bytes() + n_bytes > memory_bytes_) {
         SceneInMemory* oldest = nullptr;
         for (std::size_t i = 0; i < loaded_.size(); ++i)
-            if (i != kept_scene_index && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used))
+            if (i != kept && loaded_[i].renderer && (!oldest || loaded_[i].used < oldest->used))
                 oldest = &loaded_[i];
         if (!oldest) return;
         oldest->renderer.reset();
     }
 }
 
-/// Adds the device memory that the function allocates to the size of the scene.
-void SceneSet::count_bytes(std::size_t scene_index, const std::function<void()>& allocate) {
+void SceneSet::count_bytes(std::size_t scene, const std::function<void()>& allocate) {
     const std::uint64_t before = device_.allocated_bytes();
     allocate();
-    loaded_[scene_index].bytes += device_.allocated_bytes() - before;
+    loaded_[scene].bytes += device_.allocated_bytes() - before;
 }
 
 }  // namespace relidar::serve

@@ -44,25 +44,22 @@ public:
     /// Loading discards pending scans, so a changed number shows that a scan is lost.
     enum class SceneLoadNumber : std::uint64_t {};
     /// Loads the scene first if it is not on the device.
-    /// @param weather_or_default without a value, the default weather of the scene
+    /// @param weather without a value, the default weather of the scene
     /// @return number of this load
-    SceneLoadNumber use_scene(std::size_t scene, const std::optional<Weather>& weather_or_default,
-                              const std::function<void(ScanRenderer&)>& use_renderer);
+    SceneLoadNumber use_scene(std::size_t scene, const std::optional<Weather>& weather,
+                              const std::function<void(ScanRenderer&)>& use);
     /// Reads the results of a scan after use_scene(), which
     /// returned the load number. No other scene may be used in between.
     /// @throws DeviceError if the device was lost, or if the scene was loaded again
-    void reuse_scene(std::size_t scene, SceneLoadNumber expected_load_number,
-                     const std::function<void(ScanRenderer&)>& use_renderer);
+    void reuse_scene(std::size_t scene, SceneLoadNumber load, const std::function<void(ScanRenderer&)>& use);
 
     bool is_scene_on_gpu(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
 
 private:
     struct SceneInMemory {
-        /// Null if the scene is not on the device.
         std::unique_ptr<ScanRenderer> renderer;
         /// Keeps the last value after the scene is unloaded.
         std::uint64_t bytes = 0;
-        /// counter value of the last use
         std::uint64_t used = 0;
         SceneLoadNumber load{};   ///< Number of the most recent load of the scene.
         std::size_t n_slots = 0;  ///< Number of slots for added actors in the loaded scene.
@@ -79,9 +76,9 @@ private:
 
     void load_scene(std::size_t scene, const Run& run);
     void load_spawned(std::size_t scene);
-    void make_room(std::size_t kept_scene_index, std::uint64_t n_bytes_needed);
+    void make_room(std::size_t kept, std::uint64_t n_bytes);
     void count_bytes(std::size_t scene, const std::function<void()>& allocate);
-    void call_renderer(std::size_t scene, const std::function<void(ScanRenderer&)>& use_renderer);
+    void call_renderer(std::size_t scene, const std::function<void(ScanRenderer&)>& use);
 };
 
 }  // namespace relidar::serve

@@ -19,20 +19,20 @@ std::string SensorCache::add_upload(SimulatedSensor sensor) {
     return key;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor(const std::string& name_or_handle,
+std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor(const std::string& key,
                                                                SimulatedSensor sensor) {
     const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
            (entries_.size() >= kMostSensors || cached_rays() + shared_sensor->rays.size() > kMostRays))
         remove_oldest();
-    entries_[name_or_handle] = {shared_sensor, ++clock_};
+    entries_[key] = {shared_sensor, ++clock_};
     return shared_sensor;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::find_cached(const std::string& name_or_handle) {
+std::shared_ptr<const SimulatedSensor> SensorCache::find_cached(const std::string& key) {
     const std::lock_guard lock(mutex_);
-    const auto entry = entries_.find(name_or_handle);
+    const auto entry = entries_.find(key);
     if (entry == entries_.end()) return nullptr;
     entry->second.used = ++clock_;
     return entry->second.sensor;

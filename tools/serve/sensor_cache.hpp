@@ -16,19 +16,15 @@ struct SimulatedSensor;
 
 namespace relidar::serve {
 
-/// Thread-safe.
 class SensorCache {
 public:
     static constexpr std::size_t kMostSensors = 64;
     /// Maximum number of rays of all cached sensors together (about 120 MB).
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
-    /// @return a new handle for a sensor that a client has uploaded
     std::string add_upload(SimulatedSensor sensor);
-    std::shared_ptr<const SimulatedSensor> add_sensor(const std::string& name_or_handle,
-                                                      SimulatedSensor sensor);
-    /// Returns null if the key is unknown or if the cache has removed the sensor.
-    std::shared_ptr<const SimulatedSensor> find_cached(const std::string& name_or_handle);
+    std::shared_ptr<const SimulatedSensor> add_sensor(const std::string& key, SimulatedSensor sensor);
+    std::shared_ptr<const SimulatedSensor> find_cached(const std::string& key);
 
 private:
     struct CachedSensor {

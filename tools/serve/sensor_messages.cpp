@@ -23,48 +23,45 @@ constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRan
                  kDefaultRange_m = 80.0, kWidestBeam_rad = 1.0, kFarthestBeam_m = 10.0,
                  kFastestMirror_hz = 1e6;
 
-void check_ray_count(const std::string& field_name, std::uint64_t n_rays) {
+void check_ray_count(const std::string& field, std::uint64_t n_rays) {
     if (n_rays < 1 || n_rays > kMostRaysOfScan)
-        reject_field(field_name, fmt::format("{} rays per scan", n_rays),
+        reject_field(field, fmt::format("{} rays per scan", n_rays),
                      fmt::format("1 to {} rays", kMostRaysOfScan));
 }
 
-void check_row_count(const std::string& field_name, std::uint64_t n_rows) {
+void check_row_count(const std::string& field, std::uint64_t n_rows) {
     if (n_rows > kMostRows)
-        reject_field(field_name, fmt::format("{} rows per scan", n_rows),
+        reject_field(field, fmt::format("{} rows per scan", n_rows),
                      fmt::format("at most {} rows, because ring numbers have 16 bits", kMostRows));
 }
 
-/// Checks the numbers of a message and returns them.
 struct NumberReader {
-    std::string field_name;
+    std::string field;
 
     double operator()(const char* member, double value, double min_value, double max_value) const {
         if (!(value >= min_value && value <= max_value))
-            reject_field(field_name + "." + member, fmt::format("{}", value),
+            reject_field(field + "." + member, fmt::format("{}", value),
                          fmt::format("a number from {} to {}", min_value, max_value));
         return value;
     }
 };
 
-/// The array must have `n_expected_values` values or be empty.
+/// The array must have `n` values or be empty.
 template <class T>
-std::vector<T> read_array(const std::string& bytes, std::size_t n_expected_values,
-                          const std::string& field_name) {
-    if (!bytes.empty() && bytes.size() != n_expected_values * sizeof(T))
-        reject_field(field_name, fmt::format("{} bytes", bytes.size()),
-                     fmt::format("{} bytes, which are {} bytes for each of {} rays",
-                                 n_expected_values * sizeof(T), sizeof(T), n_expected_values));
+std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
+    if (!bytes.empty() && bytes.size() != n * sizeof(T))
+        reject_field(
+            field, fmt::format("{} bytes", bytes.size()),
+            fmt::format("{} bytes, which are {} bytes for each of {} rays", n * sizeof(T), sizeof(T), n));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
 }
 
-void check_rays(const RayTable& rays, const std::string& field_name) {
+void check_rays(const RayTable& rays, const std::string& field) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const auto fail = [&](const char* name, float found, const std::string& expected) {
-            reject_field(fmt::format("{}.{} of ray {}", field_name, name, i), fmt::format("{}", found),
-                         expected);
+            reject_field(fmt::format("{}.{} of ray {}", field, name, i), fmt::format("{}", found), expected);
         };
         const float length = glm::length(rays.direction[i]), time_s = rays.time_offset_s[i];
         if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
@@ -79,45 +76,44 @@ void check_rays(const RayTable& rays, const std::string& field_name) {
     }
 }
 
-RayTable read_ray_table(const v1::RayTable& message, const std::string& field_name) {
+RayTable read_ray_table(const v1::RayTable& message, const std::string& field) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
-        reject_field(field_name + ".direction", fmt::format("{} bytes", message.direction().size()),
+        reject_field(field + ".direction", fmt::format("{} bytes", message.direction().size()),
                      "a multiple of 12 bytes (three floats for each ray)");
     const std::size_t n = message.direction().size() / sizeof(glm::vec3);
-    check_ray_count(field_name + ".direction", n);
+    check_ray_count(field + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
         reject_field(
-            field_name,
-            fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
+            field, fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
             "rows * columns directions");
-    check_row_count(field_name, message.rows());
+    check_row_count(field, message.rows());
     RayTable rays;
     rays.rows = has_order ? int(message.rows()) : 1;
     rays.columns = has_order ? int(message.columns()) : int(n);
-    rays.direction = to_scan_array(read_array<glm::vec3>(message.direction(), n, field_name + ".direction"));
-    rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field_name + ".origin_m"));
-    rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field_name + ".time_s"));
-    rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field_name + ".ring"));
+    rays.direction = to_scan_array(read_array<glm::vec3>(message.direction(), n, field + ".direction"));
+    rays.origin = to_scan_array(read_array<glm::vec3>(message.origin_m(), n, field + ".origin_m"));
+    rays.time_offset_s = to_scan_array(read_array<float>(message.time_s(), n, field + ".time_s"));
+    rays.channel = to_scan_array(read_array<std::uint16_t>(message.ring(), n, field + ".ring"));
     rays.ray_divergence_rad =
-        to_scan_array(read_array<float>(message.divergence_rad(), n, field_name + ".divergence_rad"));
+        to_scan_array(read_array<float>(message.divergence_rad(), n, field + ".divergence_rad"));
     rays.origin.resize(n, glm::vec3(0.0f));
     rays.time_offset_s.resize(n, 0.0f);
     for (std::size_t i = rays.channel.size(); i < n; ++i)
         rays.channel.push_back(std::uint16_t(i / std::size_t(rays.columns)));
-    check_rays(rays, field_name);
+    check_rays(rays, field);
     for (glm::vec3& direction : rays.direction) direction = glm::normalize(direction);
     return rays;
 }
 
-SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field_name) {
-    check_ray_count(field_name, std::uint64_t(message.beams_size()) * message.columns());
-    check_row_count(field_name, std::uint64_t(message.beams_size()));
+SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field) {
+    check_ray_count(field, std::uint64_t(message.beams_size()) * message.columns());
+    check_row_count(field, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
     // Beams in messages have the same limits as beams in sensor files.
     for (const v1::Beam& beam : message.beams()) {
-        const NumberReader read{fmt::format("{}.beams[{}]", field_name, sensor.beams.size())};
+        const NumberReader read{fmt::format("{}.beams[{}]", field, sensor.beams.size())};
         sensor.beams.push_back(
             {read("elevation_rad", beam.elevation_rad(), -kPi / 2, kPi / 2),
              read("azimuth_offset_rad", beam.azimuth_offset_rad(), -kPi, kPi),
@@ -126,22 +122,22 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     // Neighbouring beams of real sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
-        reject_field(field_name + ".beams",
+        reject_field(field + ".beams",
                      fmt::format("a first beam at {} rad and a last beam at {} rad",
                                  beams.front().elevation_rad, beams.back().elevation_rad),
                      "the highest beam first");
     sensor.columns = int(message.columns());
-    sensor.period_s = NumberReader{field_name}("period_s", message.period_s(), 1e-4, kLongestScan_s);
+    sensor.period_s = NumberReader{field}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
     // Azimuth 0 is in the middle of the image.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
 
-WindowScanSensor read_window(const v1::ScanningWindow& message, const std::string& field_name) {
-    check_ray_count(field_name, std::uint64_t(message.rows()) * message.columns());
-    check_row_count(field_name, message.rows());
-    const NumberReader read{field_name};
+WindowScanSensor read_window(const v1::ScanningWindow& message, const std::string& field) {
+    check_ray_count(field, std::uint64_t(message.rows()) * message.columns());
+    check_row_count(field, message.rows());
+    const NumberReader read{field};
     const double top_rad = read("top_rad", message.top_rad(), -kPi / 2, kPi / 2);
     return {.name = "",
             .rows = int(message.rows()),
@@ -153,9 +149,9 @@ WindowScanSensor read_window(const v1::ScanningWindow& message, const std::strin
             .period_s = read("period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
-RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_name) {
-    check_ray_count(field_name, message.rays());
-    const NumberReader read{field_name};
+RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field) {
+    check_ray_count(field, message.rays());
+    const NumberReader read{field};
     return {.name = "",
             .deflection_rad = read("deflection_rad", message.deflection_rad(), 0.0, kPi / 2),
             .first_hz = read("first_hz", message.first_hz(), -kFastestMirror_hz, kFastestMirror_hz),
@@ -166,32 +162,32 @@ RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field_
 
 }  // namespace
 
-SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field_name) {
+SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field) {
     SensorModel sensor;
     if (message.name().size() > kLongestName)
-        reject_field(field_name + ".name", quote_client_text(message.name()),
+        reject_field(field + ".name", quote_client_text(message.name()),
                      fmt::format("at most {} bytes", kLongestName));
     sensor.name = message.name().empty() ? "a client's sensor" : message.name();
-    const NumberReader read{field_name};
+    const NumberReader read{field};
     sensor.limits.max_m =
         read("max_range_m", message.has_max_range_m() ? message.max_range_m() : kDefaultRange_m, 1e-3,
              kFarthestRange_m);
     sensor.limits.min_m = read("min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
     switch (message.pattern_case()) {
         case v1::SensorSpec::kRays:
-            sensor.pattern = read_ray_table(message.rays(), field_name + ".rays");
+            sensor.pattern = read_ray_table(message.rays(), field + ".rays");
             break;
         case v1::SensorSpec::kSpinning:
-            sensor.pattern = read_spinning(message.spinning(), field_name + ".spinning");
+            sensor.pattern = read_spinning(message.spinning(), field + ".spinning");
             break;
         case v1::SensorSpec::kWindow:
-            sensor.pattern = read_window(message.window(), field_name + ".window");
+            sensor.pattern = read_window(message.window(), field + ".window");
             break;
         case v1::SensorSpec::kRosette:
-            sensor.pattern = read_rosette(message.rosette(), field_name + ".rosette");
+            sensor.pattern = read_rosette(message.rosette(), field + ".rosette");
             break;
         case v1::SensorSpec::PATTERN_NOT_SET:
-            reject_field(field_name, "no pattern", "the pattern rays, spinning, window or rosette");
+            reject_field(field, "no pattern", "the pattern rays, spinning, window or rosette");
     }
     const double divergence_rad = read("divergence_rad", message.divergence_rad(), 0.0, kWidestBeam_rad);
     std::visit(
@@ -200,7 +196,6 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // Reports invalid rays now instead of during rendering.
     if (summarise_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return simulate_sensor(sensor);
 }

@@ -13,7 +13,6 @@ namespace relidar::serve {
 /// A CPU needs seconds even for a scan of this size.
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
-/// @throws RejectedRequest that names the first invalid field
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& name);
 
 /// "native" and "" mean the sensor of the log. File names are rejected, because clients

@@ -35,8 +35,8 @@ const LidarTypeSensor& sensor_of_type(sensorsim::LidarType lidar_type) {
     return *match;
 }
 
-void write_pose(const Pose& pose, PoseTransformOrder pose_order, sensorsim::Pose& message) {
-    const glm::dvec3 t = pose_order == PoseTransformOrder::rotation_first
+void write_pose(const Pose& pose, PoseTransformOrder order, sensorsim::Pose& message) {
+    const glm::dvec3 t = order == PoseTransformOrder::rotation_first
                              ? pose.translation
                              : glm::inverse(pose.rotation) * pose.translation;
     message.mutable_translation()->set_x(float(t.x));
@@ -48,14 +48,14 @@ void write_pose(const Pose& pose, PoseTransformOrder pose_order, sensorsim::Pose
     message.mutable_rotation()->set_z(float(pose.rotation.z));
 }
 
-void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsim::Trajectory& message) {
+void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Trajectory& message) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
             refuse(grpc::StatusCode::FAILED_PRECONDITION,
                    "cannot write a trajectory: found the time {} s, but messages have no negative times",
                    track.time_s[i]);
         sensorsim::PoseAtTime& pose = *message.add_poses();
-        write_pose(track.pose[i], pose_order, *pose.mutable_pose());
+        write_pose(track.pose[i], order, *pose.mutable_pose());
         pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond_s)));
     }
 }
@@ -63,20 +63,20 @@ void write_track(const PoseTrack& track, PoseTransformOrder pose_order, sensorsi
 }  // namespace
 
 std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
-    const sensorsim::LidarRenderRequest& message, std::size_t scene_index) {
+    const sensorsim::LidarRenderRequest& message, std::size_t scene) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
     const std::string& id = message.lidar().logical_id();
     const bool is_of_log = type == sensorsim::OTHER;
-    const std::vector<Lidar>& lidars = outlines_[scene_index].sequence.lidars;
+    const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
     if (is_of_log && id.empty() && lidars.size() > 1)
         reject_field("lidar.logical_id", "no name, although lidar_type is OTHER",
                      fmt::format("the name of one of the log's {} LiDARs", lidars.size()));
-    const int lidar = reader_.find_lidar(scene_index, id, "lidar.logical_id");
+    const int lidar = reader_.find_lidar(scene, id, "lidar.logical_id");
     const std::string name = is_of_log ? "native" : sensor_of_type(type).name;
     const std::uint64_t frame_us = message.frame_end_us() - message.frame_start_us();
-    const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene_index : 0, lidar, name, frame_us);
+    const std::string key = fmt::format("{} {} {} {}", is_of_log ? scene : 0, lidar, name, frame_us);
     if (auto sensor = sensors_.find_cached(key)) return sensor;
-    SimulatedSensor sensor = find_known_sensor(name, outlines_[scene_index], lidar);
+    SimulatedSensor sensor = find_known_sensor(name, outlines_[scene], lidar);
     if (count_rays(sensor) == 0)
         reject_field("lidar.logical_id", quote_client_text(id) + ", a LiDAR whose beams are unknown",
                      "another LiDAR of the log, or lidar_type set to PANDAR128 or AT128");
@@ -87,9 +87,9 @@ std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
     return sensors_.add_sensor(key, std::move(sensor));
 }
 
-Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field_name) const {
+Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::string& field) const {
     if (!message.has_translation() || !message.has_rotation())
-        reject_field(field_name,
+        reject_field(field,
                      message.has_translation() ? "a pose without rotation" : "a pose without translation",
                      "both");
     v1::Pose wide;
@@ -100,22 +100,21 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
     wide.mutable_rotation()->set_x(double(message.rotation().x()));
     wide.mutable_rotation()->set_y(double(message.rotation().y()));
     wide.mutable_rotation()->set_z(double(message.rotation().z()));
-    Pose pose = serve::read_pose(wide, field_name);
+    Pose pose = serve::read_pose(wide, field);
     if (order_ == PoseTransformOrder::translation_first) pose.translation = pose.rotation * pose.translation;
     return pose;
 }
 
 PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
-                                      const std::string& field_name) const {
+                                      const std::string& field) const {
     if (!message.has_start() || !message.has_end())
-        reject_field(field_name, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
-    Pose start = read_pose(message.start(), field_name + ".start"),
-         end = read_pose(message.end(), field_name + ".end");
+        reject_field(field, message.has_start() ? "no pose at the end" : "no pose at the start", "both");
+    Pose start = read_pose(message.start(), field + ".start"), end = read_pose(message.end(), field + ".end");
     start.translation += frame.world_offset_m;
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
     if (start.translation != end.translation || start.rotation != end.rotation)
-        reject_field(field_name, "two different poses in a frame without duration",
+        reject_field(field, "two different poses in a frame without duration",
                      "equal poses at start and end, or a frame_end_us greater than frame_start_us");
     return {{frame.start_s}, {start}};
 }
@@ -158,7 +157,7 @@ void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& messa
     write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
-void write_actors(const Run& run, PoseTransformOrder pose_order, sensorsim::DynamicObjectTracks& message) {
+void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : run_actor_names(run)) {
         const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);
         if (box == run.sequence.boxes.end()) continue;
@@ -175,15 +174,14 @@ void write_actors(const Run& run, PoseTransformOrder pose_order, sensorsim::Dyna
                 track.time_s.push_back(box->world_from_box.time_s[i]);
                 track.pose.push_back(box->world_from_box.pose[i]);
             }
-        write_track(track, pose_order, *object.mutable_trajectory());
+        write_track(track, order, *object.mutable_trajectory());
     }
 }
 
-void write_paths(const Run& run, PoseTransformOrder pose_order, sensorsim::AvailableTrajectories& message) {
-    write_track(run.sequence.world_from_vehicle, pose_order,
-                *message.add_trajectories()->mutable_trajectory());
+void write_paths(const Run& run, PoseTransformOrder order, sensorsim::AvailableTrajectories& message) {
+    write_track(run.sequence.world_from_vehicle, order, *message.add_trajectories()->mutable_trajectory());
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i)
-        write_track(run.sequence.lidar_track(int(i)), pose_order,
+        write_track(run.sequence.lidar_track(int(i)), order,
                     *message.add_trajectories()->mutable_trajectory());
 }
 

@@ -20,7 +20,6 @@ namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
 
-/// Thread-safe.
 class SensorsimReader {
 public:
     /// @param outlines [scenes] runs without surfels; `outlines` and `reader` must
@@ -28,7 +27,6 @@ public:
     SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseTransformOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
-    /// @throws RejectedRequest if the scene is unknown
     std::size_t find_scene(const std::string& scene_id) const {
         return reader_.find_scene(scene_id, "scene_id");
     }
@@ -56,10 +54,8 @@ private:
 
 void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message);
 
-/// @throws RejectedRequest if a track starts before time 0, which messages cannot store
-void write_actors(const Run& run, PoseTransformOrder pose_order, sensorsim::DynamicObjectTracks& message);
+void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message);
 
-/// @throws RejectedRequest if the log starts before time 0
-void write_paths(const Run& run, PoseTransformOrder pose_order, sensorsim::AvailableTrajectories& message);
+void write_paths(const Run& run, PoseTransformOrder order, sensorsim::AvailableTrajectories& message);
 
 }  // namespace relidar::serve

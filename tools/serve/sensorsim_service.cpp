@@ -19,9 +19,9 @@ namespace {
 // Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
-[[noreturn]] void reject_camera(const std::string& rpc_name, const std::string& found_request) {
+[[noreturn]] void reject_camera(const std::string& rpc_name, const std::string& found) {
     refuse(grpc::StatusCode::UNIMPLEMENTED,
-           "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)", rpc_name, found_request);
+           "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)", rpc_name, found);
 }
 
 // NuRec uses the second name since version 26.10.
@@ -142,11 +142,11 @@ void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest&
     write_paths(scenes_.runs()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
-void SensorsimService::render_points(RenderQueue::QueueSlot& queue_slot, const RenderRequest& render_request,
+void SensorsimService::render_points(RenderQueue::QueueSlot& slot, const RenderRequest& render_request,
                                      const grpc::ServerContext& context,
                                      sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&render_request, 1});
-    request.run_checked(queue_slot);
+    request.run_checked(slot);
     write_points(request.points.front().points, answer);
 }
 

@@ -28,7 +28,6 @@ public:
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseTransformOrder order);
     ~SensorsimService();
 
-    /// Under all names.
     void register_in(grpc::ServerBuilder& builder);
     /// For example "nre.grpc.protos.sensorsim.SensorsimService".
     static std::vector<std::string> full_names();
@@ -54,7 +53,7 @@ private:
     void render_aggregated(const grpc::ServerContext& context,
                            const sensorsim::AggregatedRenderRequest& request,
                            sensorsim::AggregatedRenderReturn& answer);
-    void render_points(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
+    void render_points(RenderQueue::QueueSlot& slot, const RenderRequest& request,
                        const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer);
 };
 

@@ -26,7 +26,6 @@ struct ServerOptions {
     /// "RUN" or "NAME=RUN".
     std::vector<std::string> runs;
     std::vector<std::string> assets;  ///< Asset folders, as written by `relidar assets`.
-    /// channels of scans; they replace the setting render.channels of each run
     std::optional<std::string> channels;
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
     /// Without a value, SensorsimService is disabled.
@@ -42,15 +41,10 @@ struct ServerOptions {
 
 class ScanServer {
 public:
-    /// @throws UsageError if the address is not available
-    /// @throws DataError if a run or key cannot be read
-    /// @throws DeviceError if the device fails
     explicit ScanServer(const ServerOptions& options);
     /// Cancels all calls immediately. Call stop_and_wait() first to wait for pending
     /// calls.
     ~ScanServer();
-    ScanServer(const ScanServer&) = delete;
-    ScanServer& operator=(const ScanServer&) = delete;
 
     int port() const;
     const std::string& device_name() const;

@@ -22,10 +22,10 @@ void write_times(const QueuedRequest& request, v1::LidarScan& answer) {
 
 }  // namespace
 
-void RenderService::render_scan(RenderQueue::QueueSlot& queue_slot, const RenderRequest& render_request,
+void RenderService::render_scan(RenderQueue::QueueSlot& slot, const RenderRequest& render_request,
                                 const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
-    request.run_checked(queue_slot);
+    request.run_checked(slot);
     const Run& run = scenes_.runs()[render_request.scene];
     write_scan(request.scan, render_request, run.config, answer);
     if (render_request.boxes) write_boxes(request.scan, render_request, run, answer);
@@ -33,11 +33,11 @@ void RenderService::render_scan(RenderQueue::QueueSlot& queue_slot, const Render
     write_times(request, answer);
 }
 
-void RenderService::render_points(RenderQueue::QueueSlot& queue_slot, std::span<const RenderRequest> requests,
+void RenderService::render_points(RenderQueue::QueueSlot& slot, std::span<const RenderRequest> requests,
                                   const grpc::ServerContext& context,
                                   std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, requests);
-    request.run_checked(queue_slot);
+    request.run_checked(slot);
     for (std::size_t i = 0; i < requests.size(); ++i) {
         write_scan(request.points[i], requests[i], *answers[i]);
         write_sparse(requests[i], *answers[i]);

@@ -41,9 +41,9 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
-    void render_scan(RenderQueue::QueueSlot& queue_slot, const RenderRequest& request,
+    void render_scan(RenderQueue::QueueSlot& slot, const RenderRequest& request,
                      const grpc::ServerContext& context, v1::LidarScan& answer);
-    void render_points(RenderQueue::QueueSlot& queue_slot, std::span<const RenderRequest> requests,
+    void render_points(RenderQueue::QueueSlot& slot, std::span<const RenderRequest> requests,
                        const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };
 

@@ -52,31 +52,29 @@ std::uint32_t model_of(const Scene& scene, const std::string& track_name) {
 
 }  // namespace
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_all_slots(
-    std::size_t scene_index) const {
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_all_slots(std::size_t scene) const {
     const std::lock_guard lock(mutex_);
     std::vector<SpawnSlot> all;
-    for (const ActorToSpawn& actor : scenes_[scene_index]) all.push_back({all.size(), actor});
+    for (const ActorToSpawn& actor : scenes_[scene]) all.push_back({all.size(), actor});
     return all;
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied(
-    std::size_t scene_index) const {
-    std::vector<SpawnSlot> all = list_all_slots(scene_index);
+std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied(std::size_t scene) const {
+    std::vector<SpawnSlot> all = list_all_slots(scene);
     std::erase_if(all, [](const SpawnSlot& place) { return place.actor.name.empty(); });
     return all;
 }
 
-std::size_t SpawnedActorRegistry::slot_count(std::size_t scene_index) const {
+std::size_t SpawnedActorRegistry::slot_count(std::size_t scene) const {
     const std::lock_guard lock(mutex_);
-    return scenes_[scene_index].size();
+    return scenes_[scene].size();
 }
 
 std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_slots(
-    std::size_t scene_index, const std::vector<ActorToSpawn>& actors) {
+    std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
     // Changes a copy of the slots, so that a rejected request has no effect.
-    SpawnedActorSlots slots = scenes_[scene_index];
+    SpawnedActorSlots slots = scenes_[scene];
     std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
         if (find_slot(slots, wish.name) != slots.end())
@@ -87,15 +85,14 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_slots(
         slots[position] = wish;
         occupied_slots.push_back({position, wish});
     }
-    scenes_[scene_index] = std::move(slots);
+    scenes_[scene] = std::move(slots);
     return occupied_slots;
 }
 
-void SpawnedActorRegistry::remove_actors(std::size_t scene_index,
-                                         const std::vector<std::string>& actor_names) {
+void SpawnedActorRegistry::remove_actors(std::size_t scene, const std::vector<std::string>& names) {
     const std::lock_guard lock(mutex_);
-    SpawnedActorSlots slots = scenes_[scene_index];
-    for (const std::string& name : actor_names) {
+    SpawnedActorSlots slots = scenes_[scene];
+    for (const std::string& name : names) {
         const auto slot = find_slot(slots, name);
         if (name.empty() || slot == slots.end())
             refuse(grpc::StatusCode::NOT_FOUND,
@@ -103,14 +100,14 @@ void SpawnedActorRegistry::remove_actors(std::size_t scene_index,
                    quote_client_text(name));
         slot->name.clear();
     }
-    scenes_[scene_index] = std::move(slots);
+    scenes_[scene] = std::move(slots);
 }
 
-void SpawnedActorRegistry::undo_assign(std::size_t scene_index, const std::vector<SpawnSlot>& slots_to_free,
-                                       std::size_t n_slots_before) {
+void SpawnedActorRegistry::undo_assign(std::size_t scene, const std::vector<SpawnSlot>& slots,
+                                       std::size_t n_before) {
     const std::lock_guard lock(mutex_);
-    for (const SpawnSlot& slot : slots_to_free) scenes_[scene_index][slot.position].name.clear();
-    scenes_[scene_index].resize(n_slots_before);
+    for (const SpawnSlot& slot : slots) scenes_[scene][slot.position].name.clear();
+    scenes_[scene].resize(n_before);
 }
 
 std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }

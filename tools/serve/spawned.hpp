@@ -40,7 +40,6 @@ public:
 
     explicit SpawnedActorRegistry(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// `position` is its index in the scene.
     struct SpawnSlot {
         std::size_t position = 0;
         ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
@@ -54,11 +53,9 @@ public:
     /// @throws RejectedRequest if a name is in use or there are too many slots; nothing
     /// changes
     std::vector<SpawnSlot> assign_slots(std::size_t scene, const std::vector<ActorToSpawn>& actors);
-    /// @throws RejectedRequest if a name is unknown; nothing changes
-    void remove_actors(std::size_t scene, const std::vector<std::string>& actor_names);
-    /// Frees the slots, and removes all slots from index `n_slots_before`.
-    void undo_assign(std::size_t scene, const std::vector<SpawnSlot>& slots_to_free,
-                     std::size_t n_slots_before);
+    void remove_actors(std::size_t scene, const std::vector<std::string>& names);
+    /// Frees the slots, and removes all slots from index `n_before`.
+    void undo_assign(std::size_t scene, const std::vector<SpawnSlot>& slots, std::size_t n_before);
     std::size_t slot_count(std::size_t scene) const;
 
 private:

@@ -38,8 +38,8 @@ std::string_view host_name(std::string_view host_and_port) {
 
 }  // namespace
 
-bool is_this_machine(std::string_view host_header, std::string_view machine_name) {
-    const std::string_view name = host_name(host_header);
+bool is_this_machine(std::string_view host, std::string_view machine_name) {
+    const std::string_view name = host_name(host);
     if (name.empty()) return false;
     if (is_same_text(name, "localhost") || (!machine_name.empty() && is_same_text(name, machine_name)))
         return true;
@@ -48,36 +48,36 @@ bool is_this_machine(std::string_view host_header, std::string_view machine_name
     return !failed;
 }
 
-bool is_same_origin(std::string_view origin_header, std::string_view host_header) {
+bool is_same_origin(std::string_view origin, std::string_view host) {
     constexpr std::string_view kUrlScheme = "http://";
-    return origin_header.empty() || (origin_header.starts_with(kUrlScheme) &&
-                                     is_same_text(origin_header.substr(kUrlScheme.size()), host_header));
+    return origin.empty() ||
+           (origin.starts_with(kUrlScheme) && is_same_text(origin.substr(kUrlScheme.size()), host));
 }
 
-bool is_foxglove_origin(std::string_view origin_header) {
-    if (origin_header == "https://app.foxglove.dev" ||
-        origin_header == "https://lichtblick-suite.github.io" || origin_header == "file://")
+bool is_foxglove_origin(std::string_view origin) {
+    if (origin == "https://app.foxglove.dev" || origin == "https://lichtblick-suite.github.io" ||
+        origin == "file://")
         return true;
-    const std::size_t scheme = origin_header.find("://");
+    const std::size_t scheme = origin.find("://");
     if (scheme == std::string_view::npos) return false;
-    const std::string_view name = host_name(origin_header.substr(scheme + 3));
+    const std::string_view name = host_name(origin.substr(scheme + 3));
     return is_same_text(name, "localhost") || name == "127.0.0.1" || name == "::1";
 }
 
-bool is_same_secret(std::string_view given_secret, std::string_view true_secret) {
-    unsigned differs = given_secret.size() == true_secret.size() ? 0u : 1u;
-    for (std::size_t i = 0; i < true_secret.size(); ++i) {
-        const char shown = i < given_secret.size() ? given_secret[i] : '\0';
-        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(true_secret[i]);
+bool is_same_secret(std::string_view given, std::string_view expected) {
+    unsigned differs = given.size() == expected.size() ? 0u : 1u;
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+        const char shown = i < given.size() ? given[i] : '\0';
+        differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(expected[i]);
     }
     return differs == 0u;
 }
 
-std::string_view find_list_value(std::string_view name_value_list, std::string_view name, char separator) {
-    while (!name_value_list.empty()) {
-        const std::size_t end = std::min(name_value_list.find(separator), name_value_list.size());
-        std::string_view entry = name_value_list.substr(0, end);
-        name_value_list.remove_prefix(std::min(end + 1, name_value_list.size()));
+std::string_view find_list_value(std::string_view list, std::string_view name, char separator) {
+    while (!list.empty()) {
+        const std::size_t end = std::min(list.find(separator), list.size());
+        std::string_view entry = list.substr(0, end);
+        list.remove_prefix(std::min(end + 1, list.size()));
         while (entry.starts_with(' ')) entry.remove_prefix(1);
         if (entry.size() > name.size() && entry.starts_with(name) && entry[name.size()] == '=')
             return entry.substr(name.size() + 1);
@@ -85,13 +85,12 @@ std::string_view find_list_value(std::string_view name_value_list, std::string_v
     return {};
 }
 
-bool has_query_token(const Credentials& credentials, std::string_view access_token) {
-    return is_same_secret(find_list_value(credentials.query, "token", '&'), access_token);
+bool has_query_token(const Credentials& credentials, std::string_view token) {
+    return is_same_secret(find_list_value(credentials.query, "token", '&'), token);
 }
 
-bool has_cookie_token(const Credentials& credentials, std::string_view access_token,
-                      std::string_view cookie_name) {
-    return is_same_secret(find_list_value(credentials.cookie, cookie_name, ';'), access_token);
+bool has_cookie_token(const Credentials& credentials, std::string_view token, std::string_view cookie) {
+    return is_same_secret(find_list_value(credentials.cookie, cookie, ';'), token);
 }
 
 }  // namespace relidar::view

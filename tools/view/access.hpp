@@ -7,7 +7,6 @@
 
 namespace relidar::view {
 
-/// Fields of an HTTP request that decide whether the request is allowed.
 struct Credentials {
     std::string_view host;    ///< Value of the header Host.
     std::string_view origin;  ///< Value of the header Origin. Empty if the request has no such header.
@@ -18,20 +17,19 @@ struct Credentials {
 /// An IP address, "localhost", or `machine_name`. Other names are rejected, because an
 /// attacker's DNS server could resolve them to this machine. The port is not checked,
 /// because a forwarded port has another number.
-bool is_this_machine(std::string_view host_header, std::string_view machine_name);
+bool is_this_machine(std::string_view host, std::string_view machine_name);
 /// A browser always sends the Origin header when it opens a WebSocket. Other programs do
 /// not.
-/// @param host_header value of the Host header in the same request
-bool is_same_origin(std::string_view origin_header, std::string_view host_header);
+/// @param host value of the Host header in the same request
+bool is_same_origin(std::string_view origin, std::string_view host);
 /// The web pages of Foxglove and Lichtblick, a page of this machine, or a desktop
 /// program, whose page is a file.
-bool is_foxglove_origin(std::string_view origin_header);
+bool is_foxglove_origin(std::string_view origin);
 /// In constant time, so that the duration does not show how many characters match.
-bool is_same_secret(std::string_view given_secret, std::string_view true_secret);
+bool is_same_secret(std::string_view given, std::string_view expected);
 /// In a list such as "a=1&b=2" (separator '&') or "a=1; b=2" (separator ';').
-std::string_view find_list_value(std::string_view name_value_list, std::string_view name, char separator);
-bool has_query_token(const Credentials& credentials, std::string_view access_token);
-bool has_cookie_token(const Credentials& credentials, std::string_view access_token,
-                      std::string_view cookie_name);
+std::string_view find_list_value(std::string_view list, std::string_view name, char separator);
+bool has_query_token(const Credentials& credentials, std::string_view token);
+bool has_cookie_token(const Credentials& credentials, std::string_view token, std::string_view cookie);
 
 }  // namespace relidar::view

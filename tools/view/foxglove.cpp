@@ -38,8 +38,8 @@ std::string encode_message(std::uint32_t subscription_id, const ScanMessage& mes
     return bytes + message.bytes;
 }
 
-std::string error_status(const std::string& error_text) {
-    const Json status{{"op", "status"}, {"level", kErrorLevel}, {"message", error_text}};
+std::string error_status(const std::string& text) {
+    const Json status{{"op", "status"}, {"level", kErrorLevel}, {"message", text}};
     return status.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
@@ -55,18 +55,17 @@ std::string advertise_json(const std::vector<ScanTopic>& topics) {
     return Json{{"op", "advertise"}, {"channels", channels}}.dump();
 }
 
-const Json& required_list(const Json& message, const char* member_name) {
-    const auto list = message.find(member_name);
+const Json& required_list(const Json& message, const char* member) {
+    const auto list = message.find(member);
     if (list == message.end() || !list->is_array())
-        fail<UsageError>("cannot read the message: expected a list in the field \"{}\"", member_name);
+        fail<UsageError>("cannot read the message: expected a list in the field \"{}\"", member);
     return *list;
 }
 
-std::uint32_t require_uint32(const Json& value, const char* name_for_errors) {
+std::uint32_t require_uint32(const Json& value, const char* where) {
     if (!value.is_number_unsigned() || value.get<std::uint64_t>() > std::numeric_limits<std::uint32_t>::max())
         fail<UsageError>(
-            "cannot read the message: expected an integer from 0 to 2^32 - 1 in the field \"{}\"",
-            name_for_errors);
+            "cannot read the message: expected an integer from 0 to 2^32 - 1 in the field \"{}\"", where);
     return value.get<std::uint32_t>();
 }
 
@@ -114,8 +113,8 @@ bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     return true;
 }
 
-void FoxglovePlayer::subscribe(Client& client, const std::string& message_text) const {
-    const Json message = Json::parse(message_text, nullptr, false);
+void FoxglovePlayer::subscribe(Client& client, const std::string& text) const {
+    const Json message = Json::parse(text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
     const auto operation = message.find("op");
     if (operation != message.end() && *operation == "subscribe") {
@@ -142,7 +141,6 @@ void FoxglovePlayer::subscribe(Client& client, const std::string& message_text) 
     }
 }
 
-/// @return true if a client subscribes to a topic
 bool FoxglovePlayer::flush_texts() {
     const std::lock_guard lock(mutex_);
     bool has_subscriptions = false;

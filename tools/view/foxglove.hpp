@@ -25,7 +25,6 @@
 
 namespace relidar::view {
 
-/// Called only by send_due().
 struct FoxgloveSendCallbacks {
     std::function<void(ClientId, std::string)> text;
     std::function<void(ClientId, std::vector<std::string>)> scan;
@@ -35,11 +34,9 @@ struct FoxgloveSendCallbacks {
 /// send_due() uses the device.
 class FoxglovePlayer {
 public:
-    /// @param run must outlive the player
     FoxglovePlayer(const Run& run, Device& device, FoxgloveSendCallbacks answers);
 
     void add_client(ClientId client_id);
-    /// @return false if the client was not added by add_client()
     bool handle_message(ClientId client_id, const std::string& message);
     void remove_client(ClientId client_id);
 
@@ -55,7 +52,6 @@ private:
         std::map<std::uint32_t, std::size_t> subscriptions = {};  ///< topic of each subscription
         std::deque<std::string> texts = {};                       ///< texts that will be sent
     };
-    /// Exists only while a client subscribes to a topic.
     struct Playback {
         ScanRenderer renderer;
         ScanMessageEncoder messages;
@@ -66,7 +62,7 @@ private:
             : renderer(device, run), messages({format}) {}
     };
 
-    void subscribe(Client& client, const std::string& message_text) const;
+    void subscribe(Client& client, const std::string& text) const;
     bool flush_texts();
     void send_next();
     void publish(const std::vector<ScanMessage>& messages_per_topic);

@@ -24,17 +24,15 @@ std::uint8_t to_byte(float fraction) {
     return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(fraction, 0.0f, 1.0f)));
 }
 
-/// Lists the type, size and offset of each array for the JSON header.
 class BinaryArrayPacker {
 public:
     template <class T>
-    void add_array(const std::string& name, const char* element_type_name, int n_components,
-                   const std::vector<T>& values) {
+    void add_array(const std::string& name, const char* type, int n, const std::vector<T>& values) {
         if (values.empty()) return;
         const std::size_t n_bytes = values.size() * sizeof(T);
         table_.push_back({{"name", name},
-                          {"type", element_type_name},
-                          {"components", n_components},
+                          {"type", type},
+                          {"components", n},
                           {"count", values.size()},
                           {"offset", bytes_.size()}});
         bytes_.append(reinterpret_cast<const char*>(values.data()), n_bytes);
@@ -68,9 +66,9 @@ private:
 }  // namespace
 
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
-                              const glm::dvec3& dataset_from_world_offset_m) {
-    LidarPoints points = place_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, dataset_from_world_offset_m},
-                                      PointSelection::rays);
+                              const glm::dvec3& world_offset_m) {
+    LidarPoints points =
+        place_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, world_offset_m}, PointSelection::rays);
     ScanColumns result{.rows = scan.image.rows,
                        .columns = scan.image.columns,
                        .position_m = std::move(points.position_m),
@@ -111,19 +109,18 @@ Json pose_json(const Pose& pose) {
     return result;
 }
 
-std::string encode_scans(Json json_header, const ScanColumns* simulated_scan_or_null,
-                         const ScanColumns* measured_scan_or_null) {
+std::string encode_scans(Json header, const ScanColumns* simulated, const ScanColumns* measured) {
     BinaryArrayPacker arrays;
-    if (simulated_scan_or_null) {
-        json_header["image"] = {simulated_scan_or_null->rows, simulated_scan_or_null->columns};
-        arrays.add_scan("", *simulated_scan_or_null);
+    if (simulated) {
+        header["image"] = {simulated->rows, simulated->columns};
+        arrays.add_scan("", *simulated);
     }
-    if (measured_scan_or_null) {
-        json_header["real_image"] = {measured_scan_or_null->rows, measured_scan_or_null->columns};
-        arrays.add_scan("real_", *measured_scan_or_null);
+    if (measured) {
+        header["real_image"] = {measured->rows, measured->columns};
+        arrays.add_scan("real_", *measured);
     }
-    json_header["arrays"] = arrays.table_json();
-    std::string text = json_header.dump(-1, ' ', false, Json::error_handler_t::replace);
+    header["arrays"] = arrays.table_json();
+    std::string text = header.dump(-1, ' ', false, Json::error_handler_t::replace);
     text.append((4 - text.size() % 4) % 4, ' ');
     const auto length = static_cast<std::uint32_t>(text.size());
     std::string frame = "RLV1";

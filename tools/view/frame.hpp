@@ -47,19 +47,17 @@ struct ScanColumns {
     std::vector<ScanChannel> channels = {};
 };
 
-/// @param dataset_from_world_offset_m from relidar's world frame to the dataset's
+/// @param world_offset_m from relidar's world frame to the dataset's
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
-                              const glm::dvec3& dataset_from_world_offset_m);
-/// @param frame frame of the sequence that contains the scan
+                              const glm::dvec3& world_offset_m);
 ScanColumns measured_columns(const Log& sequence, const Frame& frame);
 
 /// 4x4 matrix in column-major order, as WebGL expects.
 nlohmann::json pose_json(const Pose& pose);
 
-/// @param json_header without the key "arrays"
-/// @param simulated_scan_or_null, measured_scan_or_null names of measured arrays begin
+/// @param header without the key "arrays"
+/// @param simulated, measured names of measured arrays begin
 /// with "real_"
-std::string encode_scans(nlohmann::json json_header, const ScanColumns* simulated_scan_or_null,
-                         const ScanColumns* measured_scan_or_null);
+std::string encode_scans(nlohmann::json header, const ScanColumns* simulated, const ScanColumns* measured);
 
 }  // namespace relidar::view

@@ -25,15 +25,12 @@ constexpr std::chrono::milliseconds kDrainTime{500};
 
 std::string_view to_view(boost::beast::string_view text) { return {text.data(), text.size()}; }
 
-std::string_view url_path(std::string_view request_target) {
-    return request_target.substr(0, request_target.find('?'));
-}
-std::string_view url_query(std::string_view request_target) {
-    const std::size_t mark = request_target.find('?');
-    return mark == std::string_view::npos ? std::string_view{} : request_target.substr(mark + 1);
+std::string_view url_path(std::string_view target) { return target.substr(0, target.find('?')); }
+std::string_view url_query(std::string_view target) {
+    const std::size_t mark = target.find('?');
+    return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
-/// No value if the client has disconnected.
 std::optional<http::status> parse_status(const boost::system::error_code& parse_error) {
     if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
@@ -89,8 +86,7 @@ std::string_view HttpSession::offered_protocol(const Request& request) const {
 
 /// No value if the request is allowed. The order of the checks reveals as little as
 /// possible to a client without access.
-std::optional<HttpSession::Status> HttpSession::access_error(const Request& request,
-                                                             bool is_foxglove_client) const {
+std::optional<HttpSession::Status> HttpSession::access_error(const Request& request, bool foxglove) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{to_view(request[http::field::host]), to_view(request[http::field::origin]),
                                   to_view(request[http::field::cookie]),
@@ -99,7 +95,7 @@ std::optional<HttpSession::Status> HttpSession::access_error(const Request& requ
     const std::string& token = hub_.options.token;
     const bool knows_token = !token.empty() && has_query_token(credentials, token);
     const bool is_foreign = !is_same_origin(credentials.origin, credentials.host);
-    const bool may_be_foreign = is_foxglove_client && (is_foxglove_origin(credentials.origin) || knows_token);
+    const bool may_be_foreign = foxglove && (is_foxglove_origin(credentials.origin) || knows_token);
     if (request.count(http::field::origin) > 1 || (is_foreign && !may_be_foreign)) return Status::forbidden;
     // A page of another origin (`is_foreign`) must send the token in the address, because
     // browsers also send cookies with requests of pages from other local servers.

@@ -25,7 +25,6 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub);
     void read_request();
-    /// The server has too many connections.
     void send_overload();
 
 private:
@@ -38,7 +37,7 @@ private:
     void on_read(Error error);
     void answer_request(const Request& request);
     std::string_view offered_protocol(const Request& request) const;
-    std::optional<Status> access_error(const Request& request, bool is_foxglove_client) const;
+    std::optional<Status> access_error(const Request& request, bool foxglove) const;
     Response make_response(Status status, const std::string& host) const;
     void send_error(Status status);
     void write_response();
@@ -48,7 +47,6 @@ private:
     CountedConnection counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    /// True if the timer has cancelled the current read or write.
     bool late_ = false;
     int n_drains_ = 0;
     boost::beast::flat_buffer buffer_;

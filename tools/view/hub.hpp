@@ -28,7 +28,6 @@ struct WebServerState {
     ClientId last_client = 0;
 };
 
-/// Counts the open connections of the hub.
 class CountedConnection {
 public:
     explicit CountedConnection(WebServerState& hub) : hub_(&hub) { ++hub.n_connections; }

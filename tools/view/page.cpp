@@ -7,15 +7,14 @@
 
 namespace relidar {
 
-// cmake/Assets.cmake generates the definition.
 std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {
 namespace {
 
-std::string_view content_type(std::string_view file_name) {
-    if (file_name.ends_with(".js")) return "text/javascript; charset=utf-8";
-    if (file_name.ends_with(".css")) return "text/css; charset=utf-8";
+std::string_view content_type(std::string_view file) {
+    if (file.ends_with(".js")) return "text/javascript; charset=utf-8";
+    if (file.ends_with(".css")) return "text/css; charset=utf-8";
     return "text/html; charset=utf-8";
 }
 

@@ -20,13 +20,9 @@ public:
 
     explicit RecordedScans(const Run& run);
     ~RecordedScans();
-    RecordedScans(const RecordedScans&) = delete;
-    RecordedScans& operator=(const RecordedScans&) = delete;
 
     RecordedScansState state() const { return state_; }
-    /// One line.
     std::string reason() const;
-    /// Null until all scans are loaded.
     const Log* sequence() const;
 
 private:

@@ -20,7 +20,6 @@ constexpr double kMaxPosition_m = 10'000.0;
 constexpr double kFarAway_m = 1e6;  // Maximum absolute value of a position in relidar's world frame.
 constexpr double kMaxSpeed_mps = 200.0;
 constexpr double kMaxTime_s = 1e10;
-// Maximum number of actors that a request may copy, move, remove or hide.
 constexpr std::size_t kMaxActors = 256;
 constexpr std::size_t kMaxName = 64;
 // The name is the path that the user typed after `relidar view`.
@@ -36,24 +35,24 @@ const Json& required_member(const Json& object, const char* member_name) {
     return *member;
 }
 
-double number_within(const Json& value, const std::string& name_for_errors, double max_absolute_value) {
-    if (!value.is_number()) reject_request(name_for_errors, "a number");
+double number_within(const Json& value, const std::string& where, double max_absolute_value) {
+    if (!value.is_number()) reject_request(where, "a number");
     const double x = value.get<double>();
     if (!(std::abs(x) <= max_absolute_value))
-        reject_request(name_for_errors, fmt::format("a number from -{0} to {0}", max_absolute_value));
+        reject_request(where, fmt::format("a number from -{0} to {0}", max_absolute_value));
     return x;
 }
 
-bool read_boolean(const Json& value, const char* name_for_errors) {
-    if (!value.is_boolean()) reject_request(name_for_errors, "true or false");
+bool read_boolean(const Json& value, const char* where) {
+    if (!value.is_boolean()) reject_request(where, "true or false");
     return value.get<bool>();
 }
 
-std::string read_text(const Json& value, const char* name_for_errors, std::size_t max_bytes = kMaxName) {
-    if (!value.is_string()) reject_request(name_for_errors, "a text");
+std::string read_text(const Json& value, const char* where, std::size_t max_bytes = kMaxName) {
+    if (!value.is_string()) reject_request(where, "a text");
     std::string result = value.get<std::string>();
     if (result.empty() || result.size() > max_bytes)
-        reject_request(name_for_errors, fmt::format("a text of 1 to {} bytes", max_bytes));
+        reject_request(where, fmt::format("a text of 1 to {} bytes", max_bytes));
     return result;
 }
 
@@ -62,23 +61,21 @@ std::string read_run_name(const Json& run_name_json) {
     return run_name_json == "" ? "" : read_text(run_name_json, "from", kMaxRunName);
 }
 
-/// Number i must not exceed limits[i] in absolute value.
 template <std::size_t N>
-std::array<double, N> read_numbers(const Json& value, const char* name_for_errors,
-                                   const std::array<double, N>& max_absolute_values) {
-    if (!value.is_array() || value.size() != N) reject_request(name_for_errors, fmt::format("{} numbers", N));
+std::array<double, N> read_numbers(const Json& value, const char* where,
+                                   const std::array<double, N>& limits) {
+    if (!value.is_array() || value.size() != N) reject_request(where, fmt::format("{} numbers", N));
     std::array<double, N> result;
     for (std::size_t i = 0; i < N; ++i)
-        result[i] =
-            number_within(value[i], fmt::format("{} {}", name_for_errors, i + 1), max_absolute_values[i]);
+        result[i] = number_within(value[i], fmt::format("{} {}", where, i + 1), limits[i]);
     return result;
 }
 
-std::set<std::string> read_track_names(const Json& value, const char* name_for_errors) {
+std::set<std::string> read_track_names(const Json& value, const char* where) {
     if (!value.is_array() || value.size() > kMaxActors)
-        reject_request(name_for_errors, fmt::format("a list of at most {} tracks", kMaxActors));
+        reject_request(where, fmt::format("a list of at most {} tracks", kMaxActors));
     std::set<std::string> result;
-    for (const Json& track : value) result.insert(read_text(track, name_for_errors));
+    for (const Json& track : value) result.insert(read_text(track, where));
     return result;
 }
 

@@ -53,7 +53,6 @@ struct LiveScanRequest {
     int lidar = 0;
     Weather weather = {};
     bool simulate = true;
-    /// If true, the response also contains the measured scan that is nearest in time.
     bool real = false;
     ActorEdits edits;
 };
@@ -78,8 +77,6 @@ struct SaveRequest {
 
 using BrowserRequest = std::variant<LiveScanRequest, SensorFile, SaveRequest, GroundPoseRequest>;
 
-/// @throws UsageError that names the first value that is missing, has a wrong type, or is
-/// out of range
 BrowserRequest parse_request(const std::string& request_json_text);
 
 }  // namespace relidar::view

@@ -97,8 +97,8 @@ Json channels_json(const Config& config) {
 
 }  // namespace
 
-BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName other_runs, Device& device)
-    : run_(std::move(run)), others_(std::move(other_runs)), device_(device), real_(run_) {}
+BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device& device)
+    : run_(std::move(run)), others_(std::move(others)), device_(device), real_(run_) {}
 
 Json BrowserScanRenderer::page_data() const {
     const Log& log = run_.sequence;
@@ -231,7 +231,6 @@ ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic)
     return *renderer_;
 }
 
-/// The nearest in time. Null if measured scans are missing or not requested.
 const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request) const {
     const Log* log = real_.sequence();
     if (!log || !request.real) return nullptr;
@@ -243,15 +242,15 @@ const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request)
     return nearest;
 }
 
-RenderedScan BrowserScanRenderer::render_scan(const EditedTraffic& edited_traffic,
-                                              const LiveScanRequest& wish, const SimulatedSensor& sensor) {
+RenderedScan BrowserScanRenderer::render_scan(const EditedTraffic& traffic, const LiveScanRequest& wish,
+                                              const SimulatedSensor& sensor) {
     const Log& log = run_.sequence;
     ScanRequest request;
     request.time_s = wish.time_s;
     request.dataset_from_sensor =
         shift_track(mount_track(log.lidar_track(wish.lidar), wish.sensor_offset), log.world_offset_m);
-    request.dataset_from_actor = edited_traffic.visible_poses(wish.time_s);
-    ScanRenderer& renderer = edited_renderer(edited_traffic);
+    request.dataset_from_actor = traffic.visible_poses(wish.time_s);
+    ScanRenderer& renderer = edited_renderer(traffic);
     renderer.set_weather(wish.weather);
     return renderer.render(sensor, request);
 }

@@ -21,7 +21,6 @@
 
 namespace relidar::view {
 
-/// State that the server keeps for a browser tab between two scans.
 struct TabCache {
     std::optional<SimulatedSensor> file_sensor = {};
     std::optional<EditedTraffic> traffic = {};
@@ -32,19 +31,15 @@ struct TabCache {
 /// Only one thread may use this object.
 class BrowserScanRenderer {
 public:
-    /// @param others other runs, whose actors the user can insert into the scene
     BrowserScanRenderer(Run run, OtherRunsByName others, Device& device);
 
     const Run& trained_run() const { return run_; }
     const OtherRunsByName& other_runs() const { return others_; }
     const RecordedScans& measured_scans() const { return real_; }
-    /// Data that the web page needs only once.
     nlohmann::json page_data() const;
     /// In the binary format of frame.hpp.
     /// @throws UsageError or DataError
     std::string render_message(TabCache& tab_cache, const LiveScanRequest& request);
-    /// @return a text of the sensor
-    /// @throws UsageError or DataError if the file is invalid
     nlohmann::json store_sensor(TabCache& tab_cache, const SensorFile& file) const;
 
 private:
@@ -63,9 +58,7 @@ private:
     /// Copied actors as (name of the run, name of the track), moved actors as (name of
     /// the track, "").
     std::vector<std::pair<std::string, std::string>> rendered_;
-    /// Notes on sides of the copied and moved actors that the log has not observed.
     std::vector<std::string> actor_notes_;
-    /// Number of launch times at the previous call of kernel_times().
     std::map<std::string, std::size_t> launches_;
 };
 

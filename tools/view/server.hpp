@@ -40,9 +40,7 @@ struct WebServerOptions {
     std::span<const WebPageFile> assets = {};
     std::size_t max_connections = 64;
     std::size_t max_header_bytes = 8192;
-    /// Maximum size of a WebSocket message from a client, in bytes.
     std::size_t max_message_bytes = std::size_t(1) << 20;
-    /// Maximum time in which the client must send a complete request.
     std::chrono::milliseconds request_time{5000};
     /// In which a client must answer a ping. Then its WebSocket is closed.
     std::chrono::milliseconds idle_time{30000};
@@ -52,7 +50,6 @@ inline constexpr std::string_view kSocketPath = "/live";
 /// Subprotocols with the same messages, also at the path "/".
 inline constexpr std::string_view kFoxgloveProtocols[] = {"foxglove.websocket.v1", "foxglove.sdk.v1"};
 
-/// Identifies one open WebSocket during its lifetime.
 using ClientId = std::uint64_t;
 
 /// The server's thread calls them one at a time. They must not throw exceptions.
@@ -67,13 +64,10 @@ struct WebSocketEvents {
 
 class WebServer {
 public:
-    /// @throws UsageError if the address or the port is not available
     WebServer(const WebServerOptions& options, WebSocketEvents events);
     /// Closes all connections immediately. drain()
     /// sends queued messages first.
     ~WebServer();
-    WebServer(const WebServer&) = delete;
-    WebServer& operator=(const WebServer&) = delete;
 
     int port() const;
     /// For a browser on this machine. Contains the access token.
@@ -95,7 +89,6 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// @throws UsageError if the text is not an IP address
 void check_address(const std::string& address);
 
 /// 32 hexadecimal digits.

@@ -12,7 +12,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Queued requests of a tab, not counting scans.
 constexpr std::size_t kMaxWaiting = 4;
 
 const char* request_name(const BrowserRequest& request) {
@@ -35,9 +34,9 @@ const char* state_name(RecordedScans::RecordedScansState state) {
 
 }  // namespace
 
-ViewerSession::ViewerSession(Run run, OtherRunsByName other_runs, Device& device,
+ViewerSession::ViewerSession(Run run, OtherRunsByName others, Device& device,
                              std::filesystem::path save_folder, TabSendCallbacks answers)
-    : scanner_(std::move(run), std::move(other_runs), device),
+    : scanner_(std::move(run), std::move(others), device),
       save_folder_(std::move(save_folder)),
       answers_(std::move(answers)) {}
 

@@ -43,21 +43,14 @@ public:
     void close_tab(TabId tab_id);
     void handle_message(TabId tab_id, const std::string& message);
 
-    /// @return true if a request was executed
-    /// @throws DeviceError if the device has failed
     bool run_next(std::chrono::milliseconds max_wait);
-    /// Ignores new messages.
-    /// @throws DeviceError if the device has failed
     void finish_requests();
 
 private:
     struct BrowserTabState {
         bool greeted = false;
-        /// Last state of the log reader that was sent to the browser tab.
         RecordedScans::RecordedScansState last_sent_state = RecordedScans::RecordedScansState::loading;
-        /// latest scan request of this browser tab, until the scan is rendered
         std::optional<LiveScanRequest> scan = {};
-        /// Sensor files, positions on the ground, and runs to save.
         std::deque<BrowserRequest> others = {};
         std::optional<std::string> refused = {};  ///< Reason why the last message of the tab was invalid.
         TabCache cache = {};  ///< State of the tab that only the render thread uses, without the mutex.

@@ -27,14 +27,13 @@ SocketSession::SocketSession(boost::beast::tcp_stream stream, CountedConnection 
 
 void SocketSession::accept_handshake(
     const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
-    std::string_view foxglove_protocol) {
-    const bool is_foxglove = !foxglove_protocol.empty();
+    std::string_view protocol) {
+    const bool is_foxglove = !protocol.empty();
     if (is_foxglove)
-        stream_.set_option(
-            websocket::stream_base::decorator([foxglove_protocol](websocket::response_type& response) {
-                response.set(boost::beast::http::field::sec_websocket_protocol,
-                             boost::beast::string_view(foxglove_protocol.data(), foxglove_protocol.size()));
-            }));
+        stream_.set_option(websocket::stream_base::decorator([protocol](websocket::response_type& response) {
+            response.set(boost::beast::http::field::sec_websocket_protocol,
+                         boost::beast::string_view(protocol.data(), protocol.size()));
+        }));
     stream_.async_accept(upgrade_request, [self = shared_from_this(), is_foxglove](Error failed) {
         if (failed) return;
         self->id_ = ++self->hub_.last_client;

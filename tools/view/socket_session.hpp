@@ -22,9 +22,9 @@ namespace relidar::view {
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, CountedConnection counted, WebServerState& hub);
-    /// @param foxglove_protocol selected subprotocol of Foxglove; empty for the web page
+    /// @param protocol selected subprotocol of Foxglove; empty for the web page
     void accept_handshake(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade_request,
-                          std::string_view foxglove_protocol);
+                          std::string_view protocol);
     void send_message(std::string bytes, bool is_text, bool drop_queued_older_message);
     /// Skips all of them if earlier messages are still queued.
     void send_batch(std::vector<std::string> messages);

@@ -29,12 +29,12 @@ NewActorMotion copy_motion(const ActorEdits::ActorCopy& copy, const glm::dvec3& 
     return start;
 }
 
-SceneWithLog apply_moves(SceneWithLog scene_with_log, const ActorEdits& edits) {
+SceneWithLog apply_moves(SceneWithLog scene, const ActorEdits& edits) {
     for (const auto& [track, by] : edits.moves) {
         const Pose pose{make_rotation(by[3] * kRadPerDegree, 0.0, 0.0), {by[0], by[1], by[2]}};
-        scene_with_log = move_track(std::move(scene_with_log), track, pose);
+        scene = move_track(std::move(scene), track, pose);
     }
-    return scene_with_log;
+    return scene;
 }
 
 /// Without scans and surfels.
@@ -44,37 +44,37 @@ SceneWithLog copy_tracks(const Run& run) {
     return driving;
 }
 
-const Run& find_other_run(const std::string& run_name, const OtherRunsByName& other_runs) {
-    const auto match = other_runs.find(run_name);
-    if (match == other_runs.end())
+const Run& find_other_run(const std::string& run_name, const OtherRunsByName& others) {
+    const auto match = others.find(run_name);
+    if (match == others.end())
         fail<UsageError>("cannot insert an actor from \"{}\": expected a run of `relidar view --insert`",
                          run_name);
     return match->second;
 }
 
 /// @param get_scene_with_log_of_run with or without surfels
-SceneWithLog copy_actors(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+SceneWithLog copy_actors(SceneWithLog scene, const OtherRunsByName& others,
                          const std::vector<ActorEdits::ActorCopy>& copies,
                          SceneWithLog (*get_scene_with_log_of_run)(const Run&)) {
     for (const ActorEdits::ActorCopy& copy : copies) {
-        const NewActorMotion start = copy_motion(copy, scene_with_log.sequence.world_offset_m);
-        if (copy.from.empty()) scene_with_log = copy_track(std::move(scene_with_log), copy.of, start);
+        const NewActorMotion start = copy_motion(copy, scene.sequence.world_offset_m);
+        if (copy.from.empty()) scene = copy_track(std::move(scene), copy.of, start);
         else
-            scene_with_log = insert_track(std::move(scene_with_log),
-                                          get_scene_with_log_of_run(find_other_run(copy.from, other_runs)),
-                                          copy.of, start);
+            scene =
+                insert_track(std::move(scene), get_scene_with_log_of_run(find_other_run(copy.from, others)),
+                             copy.of, start);
     }
-    return scene_with_log;
+    return scene;
 }
 
-void check_tracks(const SceneWithLog& scene_with_log, const std::set<std::string>& track_names) {
+void check_tracks(const SceneWithLog& scene, const std::set<std::string>& track_names) {
     const std::vector<std::string> names(track_names.begin(), track_names.end());
     // Called only for its error, which suggests a similar name if a name is unknown.
-    (void)select_instances(scene_with_log.scene, names);
+    (void)select_instances(scene.scene, names);
 }
 
 /// In the form that `relidar edit` writes.
-std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName& other_runs,
+std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName& others,
                                            const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();
@@ -86,7 +86,7 @@ std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName
         const glm::dvec3& p = start.dataset_from_box.translation;
         const std::string what =
             copy.from.empty() ? "--copy "
-                              : fmt::format("--insert {}#", folder_of(find_other_run(copy.from, other_runs)));
+                              : fmt::format("--insert {}#", folder_of(find_other_run(copy.from, others)));
         result.push_back({origin, fmt::format("{}{}@{},{},{},{},{},{}:{}", what, copy.of, p.x, p.y, p.z,
                                               copy.at[3], copy.at[4], copy.at[5], copy.at[6])});
     }
@@ -98,15 +98,14 @@ std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName
 
 }  // namespace
 
-SceneWithLog add_copies(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
                         const std::vector<ActorEdits::ActorCopy>& copies) {
-    return copy_actors(std::move(scene_with_log), other_runs, copies,
-                       [](const Run& run) { return run.driving_scene(); });
+    return copy_actors(std::move(scene), others, copies, [](const Run& run) { return run.driving_scene(); });
 }
 
-ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& other_runs,
+ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& others,
                                      const GroundPoseRequest& request) {
-    const Run& owner = request.from.empty() ? run : find_other_run(request.from, other_runs);
+    const Run& owner = request.from.empty() ? run : find_other_run(request.from, others);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
     GroundPlacement placement{{request.at[0] + offset_m.x, request.at[1] + offset_m.y}};
     placement.clearance_m = read_clearance(owner);
@@ -122,8 +121,8 @@ ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& othe
     return {request.of, request.from, {p.x, p.y, p.z, angles_deg.x, angles_deg.y, angles_deg.z, 0.0}};
 }
 
-EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& other_runs, const ActorEdits& edits)
-    : driving_(apply_moves(copy_actors(copy_tracks(run), other_runs, edits.copies, copy_tracks), edits)),
+EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& others, const ActorEdits& edits)
+    : driving_(apply_moves(copy_actors(copy_tracks(run), others, edits.copies, copy_tracks), edits)),
       edits_(edits) {
     check_tracks(driving_, edits.removed);
     check_tracks(driving_, edits.hidden);
@@ -157,13 +156,13 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
     return actors;
 }
 
-Run apply_edits(const Run& run, const OtherRunsByName& other_runs, const ActorEdits& edits) {
+Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits) {
     Run result = run;
     SceneWithLog driving =
-        apply_moves(add_copies({result.scene, result.sequence}, other_runs, edits.copies), edits);
+        apply_moves(add_copies({result.scene, result.sequence}, others, edits.copies), edits);
     for (const std::string& track : edits.removed) driving = remove_track(std::move(driving), track);
     result.set_driving_scene(std::move(driving));
-    const std::vector<EditHistoryEntry> done = make_history(run, other_runs, edits);
+    const std::vector<EditHistoryEntry> done = make_history(run, others, edits);
     result.edits.insert(result.edits.end(), done.begin(), done.end());
     return result;
 }

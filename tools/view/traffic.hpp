@@ -22,12 +22,12 @@ namespace relidar::view {
 using OtherRunsByName = std::map<std::string, Run>;
 
 /// @throws UsageError if a run or track is unknown
-SceneWithLog add_copies(SceneWithLog scene_with_log, const OtherRunsByName& other_runs,
+SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
                         const std::vector<ActorEdits::ActorCopy>& copies);
 
 /// At the position where the user has clicked.
 /// @throws UsageError if there is no ground
-ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& other_runs,
+ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& others,
                                      const GroundPoseRequest& request);
 
 /// After all edits, without surfels.
@@ -53,6 +53,6 @@ private:
 };
 
 /// Hidden actors stay in the run. The history of the new run contains the edits.
-Run apply_edits(const Run& run, const OtherRunsByName& other_runs, const ActorEdits& edits);
+Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits);
 
 }  // namespace relidar::view

@@ -49,15 +49,15 @@ struct DeviceLost : DeviceError {
 /// Returns the valid name that is most similar to the query, for "did you mean" messages.
 /// The most similar name has the smallest edit distance. Upper and lower case are treated
 /// as equal.
-/// @return empty string if `valid_names` is empty
-std::string nearest_name(std::string_view query, const std::vector<std::string>& valid_names);
+/// @return empty string if `names` is empty
+std::string nearest_name(std::string_view query, const std::vector<std::string>& names);
 /// Returns the text ", did you mean 'NAME'?", where NAME is the most similar valid name.
-/// @param quote_mark quotation mark around the name: "'", "\"" or empty
-/// @return `text_if_none` if no valid name is similar
-std::string did_you_mean(std::string_view query, const std::vector<std::string>& valid_names,
-                         std::string_view quote_mark = "", std::string_view text_if_none = "");
+/// @param quote quotation mark around the name: "'", "\"" or empty
+/// @return `otherwise` if no valid name is similar
+std::string did_you_mean(std::string_view query, const std::vector<std::string>& names,
+                         std::string_view quote = "", std::string_view otherwise = "");
 /// Returns the valid name that equals the query, ignoring upper and lower case. Returns
 /// nullopt if no valid name is equal.
-std::optional<std::string> find_name(std::string_view query, const std::vector<std::string>& valid_names);
+std::optional<std::string> find_name(std::string_view query, const std::vector<std::string>& names);
 
 }  // namespace relidar

@@ -11,16 +11,16 @@
 
 namespace relidar {
 
-/// Writes a file atomically. Calls `write_content` with a temporary path in the same
+/// Writes a file atomically. Calls `write` with a temporary path in the same
 /// folder, flushes the temporary file to disk and renames it. The folder must exist. If
 /// `path` is a symbolic link, the target of the link is written. A target that is not a
 /// regular file (a folder, /dev/null) is rejected.
 /// @throws DataError if the folder cannot be written or the disk is full. The temporary
-/// file is then removed. A DataError or standard exception from `write_content` is
+/// file is then removed. A DataError or standard exception from `write` is
 /// rethrown as a DataError that names the path. Other relidar errors are passed on
 /// unchanged.
 void write_atomically(const std::filesystem::path& path,
-                      const std::function<void(const std::filesystem::path&)>& write_content);
+                      const std::function<void(const std::filesystem::path&)>& write);
 /// Returns a unique temporary path in the same folder as `final_path`. The caller writes
 /// the file there and then renames it to `final_path`. remove_temp() removes
 /// temporary files that were never renamed.

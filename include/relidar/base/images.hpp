@@ -41,12 +41,11 @@ struct Image {
 /// Converts an image of scalar values to colours. The colour map is "turbo" (range),
 /// "gray" (intensity, drop) or "heat" (error). Values outside [low, high] are clamped.
 /// NaN values and pixels with mask 0 become dark gray.
-/// @param valid_pixel_mask [rows*columns] or empty
+/// @param valid [rows*columns] or empty
 /// @throws UsageError for an unknown colour map
 /// @throws DataError for wrong counts or limits that are not finite
 Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float min_value,
-                       float max_value, const std::string& colour_map_name,
-                       const std::vector<float>& valid_pixel_mask = {});
+                       float max_value, const std::string& colours, const std::vector<float>& valid = {});
 /// Stacks images of equal width vertically, separated by a thin line.
 /// @param vertical_scale vertical magnification of each image, because a LiDAR row covers
 /// a larger angle than a column

@@ -127,8 +127,6 @@ public:
     /// names all missing features.
     explicit Device(const DeviceOptions& options = {});
     ~Device();
-    Device(const Device&) = delete;
-    Device& operator=(const Device&) = delete;
 
     const DeviceInfo& info() const;
     /// Returns the traversal method of this device: ray_query or software, never

@@ -131,8 +131,6 @@ class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
     ~Stream();
-    Stream(const Stream&) = delete;
-    Stream& operator=(const Stream&) = delete;
 
     /// Records a command that fills an array with a 32-bit pattern.
     void fill(const Buffer& buffer, std::uint32_t pattern = 0);

@@ -46,7 +46,7 @@ void set_open_callbacks(DeviceOpenCallbacks callbacks);
 /// results instead of running the test.
 class ScopedDeviceTestResults {
 public:
-    explicit ScopedDeviceTestResults(const DeviceTestResults& test_results);
+    explicit ScopedDeviceTestResults(const DeviceTestResults& results);
     ~ScopedDeviceTestResults();
     ScopedDeviceTestResults(const ScopedDeviceTestResults&) = delete;
     ScopedDeviceTestResults& operator=(const ScopedDeviceTestResults&) = delete;

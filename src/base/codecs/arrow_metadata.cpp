@@ -29,7 +29,6 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
          description);
 }
 
-/// Aligned copy of a flatbuffer. The flatbuffer verifier rejects unaligned data.
 struct AlignedFlatbuffer {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
@@ -42,7 +41,6 @@ struct AlignedFlatbuffer {
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
 };
 
-/// Table in a flatbuffer. Each field is checked when it is read.
 class FlatbufferTable {
 public:
     static FlatbufferTable root_table(AlignedFlatbuffer& flatbuffer) {
@@ -61,9 +59,9 @@ public:
         const std::uint8_t* at = field_pointer(field_number);
         return at ? std::optional<FlatbufferTable>(FlatbufferTable(*bytes_, at)) : std::nullopt;
     }
-    FlatbufferTable read_table(int field_number, const char* name_for_errors) const {
+    FlatbufferTable read_table(int field_number, const char* where) const {
         const std::optional<FlatbufferTable> child_table = find_table(field_number);
-        if (!child_table) fail_arrow(name_for_errors);
+        if (!child_table) fail_arrow(where);
         return *child_table;
     }
     std::string read_name_field(int field_number) const {

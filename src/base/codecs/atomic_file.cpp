@@ -31,7 +31,6 @@ using codecs::errno_text;
     fail("cannot write '{}': {}", path.string(), why);
 }
 
-/// Removes the temporary file at the end of the scope, if it was not renamed.
 struct TemporaryFile {
     fs::path path;
     bool renamed = false;
@@ -60,27 +59,27 @@ fs::path resolve_target(const fs::path& path) {
     return folder / path.filename();
 }
 
-void write_temp(const fs::path& path_for_errors, const fs::path& temporary_path,
+void write_temp(const fs::path& where, const fs::path& temporary,
                 const std::function<void(const fs::path&)>& write_content) {
     try {
-        write_content(temporary_path);
+        write_content(temporary);
     } catch (const Error& error) {
         // For example, a GPU failure during a download is not a file error.
         if (error.code() != ExitCode::data) throw;
-        fail_write(path_for_errors, error.what());
+        fail_write(where, error.what());
     } catch (const std::bad_alloc&) {
         throw;
     } catch (const std::exception& error) {
-        fail_write(path_for_errors, error.what());
+        fail_write(where, error.what());
     }
 }
 
-void flush_file(const fs::path& path_for_errors, const fs::path& temporary_path) {
-    const int file = ::open(temporary_path.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) fail_write(path_for_errors, "cannot reopen the written file: " + errno_text(errno));
+void flush_file(const fs::path& where, const fs::path& temporary) {
+    const int file = ::open(temporary.c_str(), O_RDONLY | O_CLOEXEC);
+    if (file < 0) fail_write(where, "cannot reopen the written file: " + errno_text(errno));
     const int result = ::fsync(file), error = errno;
     ::close(file);
-    if (result != 0) fail_write(path_for_errors, "cannot flush the file to disk: " + errno_text(error));
+    if (result != 0) fail_write(where, "cannot flush the file to disk: " + errno_text(error));
 }
 
 /// The new file name then survives a power failure. Ignores failures, because some file
@@ -103,10 +102,10 @@ fs::path make_temp_path(const fs::path& final_path) {
            fmt::format(".{}.tmp-{}-{}", final_path.filename().string(), ::getpid(), count++);
 }
 
-void write_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write_content) {
+void write_atomically(const fs::path& path, const std::function<void(const fs::path&)>& write) {
     const fs::path target = resolve_target(path);
     TemporaryFile temporary{make_temp_path(target)};
-    write_temp(path, temporary.path, write_content);
+    write_temp(path, temporary.path, write);
     flush_file(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
         fail_write(path, "cannot rename the temporary file: " + errno_text(errno));

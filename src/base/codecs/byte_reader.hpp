@@ -19,7 +19,6 @@ namespace relidar::codecs {
 static_assert(std::endian::native == std::endian::little,
               "numbers are read with the byte order of this machine, which must be little-endian");
 
-/// @throws DataError if too few bytes are left for a value
 class ByteReader {
 public:
     explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}

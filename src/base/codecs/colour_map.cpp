@@ -56,36 +56,34 @@ Colour colour_at(std::span<const Colour> stops, double fraction) {
     return colour;
 }
 
-void check_pixels(const char* array_name, std::size_t count, std::size_t expected_count) {
+void check_pixels(const char* name, std::size_t count, std::size_t expected_count) {
     if (count != expected_count)
-        fail("cannot colour an image: {} has {} values, expected {} values, one for each pixel", array_name,
-             count, expected_count);
+        fail("cannot colour an image: {} has {} values, expected {} values, one for each pixel", name, count,
+             expected_count);
 }
 
 }  // namespace
 
 Image apply_colour_map(const std::vector<float>& values, int rows, int columns, float min_value,
-                       float max_value, const std::string& colour_map_name,
-                       const std::vector<float>& valid_pixel_mask) {
+                       float max_value, const std::string& colours, const std::vector<float>& valid) {
     const std::size_t n = std::size_t(std::max(rows, 0)) * std::size_t(std::max(columns, 0));
     check_pixels("the image", values.size(), n);
-    if (!valid_pixel_mask.empty()) check_pixels("the mask", valid_pixel_mask.size(), n);
+    if (!valid.empty()) check_pixels("the mask", valid.size(), n);
     if (!std::isfinite(min_value) || !std::isfinite(max_value))
         fail("cannot colour an image: the colour scale goes from {} to {}, expected finite limits", min_value,
              max_value);
     std::span<const Colour> stops;
-    if (colour_map_name == "turbo") stops = kTurboColours;
-    else if (colour_map_name == "gray") stops = kGrayColours;
-    else if (colour_map_name == "heat") stops = kHeatColours;
-    else fail<UsageError>("the colour map '{}' is unknown, expected turbo, gray or heat", colour_map_name);
+    if (colours == "turbo") stops = kTurboColours;
+    else if (colours == "gray") stops = kGrayColours;
+    else if (colours == "heat") stops = kHeatColours;
+    else fail<UsageError>("the colour map '{}' is unknown, expected turbo, gray or heat", colours);
     // Avoids a division by zero. A constant image gets the lowest colour.
     const double span = max_value > min_value ? double(max_value) - double(min_value) : 1.0;
 
     Image image{rows, columns, {}};
     image.rgb.reserve(n * 3);
     for (std::size_t i = 0; i < n; ++i) {
-        const bool shown =
-            !std::isnan(values[i]) && (valid_pixel_mask.empty() || valid_pixel_mask[i] != 0.0f);
+        const bool shown = !std::isnan(values[i]) && (valid.empty() || valid[i] != 0.0f);
         const Colour colour =
             shown ? colour_at(stops, std::clamp((double(values[i]) - double(min_value)) / span, 0.0, 1.0))
                   : kNoValue;

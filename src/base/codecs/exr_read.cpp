@@ -29,7 +29,6 @@ namespace imf = OPENEXR_IMF_NAMESPACE;
 
 constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800,
                         kParts = 0x1000;
-// Maximum number of channels, and maximum length of a text in bytes.
 constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;
 // Maximum compression ratio of deflate. An image with a higher ratio is invalid.
 constexpr std::size_t kMostInflated = 1032;
@@ -40,7 +39,7 @@ constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
 class ExrHeaderReader {
 public:
-    explicit ExrHeaderReader(const std::string& file_bytes) : file_(file_bytes) {}
+    explicit ExrHeaderReader(const std::string& bytes) : file_(bytes) {}
 
     std::int32_t read_int32() {
         std::int32_t value = 0;
@@ -77,11 +76,10 @@ struct ImageHeader {
     std::map<std::string, std::string> notes;
 };
 
-void parse_window(std::string_view attribute_bytes, ImageHeader& image_header) {
-    if (attribute_bytes.size() != 16)
-        fail("attribute 'dataWindow' has {} bytes, expected 16", attribute_bytes.size());
+void parse_window(std::string_view bytes, ImageHeader& image_header) {
+    if (bytes.size() != 16) fail("attribute 'dataWindow' has {} bytes, expected 16", bytes.size());
     std::int32_t corner[4];
-    std::memcpy(corner, attribute_bytes.data(), sizeof corner);
+    std::memcpy(corner, bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
     // Larger values could overflow OpenEXR's 32-bit integers.
@@ -92,16 +90,15 @@ void parse_window(std::string_view attribute_bytes, ImageHeader& image_header) {
                  kMaxCoordinate);
 }
 
-void parse_compression(std::string_view attribute_bytes, ImageHeader& image_header) {
-    const std::size_t kind = attribute_bytes.empty()
-                                 ? std::size(kRowsAtOnce)
-                                 : std::size_t(static_cast<unsigned char>(attribute_bytes[0]));
+void parse_compression(std::string_view bytes, ImageHeader& image_header) {
+    const std::size_t kind =
+        bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
     if (kind >= std::size(kRowsAtOnce)) fail("the compression of the image is unknown");
     image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
-void parse_channels(std::string_view attribute_bytes, ImageHeader& image_header) {
-    const std::string list(attribute_bytes);
+void parse_channels(std::string_view bytes, ImageHeader& image_header) {
+    const std::string list(bytes);
     ExrHeaderReader items(list);
     for (std::string name = items.read_name(); !name.empty(); name = items.read_name()) {
         items.read_bytes(8);  // Skips type and linearity, because OpenEXR checks both.
@@ -121,8 +118,7 @@ void parse_channels(std::string_view attribute_bytes, ImageHeader& image_header)
 }
 
 /// OpenEXR ignores the stored size, so a wrong size would make it read unchecked data.
-void check_attribute(const std::string& attribute_name, const std::string& attribute_type,
-                     std::string_view attribute_bytes) {
+void check_attribute(const std::string& name, const std::string& attribute_type, std::string_view bytes) {
     static const std::map<std::string, std::size_t> kAttributeBytes = [] {
         std::istringstream text(
             "box2i 16 box2f 16 chromaticities 32 compression 1 deepImageState 1 double 8 envmap 1 float 4 "
@@ -134,19 +130,18 @@ void check_attribute(const std::string& attribute_name, const std::string& attri
         return sizes;
     }();
     if (const auto size_entry = kAttributeBytes.find(attribute_type);
-        size_entry != kAttributeBytes.end() && size_entry->second != attribute_bytes.size())
-        fail("attribute '{}' of type '{}' has {} bytes, expected {}", quote(attribute_name), attribute_type,
-             attribute_bytes.size(), size_entry->second);
+        size_entry != kAttributeBytes.end() && size_entry->second != bytes.size())
+        fail("attribute '{}' of type '{}' has {} bytes, expected {}", quote(name), attribute_type,
+             bytes.size(), size_entry->second);
     if (attribute_type == "chlist") {
         ImageHeader of_others;
-        parse_channels(attribute_bytes, of_others);
+        parse_channels(bytes, of_others);
     }
-    if (attribute_type == "stringvector") {
-        const std::string list(attribute_bytes);
+    if (type == "stringvector") {
+        const std::string list(bytes);
         for (ExrHeaderReader items(list); !items.is_at_end();) {
             const std::int32_t size = items.read_int32();
-            if (size < 0)
-                fail("attribute '{}' has an invalid text length of {} bytes", quote(attribute_name), size);
+            if (size < 0) fail("attribute '{}' has an invalid text length of {} bytes", quote(name), size);
             items.read_bytes(std::size_t(size));
         }
     }

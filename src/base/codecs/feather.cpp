@@ -37,38 +37,35 @@ T read_at(std::string_view bytes, std::size_t byte_offset) {
 }
 
 std::string_view checked_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
-                               const char* name_for_errors) {
+                               const char* where) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n_bytes) > bytes.size() - std::uint64_t(offset))
-        fail("{} should be at byte {} with {} bytes, but the file has only {} bytes", name_for_errors, offset,
-             n_bytes, bytes.size());
+        fail("{} should be at byte {} with {} bytes, but the file has only {} bytes", where, offset, n_bytes,
+             bytes.size());
     return bytes.substr(std::size_t(offset), std::size_t(n_bytes));
 }
 
-std::string_view find_footer(std::string_view file_bytes) {
+std::string_view find_footer(std::string_view bytes) {
     constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kArrowMagic.size();
-    if (file_bytes.size() < kHeaderBytes + kTrailerBytes || !file_bytes.starts_with(kArrowMagic))
-        fail("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file",
-             file_bytes.size());
-    if (!file_bytes.ends_with(kArrowMagic))
+    if (bytes.size() < kHeaderBytes + kTrailerBytes || !bytes.starts_with(kArrowMagic))
+        fail("the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file", bytes.size());
+    if (!bytes.ends_with(kArrowMagic))
         throw DataError("the file is truncated, because it does not end with ARROW1");
-    const std::int64_t end = std::int64_t(file_bytes.size() - kTrailerBytes),
-                       n = read_at<std::int32_t>(file_bytes, file_bytes.size() - kTrailerBytes);
-    return checked_range(file_bytes, end - n, n, "a footer");
+    const std::int64_t end = std::int64_t(bytes.size() - kTrailerBytes),
+                       n = read_at<std::int32_t>(bytes, bytes.size() - kTrailerBytes);
+    return checked_range(bytes, end - n, n, "a footer");
 }
 
 /// The message begins with 0xFFFFFFFF and the length of the flatbuffer.
-Batch read_batch(std::string_view file_bytes, const codecs::ArrowFileBlock& block) {
+Batch read_batch(std::string_view bytes, const codecs::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefixBytes = 8;
-    const std::string_view message =
-        checked_range(file_bytes, block.offset, block.metadata_bytes, "a message");
+    const std::string_view message = checked_range(bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefixBytes || read_at<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
         fail("found no record batch at byte {}, expected a Feather file of Arrow 0.15 or later",
              block.offset);
     const auto n = read_at<std::int32_t>(message, 4);
-    return {
-        codecs::parse_batch(checked_range(message, kPrefixBytes, n, "a message")),
-        checked_range(file_bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
+    return {codecs::parse_batch(checked_range(message, kPrefixBytes, n, "a message")),
+            checked_range(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
 /// The result may have padding behind n_expected_bytes.
@@ -94,11 +91,11 @@ std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t
     return bytes;
 }
 
-std::size_t rows_without_nulls(const Batch& batch, std::size_t node_index, std::size_t last_buffer_index) {
-    if (node_index >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
+std::size_t rows_without_nulls(const Batch& batch, std::size_t node, std::size_t last_buffer_index) {
+    if (node >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
              batch.layout.nodes.size(), batch.layout.buffers.size());
-    const codecs::ArrowFieldNode& field_node = batch.layout.nodes[node_index];
+    const codecs::ArrowFieldNode& field_node = batch.layout.nodes[node];
     if (field_node.length != batch.layout.length)
         fail("the column has {} rows in a record batch of {} rows, expected the same number",
              field_node.length, batch.layout.length);
@@ -118,37 +115,36 @@ void append_converted(std::vector<T>& values, const Batch& batch, const Feather:
 
 template <class T>
 void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
-                     const ArrowField::Type& integer_type) {
+                     const ArrowField::Type& type) {
     const auto convert = [](auto value) {
         if (!std::in_range<std::int64_t>(value)) fail("the integer {} has more than 63 bits", value);
         return T(value);
     };
     const auto append = [&]<class Signed, class Unsigned>(Signed, Unsigned) {
-        if (integer_type.is_signed) append_converted<Signed>(values, batch, column, convert);
+        if (type.is_signed) append_converted<Signed>(values, batch, column, convert);
         else append_converted<Unsigned>(values, batch, column, convert);
     };
-    if (integer_type.bits == 8) append(std::int8_t(), std::uint8_t());
-    else if (integer_type.bits == 16) append(std::int16_t(), std::uint16_t());
-    else if (integer_type.bits == 32) append(std::int32_t(), std::uint32_t());
+    if (type.bits == 8) append(std::int8_t(), std::uint8_t());
+    else if (type.bits == 16) append(std::int16_t(), std::uint16_t());
+    else if (type.bits == 32) append(std::int32_t(), std::uint32_t());
     else append(std::int64_t(), std::uint64_t());
 }
 
-void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column,
-                   int bits_per_value) {
+void append_floats(std::vector<double>& values, const Batch& batch, const Feather::Column& column, int bits) {
     const auto as = [](auto value) { return double(value); };
-    if (bits_per_value == 64) append_converted<double>(values, batch, column, as);
-    else if (bits_per_value == 32) append_converted<float>(values, batch, column, as);
+    if (bits == 64) append_converted<double>(values, batch, column, as);
+    else if (bits == 32) append_converted<float>(values, batch, column, as);
     else
         append_converted<std::uint16_t>(values, batch, column,
                                         [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
 /// Text i is stored between the offsets i and i + 1.
-void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node_index,
-                  std::size_t first_buffer_index, std::size_t max_text_bytes) {
-    const std::size_t n = rows_without_nulls(batch, node_index, first_buffer_index + 2);
+void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node, std::size_t buffer,
+                  std::size_t max_bytes) {
+    const std::size_t n = rows_without_nulls(batch, node, buffer + 2);
     if (n == 0) return;  // Without rows, writers may omit the offsets.
-    const std::string offsets = decompress(batch, first_buffer_index + 1, (n + 1) * sizeof(std::int32_t));
+    const std::string offsets = decompress(batch, buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t index) {
         return read_at<std::int32_t>(offsets, index * sizeof(std::int32_t));
     };
@@ -156,9 +152,9 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         if (offset(i) < 0 || offset(i + 1) < offset(i))
             fail("text {} of the column has the bytes {} to {}, expected ascending numbers", i, offset(i),
                  offset(i + 1));
-    if (std::size_t(offset(n)) > max_text_bytes)
-        fail("found {} bytes of text, expected at most {}", offset(n), max_text_bytes);
-    const std::string characters = decompress(batch, first_buffer_index + 2, std::size_t(offset(n)));
+    if (std::size_t(offset(n)) > max_bytes)
+        fail("found {} bytes of text, expected at most {}", offset(n), max_bytes);
+    const std::string characters = decompress(batch, buffer + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
@@ -179,8 +175,7 @@ std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowe
 
 Feather::Feather(const std::filesystem::path& file) : Feather(file.string(), read_file(file)) {}
 
-Feather::Feather(std::string name_for_errors, std::string file_bytes)
-    : name_(std::move(name_for_errors)), bytes_(std::move(file_bytes)) {
+Feather::Feather(std::string where, std::string bytes) : name_(std::move(where)), bytes_(std::move(bytes)) {
     try {
         codecs::Footer footer = codecs::parse_footer(find_footer(bytes_));
         Column at;

@@ -19,8 +19,7 @@ class Feather {
 public:
     /// @throws DataError with the file name if the file is missing, truncated or damaged
     explicit Feather(const std::filesystem::path& file);
-    /// @param name_for_errors name of the data in error messages
-    Feather(std::string name_for_errors, std::string file_bytes);
+    Feather(std::string where, std::string bytes);
     Feather(const Feather&) = delete;  // Not copyable, because batches refer to the bytes.
     Feather& operator=(const Feather&) = delete;
 
@@ -53,7 +52,6 @@ private:
     std::size_t rows_ = 0;
 
     const Column& find_column(const std::string& column_name) const;
-    /// Adds the names of file and column to a DataError of the task.
     template <class Task>
     auto with_location(const std::string& column_name, const Task& task) const;
 };

@@ -28,7 +28,6 @@ public:
 
     void write(const void* data, std::size_t n_bytes);
     void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
-    /// @throws DataError if the system could not write all bytes
     void close();
 
 private:
@@ -37,14 +36,10 @@ private:
 
 void write_file(const std::filesystem::path& path, std::string_view bytes);
 
-/// Reads a complete file.
-/// @throws DataError with the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
-/// One line for a file header.
 std::string metadata_line(const std::pair<std::string, std::string>& key_and_value);
 
-/// Like strerror.
 std::string errno_text(int error_number);
 
 }  // namespace relidar::codecs

@@ -67,10 +67,9 @@ void McapWriter::append(std::string_view bytes) {
     written_ += bytes.size();
 }
 
-std::uint16_t McapWriter::add_schema(std::string_view schema_name, std::string_view encoding,
+std::uint16_t McapWriter::add_schema(std::string_view name, std::string_view encoding,
                                      std::string_view definition) {
-    const std::string schema =
-        encode_record(kSchema, encode(++n_schemas_, schema_name, encoding, definition));
+    const std::string schema = encode_record(kSchema, encode(++n_schemas_, name, encoding, definition));
     schemas_ += schema;
     append(schema);
     return n_schemas_;

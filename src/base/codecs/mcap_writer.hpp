@@ -23,8 +23,7 @@ public:
     /// Writes a schema (add_schema) or a channel (add_channel) to the file. All schemas
     /// and channels must be added before the first message.
     /// @return id of the schema or channel
-    std::uint16_t add_schema(std::string_view schema_name, std::string_view encoding,
-                             std::string_view definition);
+    std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
                               const McapMetadataMap& metadata = {});
     void add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values);

@@ -158,7 +158,7 @@ std::string make_npy_header(const NamedArray& array) {
     return header + dict;
 }
 
-NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>& bytes) {
+NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes) {
     if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
         throw DataError("the file does not begin like an .npy file, expected an array of NumPy");
     const auto version = std::to_integer<int>(bytes[6]);
@@ -171,7 +171,7 @@ NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>
 
     NpyHeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse_header();
-    NamedArray array{array_name, parse_dtype(*header.descr), *header.shape, {}};
+    NamedArray array{name, parse_dtype(*header.descr), *header.shape, {}};
     const auto n_expected_bytes = array_bytes(array.shape, element_bytes(array.dtype));
     const std::size_t n_value_bytes = bytes.size() - start - length;
     if (!n_expected_bytes || *n_expected_bytes != n_value_bytes)

@@ -15,6 +15,6 @@ std::string make_npy_header(const NamedArray& array);
 
 /// Supports versions 1 to 3.
 /// @throws DataError with the reason for any other version, type or order
-NamedArray parse_npy(const std::string& array_name, const std::vector<std::byte>& bytes);
+NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes);
 
 }  // namespace relidar::codecs

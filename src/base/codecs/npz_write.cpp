@@ -31,7 +31,6 @@ void check_arrays(const std::vector<NamedArray>& arrays) {
     }
 }
 
-/// @param header of the .npy file; must exist until the archive is closed
 void add_array(zip_t* archive, const NamedArray& array, std::string& header) {
     const std::array<zip_buffer_fragment_t, 2> parts{
         {{reinterpret_cast<zip_uint8_t*>(header.data()), header.size()},

@@ -48,7 +48,6 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypeNam
     {"F64", "f8"},
 }};
 
-/// @throws DataError if safetensors has no such type, for example text
 std::string to_safetensors(const std::string& numpy_type) {
     const auto it = std::find_if(kTypeNames.begin(), kTypeNames.end(),
                                  [&](const auto& type) { return type.second == numpy_type; });
@@ -56,12 +55,11 @@ std::string to_safetensors(const std::string& numpy_type) {
     return std::string(it->first);
 }
 
-std::string to_numpy(const std::string& array_name_for_errors, const std::string& safetensors_type) {
+std::string to_numpy(const std::string& where, const std::string& safetensors_type) {
     const auto it = std::find_if(kTypeNames.begin(), kTypeNames.end(),
                                  [&](const auto& known) { return known.first == safetensors_type; });
     if (it == kTypeNames.end())
-        fail("array '{}' has the type '{}', which is not supported", array_name_for_errors,
-             quote(safetensors_type));
+        fail("array '{}' has the type '{}', which is not supported", where, quote(safetensors_type));
     return std::string(it->second);
 }
 
@@ -95,19 +93,18 @@ struct SafetensorsHeader {
     std::size_t data_start = 0;
 };
 
-SafetensorsHeader parse_header(const std::vector<std::byte>& file_bytes) {
+SafetensorsHeader parse_header(const std::vector<std::byte>& bytes) {
     SafetensorsHeader header;
     std::uint64_t size = 0;
-    if (file_bytes.size() < sizeof size)
-        fail("the file has {} bytes, expected at least 8 bytes", file_bytes.size());
-    std::memcpy(&size, file_bytes.data(), sizeof size);
+    if (bytes.size() < sizeof size) fail("the file has {} bytes, expected at least 8 bytes", bytes.size());
+    std::memcpy(&size, bytes.data(), sizeof size);
     if (size > kMaxHeader)
         fail("the size of the header is {} bytes, expected at most {} bytes", size, kMaxHeader);
-    if (size > file_bytes.size() - sizeof size)
+    if (size > bytes.size() - sizeof size)
         fail("the header should have {} bytes, but the file ends after {} bytes of the header", size,
-             file_bytes.size() - sizeof size);
+             bytes.size() - sizeof size);
     header.data_start = sizeof size + size;
-    const char* text = reinterpret_cast<const char*>(file_bytes.data()) + sizeof size;
+    const char* text = reinterpret_cast<const char*>(bytes.data()) + sizeof size;
     header.json = Json::parse(
         text, text + size,
         [&](int depth, Json::parse_event_t event, const Json& parsed) {
@@ -128,18 +125,17 @@ SafetensorsHeader parse_header(const std::vector<std::byte>& file_bytes) {
     return header;
 }
 
-std::vector<std::size_t> parse_integers(const std::string& array_name_for_errors, const Json& array_json,
-                                        const char* member_name) {
-    if (!array_json.is_object() || !array_json.contains(member_name) || !array_json[member_name].is_array())
-        fail("array '{}': the header has no list of integers '{}'", array_name_for_errors, member_name);
-    if (array_json[member_name].size() > kMaxDimensions)
-        fail("array '{}': '{}' contains {} numbers, expected at most {}", array_name_for_errors, member_name,
-             array_json[member_name].size(), kMaxDimensions);
+std::vector<std::size_t> parse_integers(const std::string& where, const Json& json, const char* member) {
+    if (!json.is_object() || !json.contains(member) || !json[member].is_array())
+        fail("array '{}': the header has no list of integers '{}'", where, member);
+    if (json[member].size() > kMaxDimensions)
+        fail("array '{}': '{}' contains {} numbers, expected at most {}", where, member, json[member].size(),
+             kMaxDimensions);
     std::vector<std::size_t> result;
-    for (const Json& value : array_json[member_name]) {
+    for (const Json& value : json[member]) {
         if (!value.is_number_unsigned())
-            fail("array '{}': '{}' contains a {}, expected integers of at least 0", array_name_for_errors,
-                 member_name, value.type_name());
+            fail("array '{}': '{}' contains a {}, expected integers of at least 0", where, member,
+                 value.type_name());
         result.push_back(value.get<std::size_t>());
     }
     return result;
@@ -149,21 +145,19 @@ struct DataByteRange {
     std::size_t begin = 0, end = 0;
 };
 
-std::pair<NamedArray, DataByteRange> parse_array(const std::string& array_name, const Json& array_json,
-                                                 std::size_t n_data_bytes) {
-    if (!array_json.is_object() || !array_json.contains("dtype") || !array_json["dtype"].is_string())
-        fail("array '{}': the header has no dtype, expected a data type such as 'F32'", array_name);
-    NamedArray array{array_name,
-                     to_numpy(array_name, array_json["dtype"].get<std::string>()),
-                     parse_integers(array_name, array_json, "shape"),
-                     {}};
-    const std::vector<std::size_t> offsets = parse_integers(array_name, array_json, "data_offsets");
-    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data_bytes)
-        fail("array '{}': data_offsets [{}] are outside the {} bytes of data", array_name,
-             fmt::join(offsets, ", "), n_data_bytes);
+std::pair<NamedArray, DataByteRange> parse_array(const std::string& name, const Json& json,
+                                                 std::size_t n_bytes) {
+    if (!json.is_object() || !json.contains("dtype") || !json["dtype"].is_string())
+        fail("array '{}': the header has no dtype, expected a data type such as 'F32'", name);
+    NamedArray array{
+        name, to_numpy(name, json["dtype"].get<std::string>()), parse_integers(name, json, "shape"), {}};
+    const std::vector<std::size_t> offsets = parse_integers(name, json, "data_offsets");
+    if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_bytes)
+        fail("array '{}': data_offsets [{}] are outside the {} bytes of data", name, fmt::join(offsets, ", "),
+             n_bytes);
     const auto expected = array_bytes(array.shape, element_bytes(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
-        fail("array '{}' has {} bytes, which do not fit its shape", array_name, offsets[1] - offsets[0]);
+        fail("array '{}' has {} bytes, which do not fit its shape", name, offsets[1] - offsets[0]);
     return {std::move(array), DataByteRange{offsets[0], offsets[1]}};
 }
 
@@ -177,10 +171,10 @@ std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
     return result;
 }
 
-std::vector<NamedArray> parse_file(const std::vector<std::byte>& file_bytes,
+std::vector<NamedArray> parse_file(const std::vector<std::byte>& bytes,
                                    std::map<std::string, std::string>* metadata) {
-    const SafetensorsHeader header = parse_header(file_bytes);
-    const std::size_t n_data = file_bytes.size() - header.data_start;
+    const SafetensorsHeader header = parse_header(bytes);
+    const std::size_t n_data = bytes.size() - header.data_start;
     std::vector<std::pair<NamedArray, DataByteRange>> entries;
     std::map<std::string, std::string> file_metadata;
     for (const std::string& name : header.names) {
@@ -198,7 +192,7 @@ std::vector<NamedArray> parse_file(const std::vector<std::byte>& file_bytes,
         if (range.begin != covered)
             fail("array '{}' starts at byte {} of the data, expected byte {}, where the previous array ends",
                  array.name, range.begin, covered);
-        const auto data = file_bytes.begin() + std::ptrdiff_t(header.data_start);
+        const auto data = bytes.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
         arrays.push_back(std::move(array));

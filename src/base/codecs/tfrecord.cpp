@@ -17,7 +17,6 @@
 namespace relidar {
 namespace {
 
-// Sizes in bytes of a record's header (before the data) and footer (after the data).
 constexpr std::uint64_t kHeaderBytes = 12, kFooterBytes = 4;
 
 constexpr std::array<std::uint32_t, 256> make_crc_table() {

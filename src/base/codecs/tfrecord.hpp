@@ -23,8 +23,6 @@ public:
 
     std::size_t size() const { return records_.size(); }
     const std::filesystem::path& file_path() const { return file_; }
-    /// Thread-safe.
-    /// @throws DataError if the record cannot be read or its CRC is wrong
     std::string read_record(std::size_t record_index) const;
 
 private:

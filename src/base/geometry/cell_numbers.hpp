@@ -15,7 +15,6 @@ struct ItemCellIndices {
     std::vector<std::uint32_t> of;  ///< Cell number of each item, [items].
     std::size_t n_cells = 0;
 };
-/// Numbers the grid cells that contain items: 0, 1, 2, ...
 ItemCellIndices number_cells(std::span<const std::uint64_t> cell_key_per_item);
 template <class KeyOf>
 ItemCellIndices number_cells(std::size_t n_items, const KeyOf& key_of) {

@@ -11,7 +11,6 @@ namespace relidar {
 
 struct RangeImageRays {
     int rows, columns;
-    /// Origins and unit directions of the rays, [rows*columns].
     std::span<const glm::vec3> origin, direction;
     std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
     bool circular = true;  ///< True if the columns cover a full turn, so that the last precedes the first.
