@@ -95,15 +95,16 @@ std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgr
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
+struct CompiledPipeline {
+    VkResult result;
+    VkPipeline pipeline;
+};
+
 /// Kernels with equal names, constants and subgroup requirements share one pipeline until
 /// the device is closed, because trainings and renderers create dozens of kernels.
 /// lavapipe needs 10 ms for each pipeline, even if its code is cached. A GPU's driver
 /// needs seconds, so a thread compiles a pipeline as soon as its kernel is created.
 struct ComputePipelines {
-    struct CompiledPipeline {
-        VkResult result;
-        VkPipeline pipeline;
-    };
     std::mutex mutex;
     std::map<std::string, std::shared_future<CompiledPipeline>> by_key;
     std::counting_semaphore<> compilers{/// Limits the number of threads that compile simultaneously.

@@ -44,8 +44,7 @@ bool skips_dead_loads(const std::string& driver_name) {
 }
 
 std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_view name,
-                                        std::string_view base,
-                                        const std::vector<SpecialisationConstant>& constants) {
+                                        std::string_view base, const KernelConstants& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words =
@@ -64,11 +63,9 @@ std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_
     return words;
 }
 
-gpu::ComputePipelines::CompiledPipeline create_pipeline(Device::Impl& device,
-                                                        std::span<const std::uint32_t> words,
-                                                        const std::string& name,
-                                                        const std::vector<SpecialisationConstant>& constants,
-                                                        SubgroupRequirement subgroups) {
+gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std::uint32_t> words,
+                                      const std::string& name, const KernelConstants& constants,
+                                      SubgroupRequirement subgroups) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = words.size_bytes();
     module_info.pCode = words.data();
@@ -103,7 +100,7 @@ gpu::ComputePipelines::CompiledPipeline create_pipeline(Device::Impl& device,
         info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
     const VkPipelineCache cache = device.pipeline_cache ? device.pipeline_cache->handle() : VK_NULL_HANDLE;
-    gpu::ComputePipelines::CompiledPipeline made{VK_SUCCESS, VK_NULL_HANDLE};
+    gpu::CompiledPipeline made{VK_SUCCESS, VK_NULL_HANDLE};
     made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
     if (made.result == VK_SUCCESS)
@@ -122,8 +119,7 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-std::string format_constants(std::span<const std::uint32_t> words,
-                             std::vector<SpecialisationConstant> constants) {
+std::string format_constants(std::span<const std::uint32_t> words, KernelConstants constants) {
     std::sort(constants.begin(), constants.end(),
               [](const SpecialisationConstant& first, const SpecialisationConstant& second) {
                   return first.id < second.id;
@@ -142,14 +138,13 @@ std::string format_constants(std::span<const std::uint32_t> words,
 /// Creates the pipeline if no kernel with the same name and constants exists.
 /// @param mode at its first use (deferred), or immediately in another thread
 /// (async)
-std::shared_future<gpu::ComputePipelines::CompiledPipeline> find_pipeline(Device::Impl& device,
-                                                                          const KernelBase::Impl& kernel,
-                                                                          std::launch mode) {
+std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, const KernelBase::Impl& kernel,
+                                                        std::launch mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
     std::string key = fmt::format("{} {}", kernel.module, kernel.subgroups == SubgroupRequirement::full);
     for (const SpecialisationConstant& c : kernel.constants)
         key += fmt::format(" {}={}", static_cast<std::uint32_t>(c.id), c.value);
-    std::shared_future<gpu::ComputePipelines::CompiledPipeline>& made = device.pipelines.by_key[key];
+    std::shared_future<gpu::CompiledPipeline>& made = device.pipelines.by_key[key];
     if (!made.valid())
         made = std::async(mode, [&device, module = kernel.module, stem = kernel.name,
                                  constants = kernel.constants, subgroups = kernel.subgroups] {
@@ -175,8 +170,8 @@ const char* constant_name(SpecialisationConstantId constant_id) {
     return "";
 }
 
-KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
-                       const std::vector<SpecialisationConstant>& constants, SubgroupRequirement subgroups)
+KernelBase::KernelBase(Device& owner, std::string_view kernel_name, const KernelConstants& constants,
+                       SubgroupRequirement subgroups)
     : impl_(std::make_unique<Impl>()) {
     Device::Impl& device = owner.impl();
     impl_->device = &device;
@@ -184,7 +179,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
     impl_->name = std::string(kernel_name.substr(0, kernel_name.find('@')));
     impl_->constants = constants;
     impl_->subgroups = subgroups;
-    std::vector<SpecialisationConstant>& all = impl_->constants;
+    KernelConstants& all = impl_->constants;
     const auto size = std::find_if(all.begin(), all.end(), [](const SpecialisationConstant& c) {
         return c.id == SpecialisationConstantId::WORKGROUP_SIZE;
     });
@@ -199,7 +194,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name,
 
 VkPipeline KernelBase::Impl::wait_for_pipeline() {
     if (pipeline_) return pipeline_;
-    const gpu::ComputePipelines::CompiledPipeline made = made_.get();
+    const gpu::CompiledPipeline made = made_.get();
     if (made.result != VK_SUCCESS)
         gpu::vk_fail(made.result,
                      fmt::format("cannot create kernel {} on {}: the driver returned {}, expected VK_SUCCESS",
@@ -262,7 +257,7 @@ void KernelBase::compile_pipeline() {
                known.workgroup_size == s.workgroup_size;
     };
     if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
-    const gpu::ComputePipelines::CompiledPipeline made = impl_->made_.get();
+    const gpu::CompiledPipeline made = impl_->made_.get();
     if (made.result != VK_SUCCESS) s.failure = gpu::vk_result_name(made.result);
     else if (device.pipeline_statistics) query_statistics(device.device, made.pipeline, s);
     device.compiled.push_back(s);

@@ -35,6 +35,8 @@ struct SpecialisationConstant {
     std::uint32_t value;
 };
 
+using KernelConstants = std::vector<SpecialisationConstant>;
+
 /// Kernels that compute thread indices from subgroups require full subgroups, because
 /// some compilers choose smaller ones.
 enum class SubgroupRequirement { any, full };
@@ -60,9 +62,8 @@ class KernelBase {
 public:
     /// On a GPU, another thread starts to compile the pipeline, on a CPU device the first
     /// launch. If the driver rejects the kernel, the first launch throws a DeviceError.
-    KernelBase(Device& device, std::string_view kernel_name,
-               const std::vector<SpecialisationConstant>& constants = {},
-               SubgroupRequirement subgroups = SubgroupRequirement::any);
+    KernelBase(Device& device, std::string_view kernel_name, const KernelConstants& constants = {},
+               SubgroupRequirement subgroups = {});
     ~KernelBase();
 
     struct Impl;
@@ -99,12 +100,11 @@ struct KernelVariant {
 template <class Params>
 class Kernel : public KernelBase {
 public:
-    Kernel(Device& device, KernelName<Params> name, const std::vector<SpecialisationConstant>& constants = {},
-           SubgroupRequirement subgroups = SubgroupRequirement::any)
+    Kernel(Device& device, KernelName<Params> name, const KernelConstants& constants = {},
+           SubgroupRequirement subgroups = {})
         : KernelBase(device, name.text(), constants, subgroups) {}
     Kernel(Device& device, KernelName<Params> name, const KernelVariant& variant,
-           const std::vector<SpecialisationConstant>& constants = {},
-           SubgroupRequirement subgroups = SubgroupRequirement::any)
+           const KernelConstants& constants = {}, SubgroupRequirement subgroups = {})
         : KernelBase(device, std::string(name.text()) + variant.suffix, constants, subgroups) {}
 };
 

@@ -9,8 +9,7 @@
 
 namespace relidar::gpu {
 
-std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
-                                              const ExecutionMode& mode) {
+SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode) {
     // The name of the extension ends with a zero byte, which may need another word.
     const std::string_view extension_name = mode.extension;
     std::vector<std::uint32_t> extension_words(1 + extension_name.size() / 4 + 1, 0u);
@@ -35,7 +34,7 @@ std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> wor
     return result;
 }
 
-std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> words) {
+SpirvWords mark_params_readonly(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     std::uint32_t block = 0;  // Id of the type of the parameter block.
     for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {

@@ -14,6 +14,10 @@
 
 namespace relidar::gpu {
 
+using SpirvWords = std::vector<std::uint32_t>;
+/// Values of specialisation constants by id.
+using SpirvConstants = std::map<std::uint32_t, std::uint32_t>;
+
 struct ExecutionMode {
     std::uint32_t mode;
     std::string_view extension;
@@ -24,27 +28,25 @@ inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgro
 /// Guarantees that lanes reconverge after every branch and loop.
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
 
-std::vector<std::uint32_t> add_execution_mode(std::span<const std::uint32_t> words,
-                                              const ExecutionMode& mode);
+SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode);
 
-std::vector<std::uint32_t> mark_params_readonly(std::span<const std::uint32_t> words);
+SpirvWords mark_params_readonly(std::span<const std::uint32_t> words);
 
 /// Loads all parameters once, at the start of the kernel. Only for lavapipe, which would
 /// repeat the loads for each lane in loops and branches.
-std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> words);
+SpirvWords hoist_loads(std::span<const std::uint32_t> words);
 
 /// Makes array indices non-uniform for the compiler. lavapipe after 25.0 executes a load
 /// with a uniform index even in a branch that no lane takes, and may crash. Call this
 /// before hoist_loads(), which moves the loads of parameters.
-std::vector<std::uint32_t> make_nonuniform(std::span<const std::uint32_t> words);
+SpirvWords make_nonuniform(std::span<const std::uint32_t> words);
 
 /// Unreachable blocks stay in the module. lavapipe would remove the branches only after
 /// inlining all functions, which is slow.
 /// @param constants other constants keep their default value
-std::vector<std::uint32_t> remove_branches(std::span<const std::uint32_t> words,
-                                           const std::map<std::uint32_t, std::uint32_t>& constants);
+SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants);
 
-std::vector<std::uint32_t> list_pointers(std::span<const std::uint32_t> words);
+SpirvWords list_pointers(std::span<const std::uint32_t> words);
 
 std::set<std::uint32_t> list_constants(std::span<const std::uint32_t> words);
 

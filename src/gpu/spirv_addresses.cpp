@@ -62,7 +62,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> list_pointers(std::span<const std::uint32_t> words) {
+SpirvWords list_pointers(std::span<const std::uint32_t> words) {
     const ParameterTypes types(words);
     std::vector<std::uint32_t> offsets;
     types.append_pointers(types.block_type(), 0, offsets);

@@ -18,8 +18,7 @@ namespace {
 /// constants.
 class SpirvConstantValues {
 public:
-    explicit SpirvConstantValues(const std::map<std::uint32_t, std::uint32_t>& constants)
-        : constants_(constants) {}
+    explicit SpirvConstantValues(const SpirvConstants& constants) : constants_(constants) {}
 
     std::optional<std::uint32_t> find_value(std::uint32_t result) const {
         const auto match = value_by_id_.find(result);
@@ -61,7 +60,7 @@ public:
     }
 
 private:
-    const std::map<std::uint32_t, std::uint32_t>& constants_;
+    const SpirvConstants& constants_;
     std::set<std::uint32_t> types_;
     std::map<std::uint32_t, std::uint32_t> spec_ids_, value_by_id_;
 
@@ -164,8 +163,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> remove_branches(std::span<const std::uint32_t> words,
-                                           const std::map<std::uint32_t, std::uint32_t>& constants) {
+SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     SpirvConstantValues values(constants);
     const ControlFlowGraph blocks(words);

@@ -123,7 +123,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> make_nonuniform(std::span<const std::uint32_t> words) {
+SpirvWords make_nonuniform(std::span<const std::uint32_t> words) {
     return LaneIndexRewriter(words).rewrite();
 }
 

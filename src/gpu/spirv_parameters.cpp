@@ -18,7 +18,6 @@ namespace relidar::gpu {
 
 namespace {
 
-using SpirvWords = std::vector<std::uint32_t>;
 // Position of a value in the parameter block, as member indices of nested structs.
 using MemberPath = std::vector<std::uint32_t>;
 
@@ -210,7 +209,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> hoist_loads(std::span<const std::uint32_t> words) {
+SpirvWords hoist_loads(std::span<const std::uint32_t> words) {
     const SpirvModule module(words);
     ParameterLoadHoister result(module);
     SpirvWords code;

@@ -34,7 +34,7 @@ struct KernelBase::Impl {
 
 private:
     friend class KernelBase;
-    std::shared_future<gpu::ComputePipelines::CompiledPipeline> made_;
+    std::shared_future<gpu::CompiledPipeline> made_;
     VkPipeline pipeline_ = VK_NULL_HANDLE;
 };
 

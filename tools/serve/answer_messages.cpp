@@ -161,8 +161,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     for (const std::string& name : names) {
         const BoxTrack* box = find_box(run.sequence, name);
         if (!box)
-            refuse(grpc::StatusCode::NOT_FOUND,
-                   "cannot read actors: found {}, expected an actor that ListScenes lists",
+            refuse(Code::NOT_FOUND, "cannot read actors: found {}, expected an actor that ListScenes lists",
                    quote_client_text(name));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
@@ -182,7 +181,7 @@ void write_asset(const AssetDescription& asset, v1::Asset& message) {
     message.set_sensor(asset.sensor);
 }
 
-void write_spawned(const SpawnedActorRegistry::SpawnSlot& slot, const Run& run, v1::SpawnedActor& message) {
+void write_spawned(const SpawnSlot& slot, const Run& run, v1::SpawnedActor& message) {
     message.set_name(slot.actor.name);
     if (slot.actor.source.is_asset) message.set_asset(slot.actor.source.name);
     else message.set_actor(slot.actor.source.name);

@@ -29,7 +29,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
 
 void write_asset(const AssetDescription& asset, v1::Asset& message);
 
-void write_spawned(const SpawnedActorRegistry::SpawnSlot& slot, const Run& run, v1::SpawnedActor& message);
+void write_spawned(const SpawnSlot& slot, const Run& run, v1::SpawnedActor& message);
 
 void write_sparse(const RenderRequest& request, v1::LidarScan& message);
 

@@ -11,16 +11,15 @@
 namespace relidar::serve {
 
 void reject_field(const std::string& field, const std::string& found, const std::string& expected) {
-    refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field, found,
-           expected);
+    refuse(Code::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field, found, expected);
 }
 
 void reject_name(const std::string& field, const std::string& name, const std::vector<std::string>& names) {
     const std::string nearest = nearest_name(name.substr(0, 80), names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
                                                  : fmt::format("an existing name such as \"{}\"", nearest);
-    refuse(grpc::StatusCode::NOT_FOUND, "cannot read {}: found {}, expected {}", field,
-           quote_client_text(name), expected);
+    refuse(Code::NOT_FOUND, "cannot read {}: found {}, expected {}", field, quote_client_text(name),
+           expected);
 }
 
 std::string quote_client_text(const std::string& text) {
@@ -43,16 +42,16 @@ grpc::Status call_handler(const std::function<void()>& handle_request) {
     } catch (const RejectedRequest& refusal) {
         return {refusal.code(), refusal.what()};
     } catch (const UsageError& error) {
-        return {grpc::StatusCode::INVALID_ARGUMENT, error.what()};
+        return {Code::INVALID_ARGUMENT, error.what()};
     } catch (const std::bad_alloc&) {
-        return {grpc::StatusCode::RESOURCE_EXHAUSTED,
+        return {Code::RESOURCE_EXHAUSTED,
                 "cannot answer the request: the server is out of memory; send a smaller request"};
     } catch (const DeviceLost& error) {
-        return {grpc::StatusCode::UNAVAILABLE,
+        return {Code::UNAVAILABLE,
                 fmt::format("{}; this server process is ending; restart the server", error.what())};
         // Other causes: a device error, a run folder modified on disk, or a bug.
     } catch (const std::exception& error) {
-        return {grpc::StatusCode::INTERNAL, error.what()};
+        return {Code::INTERNAL, error.what()};
     }
 }
 

@@ -12,18 +12,19 @@
 
 namespace relidar::serve {
 
+using Code = grpc::StatusCode;
+
 class RejectedRequest : public std::runtime_error {
 public:
-    RejectedRequest(grpc::StatusCode code, const std::string& message)
-        : std::runtime_error(message), code_(code) {}
-    grpc::StatusCode code() const { return code_; }
+    RejectedRequest(Code code, const std::string& message) : std::runtime_error(message), code_(code) {}
+    Code code() const { return code_; }
 
 private:
-    grpc::StatusCode code_;
+    Code code_;
 };
 
 template <class... T>
-[[noreturn]] void refuse(grpc::StatusCode code, fmt::format_string<T...> text, T&&... values) {
+[[noreturn]] void refuse(Code code, fmt::format_string<T...> text, T&&... values) {
     throw RejectedRequest(code, fmt::format(text, std::forward<T>(values)...));
 }
 

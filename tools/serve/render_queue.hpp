@@ -107,4 +107,6 @@ private:
     void wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock);
 };
 
+using QueueSlot = RenderQueue::QueueSlot;
+
 }  // namespace relidar::serve

@@ -14,30 +14,29 @@ namespace {
 
 /// If the scene cannot be loaded, the error message names the folder of its run.
 template <class Function>
-SceneSet::SceneLoadNumber with_renderer(SceneSet& scenes, const RenderRequest& request,
-                                        const Function& use_renderer) {
+SceneLoadNumber with_renderer(SceneSet& scenes, const RenderRequest& request, const Function& use) {
     try {
         return scenes.use_scene(request.scene, request.weather, [&](ScanRenderer& renderer) {
             renderer.count_actor_rays(request.boxes);
-            use_renderer(renderer);
+            use(renderer);
         });
     } catch (const DataError& error) {
-        refuse(grpc::StatusCode::INTERNAL, "{}", error.what());
+        refuse(Code::INTERNAL, "{}", error.what());
     }
 }
 
-bool is_expired(const grpc::ServerContext& context) {
+bool is_expired(const ServerContext& context) {
     return std::chrono::system_clock::now() >= context.deadline();
 }
 
 }  // namespace
 
-RenderQueue::QueueSlot reserve_slot(RenderQueue& queue) {
+QueueSlot reserve_slot(RenderQueue& queue) {
     if (queue.is_draining())
-        refuse(grpc::StatusCode::UNAVAILABLE, "cannot queue the request: the server is shutting down");
-    std::optional<RenderQueue::QueueSlot> slot = queue.reserve_slot();
+        refuse(Code::UNAVAILABLE, "cannot queue the request: the server is shutting down");
+    std::optional<QueueSlot> slot = queue.reserve_slot();
     if (!slot)
-        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+        refuse(Code::RESOURCE_EXHAUSTED,
                "cannot queue the request: all {} slots of the queue are occupied; try again later",
                queue.total_slots());
     return std::move(*slot);
@@ -45,18 +44,18 @@ RenderQueue::QueueSlot reserve_slot(RenderQueue& queue) {
 
 bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || is_expired(context_); }
 
-void ClientRequest::run_checked(RenderQueue::QueueSlot& slot) {
+void ClientRequest::run_checked(QueueSlot& slot) {
     const bool is_done = slot.run_request(*this) == RenderQueue::RequestOutcome::done;
     if (is_done && !is_cancelled()) return;
     if (is_done) revert();
     fail_cancelled(context_);
 }
 
-void fail_cancelled(const grpc::ServerContext& context) {
+void fail_cancelled(const ServerContext& context) {
     if (is_expired(context))
-        refuse(grpc::StatusCode::DEADLINE_EXCEEDED,
+        refuse(Code::DEADLINE_EXCEEDED,
                "cannot answer the request: its deadline has passed; set a later deadline");
-    refuse(grpc::StatusCode::CANCELLED, "cannot answer the request: the client has disconnected");
+    refuse(Code::CANCELLED, "cannot answer the request: the client has disconnected");
 }
 
 void ScanImageRequest::submit(bool) {
@@ -65,7 +64,7 @@ void ScanImageRequest::submit(bool) {
     });
 }
 
-PointsRequest::PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
+PointsRequest::PointsRequest(SceneSet& scenes, const ServerContext& context,
                              std::span<const RenderRequest> requests)
     : ClientRequest(scenes, context), render_requests_(requests) {
     scene = requests.front().scene;
@@ -99,7 +98,7 @@ void SpawnRequest::submit(bool) { occupied_slots = scenes_.spawn_actors(spawn_sc
 /// A client that did not receive the response would never remove the actors.
 void SpawnRequest::revert() {
     std::vector<std::string> names;
-    for (const SpawnedActorRegistry::SpawnSlot& slot : occupied_slots) names.push_back(slot.actor.name);
+    for (const SpawnSlot& slot : occupied_slots) names.push_back(slot.actor.name);
     scenes_.spawned().remove_actors(spawn_scene_, names);
 }
 

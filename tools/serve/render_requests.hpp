@@ -14,18 +14,19 @@
 
 namespace relidar::serve {
 
-RenderQueue::QueueSlot reserve_slot(RenderQueue& queue);
+using grpc::ServerContext;
 
-[[noreturn]] void fail_cancelled(const grpc::ServerContext& context);
+QueueSlot reserve_slot(RenderQueue& queue);
+
+[[noreturn]] void fail_cancelled(const ServerContext& context);
 
 class ClientRequest : public QueuedRequest {
 public:
-    ClientRequest(SceneSet& scenes, const grpc::ServerContext& context)
-        : scenes_(scenes), context_(context) {}
+    ClientRequest(SceneSet& scenes, const ServerContext& context) : scenes_(scenes), context_(context) {}
     bool is_cancelled() const override;
     /// @throws RejectedRequest if the client has disconnected, if the deadline has
     /// passed, or if the run cannot be read
-    void run_checked(RenderQueue::QueueSlot& slot);
+    void run_checked(QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;
@@ -33,12 +34,12 @@ protected:
     virtual void revert() {}
 
 private:
-    const grpc::ServerContext& context_;
+    const ServerContext& context_;
 };
 
 class ScanImageRequest final : public ClientRequest {
 public:
-    ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& request)
+    ScanImageRequest(SceneSet& scenes, const ServerContext& context, const RenderRequest& request)
         : ClientRequest(scenes, context), render_request_(request) {}
     void submit(bool is_last) override;
 
@@ -56,8 +57,7 @@ static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 /// Only points. The device can render them together with scans of other requests.
 class PointsRequest final : public ClientRequest {
 public:
-    PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
-                  std::span<const RenderRequest> requests);
+    PointsRequest(SceneSet& scenes, const ServerContext& context, std::span<const RenderRequest> requests);
     void submit(bool is_last) override;
     void finish() override;
 
@@ -65,7 +65,7 @@ public:
 
 private:
     const std::span<const RenderRequest> render_requests_;
-    SceneSet::SceneLoadNumber load_{};
+    SceneLoadNumber load_{};
     std::size_t n_submitted_ = 0;
     /// Thrown again after the earlier scans are read, because scans return in order.
     std::exception_ptr submit_failure_ = {};
@@ -73,12 +73,12 @@ private:
 
 class SpawnRequest final : public ClientRequest {
 public:
-    SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,
+    SpawnRequest(SceneSet& scenes, const ServerContext& context, std::size_t spawn_scene,
                  const std::vector<ActorToSpawn>& actors)
         : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(actors) {}
     void submit(bool is_last) override;
 
-    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots;  ///< the response
+    std::vector<SpawnSlot> occupied_slots;  ///< the response
 
 private:
     void revert() override;

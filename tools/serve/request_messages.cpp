@@ -82,7 +82,7 @@ Weather read_weather(const std::string& text) {
     try {
         return parse_weather(text);
     } catch (const UsageError& error) {
-        refuse(grpc::StatusCode::INVALID_ARGUMENT, "cannot read {}", error.what());
+        refuse(Code::INVALID_ARGUMENT, "cannot read {}", error.what());
     }
 }
 
@@ -112,36 +112,33 @@ int RequestReader::find_lidar(std::size_t scene, const std::string& name, const 
     return int(find_index_of_name(outlines_[scene].sequence.lidars, name, field));
 }
 
-std::pair<std::string, std::shared_ptr<const SimulatedSensor>> RequestReader::cache_sensor(
-    const v1::SensorSpec& spec) {
+std::pair<std::string, SensorPtr> RequestReader::cache_sensor(const v1::SensorSpec& spec) {
     const std::string handle = uploaded_.add_upload(read_sensor(spec, "sensor"));
-    const std::shared_ptr<const SimulatedSensor> sensor = uploaded_.find_cached(handle);
+    const SensorPtr sensor = uploaded_.find_cached(handle);
     if (!sensor)
-        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+        refuse(Code::RESOURCE_EXHAUSTED,
                "cannot upload a sensor: too many other sensors were uploaded at the same time; try again");
     return {handle, sensor};
 }
 
 /// The rays of the sensor are computed once and then cached.
-std::shared_ptr<const SimulatedSensor> RequestReader::find_built_in(const std::string& sensor_name,
-                                                                    std::size_t scene, int lidar) {
+SensorPtr RequestReader::find_built_in(const std::string& sensor_name, std::size_t scene, int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, sensor_name);
     if (auto sensor = named_.find_cached(key)) return sensor;
     return named_.add_sensor(key, find_known_sensor(sensor_name, outlines_[scene], lidar));
 }
 
-std::shared_ptr<const SimulatedSensor> RequestReader::requested_sensor(const SensorRequest& request,
-                                                                       std::size_t scene, int lidar) {
+SensorPtr RequestReader::requested_sensor(const SensorRequest& request, std::size_t scene, int lidar) {
     if (request.returns > 2)
         reject_field(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
-    std::shared_ptr<const SimulatedSensor> sensor;
+    SensorPtr sensor;
     if (request.sensor.has_spec()) {
         sensor = std::make_shared<const SimulatedSensor>(
             read_sensor(request.sensor.spec(), request.field + ".spec"));
     } else if (request.sensor.has_handle()) {
         sensor = uploaded_.find_cached(request.sensor.handle());
         if (!sensor)
-            refuse(grpc::StatusCode::NOT_FOUND,
+            refuse(Code::NOT_FOUND,
                    "cannot read {}.handle: {} is unknown or expired; upload the sensor again", request.field,
                    quote_client_text(request.sensor.handle()));
     } else {
@@ -173,7 +170,7 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
         actors.push_back({instance.track, instance.track, box.category, i, box.size_m,
                           run.scene.models[instance.model].count});
     }
-    for (const SpawnedActorRegistry::SpawnSlot& slot : spawned_.list_occupied(scene)) {
+    for (const SpawnSlot& slot : spawned_.list_occupied(scene)) {
         const auto& [is_asset, source] = slot.actor.source;
         actors.push_back(
             {slot.actor.name, slot_track_name(slot.position),
@@ -212,7 +209,7 @@ std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest
             reject_field(field + ".name", quote_client_text(spawn.name()),
                          fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
-            refuse(grpc::StatusCode::ALREADY_EXISTS,
+            refuse(Code::ALREADY_EXISTS,
                    "cannot spawn {}: an actor of the run already has the name {}; use another name", field,
                    quote_client_text(spawn.name()));
         if (spawn.has_asset()) {

@@ -40,7 +40,7 @@ struct RequestedActor {
 
 struct RenderRequest {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
-    std::shared_ptr<const SimulatedSensor> sensor;
+    SensorPtr sensor;
     ScanRequest request;
     /// Actors that are visible in the scan, in the order in which the client listed them.
     std::vector<VisibleActor> placed;
@@ -66,7 +66,7 @@ public:
     int find_lidar(std::size_t scene, const std::string& name, const std::string& field = "lidar") const;
     /// @return a handle, with which later requests select this sensor, and the sensor
     /// @throws RejectedRequest if the text is invalid
-    std::pair<std::string, std::shared_ptr<const SimulatedSensor>> cache_sensor(const v1::SensorSpec& spec);
+    std::pair<std::string, SensorPtr> cache_sensor(const v1::SensorSpec& spec);
     std::vector<ActorToSpawn> read_spawn(const v1::SpawnActorsRequest& message, std::size_t scene) const;
     RenderRequest read_request(const v1::RenderLidarRequest& message);
     std::vector<RenderRequest> read_rig(const v1::RenderRigRequest& message);
@@ -84,10 +84,8 @@ private:
         std::string field;
         std::uint32_t returns;
     };
-    std::shared_ptr<const SimulatedSensor> requested_sensor(const SensorRequest& request, std::size_t scene,
-                                                            int lidar);
-    std::shared_ptr<const SimulatedSensor> find_built_in(const std::string& sensor_name, std::size_t scene,
-                                                         int lidar);
+    SensorPtr requested_sensor(const SensorRequest& request, std::size_t scene, int lidar);
+    SensorPtr find_built_in(const std::string& sensor_name, std::size_t scene, int lidar);
     std::vector<VisibleActor> scene_actors(std::size_t scene) const;
     /// @param rig_from_sensor no value if `message` contains the path of the sensor
     RenderRequest read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor,

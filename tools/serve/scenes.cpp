@@ -41,8 +41,8 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
     }
 }
 
-SceneSet::SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::optional<Weather>& weather,
-                                              const std::function<void(ScanRenderer&)>& use) {
+SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::optional<Weather>& weather,
+                                    const RendererTask& use) {
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
@@ -50,15 +50,14 @@ SceneSet::SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::opti
     }
     call_renderer(scene, [&](ScanRenderer& renderer) {
         renderer.set_weather(weather.value_or(sources_[scene].weather));
-        use_renderer(renderer);
+        use(renderer);
     });
     // Rendering may have allocated larger arrays, for a sensor with more rays.
     make_room(scene, 0);
     return loaded_[scene].load;
 }
 
-void SceneSet::reuse_scene(std::size_t scene, SceneLoadNumber load,
-                           const std::function<void(ScanRenderer&)>& use) {
+void SceneSet::reuse_scene(std::size_t scene, SceneLoadNumber load, const RendererTask& use) {
     if (!loaded_[scene].renderer || loaded_[scene].load != load)
         fail<DeviceError>(
             "cannot render a scan of {}: the scene was unloaded for a later request; send your request again",
@@ -66,9 +65,9 @@ void SceneSet::reuse_scene(std::size_t scene, SceneLoadNumber load,
     call_renderer(scene, use);
 }
 
-void SceneSet::call_renderer(std::size_t scene, const std::function<void(ScanRenderer&)>& use_renderer) {
+void SceneSet::call_renderer(std::size_t scene, const RendererTask& use) {
     try {
-        count_bytes(scene, [&] { use_renderer(*loaded_[scene].renderer); });
+        count_bytes(scene, [&] { use(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
         // The state of the renderer is unknown, so the next request loads the scene
         // again.
@@ -100,18 +99,17 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
 }
 
 void SceneSet::load_spawned(std::size_t scene) {
-    const std::vector<SpawnedActorRegistry::SpawnSlot> slots = spawned_.list_all_slots(scene);
+    const std::vector<SpawnSlot> slots = spawned_.list_all_slots(scene);
     Run run = sources_[scene].load();
     add_spawned(run, slots, assets_);
     load_scene(scene, run);
     loaded_[scene].n_slots = slots.size();
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t scene,
-                                                                    const std::vector<ActorToSpawn>& actors) {
+std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.slot_count(scene);
-    std::vector<SpawnedActorRegistry::SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
+    std::vector<SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
     if (loaded.renderer && loaded.n_slots == spawned_.slot_count(scene)) return occupied_slots;
     const auto undo = [&] {
         loaded.renderer.reset();
@@ -124,12 +122,10 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
         make_room(scene, 0);
     } catch (const DataError& error) {
         undo();
-        refuse(grpc::StatusCode::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(),
-               error.what());
+        refuse(Code::FAILED_PRECONDITION, "cannot spawn {} actors: {}", actors.size(), error.what());
     } catch (const OutOfDeviceMemory& error) {
         undo();
-        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED, "cannot spawn {} actors: {}", actors.size(),
-               error.what());
+        refuse(Code::RESOURCE_EXHAUSTED, "cannot spawn {} actors: {}", actors.size(), error.what());
     } catch (...) {
         undo();
         throw;
@@ -137,7 +133,7 @@ std::vector<SpawnedActorRegistry::SpawnSlot> SceneSet::spawn_actors(std::size_t 
     if (loaded.bytes <= memory_bytes_) return occupied_slots;
     const double needed_mib = double(loaded.bytes) / kMiB;
     undo();
-    refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+    refuse(Code::RESOURCE_EXHAUSTED,
            "cannot spawn {} actors: the scene would need {:.1f} MiB, expected at most {:.1f} (--memory-mib)",
            actors.size(), needed_mib, double(memory_bytes_) / kMiB);
 }

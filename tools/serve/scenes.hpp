@@ -16,6 +16,10 @@
 
 namespace relidar::serve {
 
+using RendererTask = std::function<void(ScanRenderer&)>;
+/// Loading discards pending scans, so a changed number shows that a scan is lost.
+enum class SceneLoadNumber : std::uint64_t {};
+
 /// Only the render thread may use it, except for runs(),
 /// assets() and spawned().
 class SceneSet {
@@ -38,20 +42,17 @@ public:
     /// @return the slots of the actors, in the order of the requests
     /// @throws RejectedRequest if a name is in use, if an asset does not fit, or if the
     /// device memory is too small; the scene is then unchanged
-    std::vector<SpawnedActorRegistry::SpawnSlot> spawn_actors(std::size_t scene,
-                                                              const std::vector<ActorToSpawn>& actors);
+    std::vector<SpawnSlot> spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors);
 
-    /// Loading discards pending scans, so a changed number shows that a scan is lost.
-    enum class SceneLoadNumber : std::uint64_t {};
     /// Loads the scene first if it is not on the device.
     /// @param weather without a value, the default weather of the scene
     /// @return number of this load
     SceneLoadNumber use_scene(std::size_t scene, const std::optional<Weather>& weather,
-                              const std::function<void(ScanRenderer&)>& use);
+                              const RendererTask& use);
     /// Reads the results of a scan after use_scene(), which
     /// returned the load number. No other scene may be used in between.
     /// @throws DeviceError if the device was lost, or if the scene was loaded again
-    void reuse_scene(std::size_t scene, SceneLoadNumber load, const std::function<void(ScanRenderer&)>& use);
+    void reuse_scene(std::size_t scene, SceneLoadNumber load, const RendererTask& use);
 
     bool is_scene_on_gpu(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
 
@@ -78,7 +79,7 @@ private:
     void load_spawned(std::size_t scene);
     void make_room(std::size_t kept, std::uint64_t n_bytes);
     void count_bytes(std::size_t scene, const std::function<void()>& allocate);
-    void call_renderer(std::size_t scene, const std::function<void(ScanRenderer&)>& use);
+    void call_renderer(std::size_t scene, const RendererTask& use);
 };
 
 }  // namespace relidar::serve

@@ -19,8 +19,7 @@ std::string SensorCache::add_upload(SimulatedSensor sensor) {
     return key;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor(const std::string& key,
-                                                               SimulatedSensor sensor) {
+SensorPtr SensorCache::add_sensor(const std::string& key, SimulatedSensor sensor) {
     const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
@@ -30,7 +29,7 @@ std::shared_ptr<const SimulatedSensor> SensorCache::add_sensor(const std::string
     return shared_sensor;
 }
 
-std::shared_ptr<const SimulatedSensor> SensorCache::find_cached(const std::string& key) {
+SensorPtr SensorCache::find_cached(const std::string& key) {
     const std::lock_guard lock(mutex_);
     const auto entry = entries_.find(key);
     if (entry == entries_.end()) return nullptr;

@@ -16,6 +16,8 @@ struct SimulatedSensor;
 
 namespace relidar::serve {
 
+using SensorPtr = std::shared_ptr<const SimulatedSensor>;
+
 class SensorCache {
 public:
     static constexpr std::size_t kMostSensors = 64;
@@ -23,12 +25,12 @@ public:
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
     std::string add_upload(SimulatedSensor sensor);
-    std::shared_ptr<const SimulatedSensor> add_sensor(const std::string& key, SimulatedSensor sensor);
-    std::shared_ptr<const SimulatedSensor> find_cached(const std::string& key);
+    SensorPtr add_sensor(const std::string& key, SimulatedSensor sensor);
+    SensorPtr find_cached(const std::string& key);
 
 private:
     struct CachedSensor {
-        std::shared_ptr<const SimulatedSensor> sensor;
+        SensorPtr sensor;
         std::uint64_t used;
     };
     std::mutex mutex_;

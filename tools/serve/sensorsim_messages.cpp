@@ -51,7 +51,7 @@ void write_pose(const Pose& pose, PoseTransformOrder order, sensorsim::Pose& mes
 void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Trajectory& message) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
-            refuse(grpc::StatusCode::FAILED_PRECONDITION,
+            refuse(Code::FAILED_PRECONDITION,
                    "cannot write a trajectory: found the time {} s, but messages have no negative times",
                    track.time_s[i]);
         sensorsim::PoseAtTime& pose = *message.add_poses();
@@ -62,8 +62,8 @@ void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Tr
 
 }  // namespace
 
-std::shared_ptr<const SimulatedSensor> SensorsimReader::find_or_make_sensor(
-    const sensorsim::LidarRenderRequest& message, std::size_t scene) {
+SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
+                                               std::size_t scene) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
     const std::string& id = message.lidar().logical_id();
     const bool is_of_log = type == sensorsim::OTHER;

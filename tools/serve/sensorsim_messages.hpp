@@ -45,8 +45,7 @@ private:
         double start_s = 0.0, end_s = 0.0;
         glm::dvec3 world_offset_m{0.0};
     };
-    std::shared_ptr<const SimulatedSensor> find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
-                                                               std::size_t scene);
+    SensorPtr find_or_make_sensor(const sensorsim::LidarRenderRequest& message, std::size_t scene);
     Pose read_pose(const sensorsim::Pose& message, const std::string& name) const;
     PoseTrack read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
                          const std::string& name) const;

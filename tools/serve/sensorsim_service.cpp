@@ -20,8 +20,8 @@ namespace {
 constexpr int kMostScans = 64;
 
 [[noreturn]] void reject_camera(const std::string& rpc_name, const std::string& found) {
-    refuse(grpc::StatusCode::UNIMPLEMENTED,
-           "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)", rpc_name, found);
+    refuse(Code::UNIMPLEMENTED, "cannot answer {}: found {}, expected LiDAR scans only (render_lidar)",
+           rpc_name, found);
 }
 
 // NuRec uses the second name since version 26.10.
@@ -33,7 +33,7 @@ constexpr const char* kPackageNames[] = {"nre.grpc.protos", "nurec.grpc.protos"}
 class SensorsimService::NamedService final : public grpc::Service {
 public:
     NamedService(SensorsimService& calls, const std::string& full_name) : path_("/" + full_name + "/") {
-        using Context = const grpc::ServerContext&;
+        using Context = const ServerContext&;
         register_method<sensorsim::Empty, sensorsim::VersionId>(
             "get_version", [&](Context, const auto&, auto& answer) { calls.get_version(answer); });
         register_method<sensorsim::Empty, sensorsim::AvailableScenes>(
@@ -76,8 +76,8 @@ private:
     template <class RequestMessage, class Answer, class Function>
     void register_method(const std::string& method_name, Function handle_call) {
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;
-        const auto call = [handle_call](NamedService*, grpc::ServerContext* context,
-                                        const RequestMessage* request, Answer* answer) {
+        const auto call = [handle_call](NamedService*, ServerContext* context, const RequestMessage* request,
+                                        Answer* answer) {
             return call_handler([&] { handle_call(*context, *request, *answer); });
         };
         AddMethod(new RpcServiceMethod(
@@ -142,22 +142,21 @@ void SensorsimService::get_available_trajectories(const sensorsim::SceneRequest&
     write_paths(scenes_.runs()[reader_->find_scene(request.scene_id())], order_, answer);
 }
 
-void SensorsimService::render_points(RenderQueue::QueueSlot& slot, const RenderRequest& render_request,
-                                     const grpc::ServerContext& context,
-                                     sensorsim::LidarRenderReturn& answer) {
+void SensorsimService::render_points(QueueSlot& slot, const RenderRequest& render_request,
+                                     const ServerContext& context, sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&render_request, 1});
     request.run_checked(slot);
     write_points(request.points.front().points, answer);
 }
 
-void SensorsimService::render_lidar(const grpc::ServerContext& context,
+void SensorsimService::render_lidar(const ServerContext& context,
                                     const sensorsim::LidarRenderRequest& request,
                                     sensorsim::LidarRenderReturn& answer) {
-    RenderQueue::QueueSlot slot = reserve_slot(queue_);
+    QueueSlot slot = reserve_slot(queue_);
     render_points(slot, reader_->read_request(request), context, answer);
 }
 
-void SensorsimService::render_aggregated(const grpc::ServerContext& context,
+void SensorsimService::render_aggregated(const ServerContext& context,
                                          const sensorsim::AggregatedRenderRequest& request,
                                          sensorsim::AggregatedRenderReturn& answer) {
     if (request.rgb_size() > 0)
@@ -166,7 +165,7 @@ void SensorsimService::render_aggregated(const grpc::ServerContext& context,
         reject_field("lidar", fmt::format("{} scans", request.lidar_size()),
                      fmt::format("at most {} per call", kMostScans));
     // One slot for all scans of the call, so that the call is not rejected in the middle.
-    RenderQueue::QueueSlot slot = reserve_slot(queue_);
+    QueueSlot slot = reserve_slot(queue_);
     std::vector<RenderRequest> render_requests;
     for (const sensorsim::LidarRenderRequest& lidar : request.lidar())
         render_requests.push_back(reader_->read_request(lidar));

@@ -14,6 +14,7 @@
 
 namespace relidar::serve {
 
+using grpc::ServerContext;
 namespace sensorsim = nre::grpc::protos::sensorsim;
 class RequestReader;
 class SceneSet;
@@ -48,13 +49,12 @@ private:
     void get_dynamic_objects(const sensorsim::SceneRequest& request, sensorsim::DynamicObjectTracks& answer);
     void get_available_trajectories(const sensorsim::SceneRequest& request,
                                     sensorsim::AvailableTrajectories& answer);
-    void render_lidar(const grpc::ServerContext& context, const sensorsim::LidarRenderRequest& request,
+    void render_lidar(const ServerContext& context, const sensorsim::LidarRenderRequest& request,
                       sensorsim::LidarRenderReturn& answer);
-    void render_aggregated(const grpc::ServerContext& context,
-                           const sensorsim::AggregatedRenderRequest& request,
+    void render_aggregated(const ServerContext& context, const sensorsim::AggregatedRenderRequest& request,
                            sensorsim::AggregatedRenderReturn& answer);
-    void render_points(RenderQueue::QueueSlot& slot, const RenderRequest& request,
-                       const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer);
+    void render_points(QueueSlot& slot, const RenderRequest& request, const ServerContext& context,
+                       sensorsim::LidarRenderReturn& answer);
 };
 
 }  // namespace relidar::serve

@@ -22,8 +22,8 @@ void write_times(const QueuedRequest& request, v1::LidarScan& answer) {
 
 }  // namespace
 
-void RenderService::render_scan(RenderQueue::QueueSlot& slot, const RenderRequest& render_request,
-                                const grpc::ServerContext& context, v1::LidarScan& answer) {
+void RenderService::render_scan(QueueSlot& slot, const RenderRequest& render_request,
+                                const ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, render_request);
     request.run_checked(slot);
     const Run& run = scenes_.runs()[render_request.scene];
@@ -33,9 +33,8 @@ void RenderService::render_scan(RenderQueue::QueueSlot& slot, const RenderReques
     write_times(request, answer);
 }
 
-void RenderService::render_points(RenderQueue::QueueSlot& slot, std::span<const RenderRequest> requests,
-                                  const grpc::ServerContext& context,
-                                  std::span<v1::LidarScan* const> answers) {
+void RenderService::render_points(QueueSlot& slot, std::span<const RenderRequest> requests,
+                                  const ServerContext& context, std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, requests);
     request.run_checked(slot);
     for (std::size_t i = 0; i < requests.size(); ++i) {
@@ -45,13 +44,13 @@ void RenderService::render_points(RenderQueue::QueueSlot& slot, std::span<const 
     }
 }
 
-grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScenesRequest*,
-                                       v1::ListScenesResponse* answer) {
+Status RenderService::ListScenes(ServerContext*, const v1::ListScenesRequest*,
+                                 v1::ListScenesResponse* answer) {
     return call_handler([&] {
         for (std::size_t i = 0; i < scenes_.runs().size(); ++i)
             write_scene(scenes_.sources()[i].name, scenes_.runs()[i], *answer->add_scenes());
         for (std::size_t i = 0; i < scenes_.runs().size(); ++i)
-            for (const SpawnedActorRegistry::SpawnSlot& spawn_slot : scenes_.spawned().list_occupied(i))
+            for (const SpawnSlot& spawn_slot : scenes_.spawned().list_occupied(i))
                 write_spawned(spawn_slot, scenes_.runs()[i], *answer->mutable_scenes(int(i))->add_spawned());
         for (const AssetCatalogue::CatalogueEntry& entry : scenes_.assets().entries())
             write_asset(entry.facts, *answer->add_assets());
@@ -59,8 +58,8 @@ grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScene
     });
 }
 
-grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksRequest* request,
-                                      v1::GetTracksResponse* answer) {
+Status RenderService::GetTracks(ServerContext*, const v1::GetTracksRequest* request,
+                                v1::GetTracksResponse* answer) {
     return call_handler([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
         const int lidar = reader_.find_lidar(scene, request->lidar());
@@ -68,21 +67,21 @@ grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksR
     });
 }
 
-grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
-                                        v1::SpawnActorsResponse* answer) {
+Status RenderService::SpawnActors(ServerContext* context, const v1::SpawnActorsRequest* request,
+                                  v1::SpawnActorsResponse* answer) {
     return call_handler([&] {
-        RenderQueue::QueueSlot slot = reserve_slot(queue_);
+        QueueSlot slot = reserve_slot(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
         const std::vector<ActorToSpawn> wishes = reader_.read_spawn(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, wishes);
         spawn.run_checked(slot);
-        for (const SpawnedActorRegistry::SpawnSlot& spawn_slot : spawn.occupied_slots)
+        for (const SpawnSlot& spawn_slot : spawn.occupied_slots)
             write_spawned(spawn_slot, scenes_.runs()[scene], *answer->add_actors());
     });
 }
 
-grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::DespawnActorsRequest* request,
-                                          v1::DespawnActorsResponse* answer) {
+Status RenderService::DespawnActors(ServerContext*, const v1::DespawnActorsRequest* request,
+                                    v1::DespawnActorsResponse* answer) {
     return call_handler([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
         scenes_.spawned().remove_actors(scene, {request->names().begin(), request->names().end()});
@@ -90,8 +89,8 @@ grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::Despaw
     });
 }
 
-grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadSensorRequest* request,
-                                         v1::UploadSensorResponse* answer) {
+Status RenderService::UploadSensor(ServerContext*, const v1::UploadSensorRequest* request,
+                                   v1::UploadSensorResponse* answer) {
     return call_handler([&] {
         const auto [handle, sensor] = reader_.cache_sensor(request->sensor());
         const FiringTimeSpan span = firing_span(*sensor);
@@ -103,10 +102,10 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
     });
 }
 
-grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
-                                        v1::LidarScan* answer) {
+Status RenderService::RenderLidar(ServerContext* context, const v1::RenderLidarRequest* request,
+                                  v1::LidarScan* answer) {
     return call_handler([&] {
-        RenderQueue::QueueSlot slot = reserve_slot(queue_);
+        QueueSlot slot = reserve_slot(queue_);
         const RenderRequest render_request = reader_.read_request(*request);
         if (!has_range_image(render_request))
             return render_points(slot, {&render_request, 1}, *context, {&answer, 1});
@@ -114,12 +113,12 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
     });
 }
 
-grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
-                                      grpc::ServerWriter<v1::RigScan>* writer) {
+Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigRequest* request,
+                                grpc::ServerWriter<v1::RigScan>* writer) {
     return call_handler([&] {
         // Reserves one slot for all scans of the rig, so that the call is not rejected
         // after some scans.
-        RenderQueue::QueueSlot slot = reserve_slot(queue_);
+        QueueSlot slot = reserve_slot(queue_);
         const std::vector<RenderRequest> render_requests = reader_.read_rig(*request);
         for (std::size_t first = 0, n = 1; first < render_requests.size(); first += n) {
             for (n = 0; n < kMostAtOnce && first + n < render_requests.size() &&

@@ -31,7 +31,7 @@ std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     if (free != slots.end()) return std::size_t(free - slots.begin());
     const auto of_source = std::size_t(std::ranges::count(slots, actor.source, &ActorToSpawn::source));
     if (slots.size() >= SpawnedActorRegistry::kMaxSlots)
-        refuse(grpc::StatusCode::RESOURCE_EXHAUSTED,
+        refuse(Code::RESOURCE_EXHAUSTED,
                "cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
                quote_client_text(actor.name), slots.size());
     const std::size_t first = slots.size();
@@ -52,14 +52,14 @@ std::uint32_t model_of(const Scene& scene, const std::string& track_name) {
 
 }  // namespace
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_all_slots(std::size_t scene) const {
+std::vector<SpawnSlot> SpawnedActorRegistry::list_all_slots(std::size_t scene) const {
     const std::lock_guard lock(mutex_);
     std::vector<SpawnSlot> all;
     for (const ActorToSpawn& actor : scenes_[scene]) all.push_back({all.size(), actor});
     return all;
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::list_occupied(std::size_t scene) const {
+std::vector<SpawnSlot> SpawnedActorRegistry::list_occupied(std::size_t scene) const {
     std::vector<SpawnSlot> all = list_all_slots(scene);
     std::erase_if(all, [](const SpawnSlot& place) { return place.actor.name.empty(); });
     return all;
@@ -70,16 +70,15 @@ std::size_t SpawnedActorRegistry::slot_count(std::size_t scene) const {
     return scenes_[scene].size();
 }
 
-std::vector<SpawnedActorRegistry::SpawnSlot> SpawnedActorRegistry::assign_slots(
-    std::size_t scene, const std::vector<ActorToSpawn>& actors) {
+std::vector<SpawnSlot> SpawnedActorRegistry::assign_slots(std::size_t scene,
+                                                          const std::vector<ActorToSpawn>& actors) {
     const std::lock_guard lock(mutex_);
     // Changes a copy of the slots, so that a rejected request has no effect.
     SpawnedActorSlots slots = scenes_[scene];
     std::vector<SpawnSlot> occupied_slots;
     for (const ActorToSpawn& wish : actors) {
         if (find_slot(slots, wish.name) != slots.end())
-            refuse(grpc::StatusCode::ALREADY_EXISTS,
-                   "cannot spawn {}: an actor with this name exists; use another name",
+            refuse(Code::ALREADY_EXISTS, "cannot spawn {}: an actor with this name exists; use another name",
                    quote_client_text(wish.name));
         const std::size_t position = free_slot(slots, wish);
         slots[position] = wish;
@@ -95,7 +94,7 @@ void SpawnedActorRegistry::remove_actors(std::size_t scene, const std::vector<st
     for (const std::string& name : names) {
         const auto slot = find_slot(slots, name);
         if (name.empty() || slot == slots.end())
-            refuse(grpc::StatusCode::NOT_FOUND,
+            refuse(Code::NOT_FOUND,
                    "cannot despawn {}: no spawned actor has this name, or the request names it twice",
                    quote_client_text(name));
         slot->name.clear();
@@ -112,10 +111,9 @@ void SpawnedActorRegistry::undo_assign(std::size_t scene, const std::vector<Spaw
 
 std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }
 
-void add_spawned(Run& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
-                 const AssetCatalogue& assets) {
+void add_spawned(Run& run, const std::vector<SpawnSlot>& slots, const AssetCatalogue& assets) {
     std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
-    for (const SpawnedActorRegistry::SpawnSlot& slot : slots) {
+    for (const SpawnSlot& slot : slots) {
         const SpawnedModelSource& source = slot.actor.source;
         std::uint32_t model = 0;
         if (!source.is_asset) model = model_of(run.scene, source.name);

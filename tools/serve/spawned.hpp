@@ -32,6 +32,12 @@ struct ActorToSpawn {
     std::size_t surfels = 0;
 };
 
+/// `position` is the index of the slot in the scene.
+struct SpawnSlot {
+    std::size_t position = 0;
+    ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
+};
+
 /// A slot is an additional instance of a model in the scene, which the next actor with
 /// the same model reuses, so that the scene is not loaded again. Thread-safe.
 class SpawnedActorRegistry {
@@ -40,10 +46,6 @@ public:
 
     explicit SpawnedActorRegistry(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    struct SpawnSlot {
-        std::size_t position = 0;
-        ActorToSpawn actor;  ///< Actor in this slot. The name is empty if the slot is free.
-    };
     std::vector<SpawnSlot> list_all_slots(std::size_t scene) const;
     std::vector<SpawnSlot> list_occupied(std::size_t scene) const;
 
@@ -70,7 +72,6 @@ std::string slot_track_name(std::size_t slot_index);
 /// Adds the model of each asset only once. Must be called before the run is rendered.
 /// @throws DataError if an asset cannot be read, or if its type of Gaussians differs from
 /// the run
-void add_spawned(Run& run, const std::vector<SpawnedActorRegistry::SpawnSlot>& slots,
-                 const AssetCatalogue& assets);
+void add_spawned(Run& run, const std::vector<SpawnSlot>& slots, const AssetCatalogue& assets);
 
 }  // namespace relidar::serve

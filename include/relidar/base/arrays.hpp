@@ -12,6 +12,9 @@
 
 namespace relidar {
 
+/// Number of elements along each axis.
+using ArrayShape = std::vector<std::size_t>;
+
 /// N-dimensional array of an npz or safetensors file. The values are stored row by row,
 /// in little-endian byte order.
 struct NamedArray {
@@ -20,7 +23,7 @@ struct NamedArray {
     /// u2 u4 u8 or b1. Arrays of npz files may also hold text, with the types S<bytes>
     /// and U<letters>.
     std::string dtype;
-    std::vector<std::size_t> shape;
+    ArrayShape shape;
     std::vector<std::byte> bytes;
 
     std::size_t element_count() const;
@@ -38,14 +41,8 @@ const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_
 
 /// Creates a named array from float, double, int32 or uint16 values.
 /// @throws DataError if `count` is not the product of the shape
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
-                      std::size_t count);
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
-                      std::size_t count);
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
-                      std::size_t count);
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
-                      std::size_t count);
+template <class T>
+NamedArray make_array(std::string name, ArrayShape shape, const T* values, std::size_t count);
 /// Creates an array of fixed-length strings in numpy's format (UTF-32, padded with
 /// zeros).
 /// @param texts UTF-8

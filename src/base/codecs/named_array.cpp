@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <type_traits>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -17,18 +18,6 @@
 
 namespace relidar {
 namespace {
-
-template <class T>
-NamedArray typed_array(std::string name, std::vector<std::size_t> shape, const char* dtype, const T* values,
-                       std::size_t count) {
-    NamedArray array{std::move(name), dtype, std::move(shape), {}};
-    if (array.element_count() != count)
-        fail("array '{}' has {} values, expected {} for the shape [{}]", array.name, count,
-             array.element_count(), fmt::join(array.shape, ", "));
-    array.bytes.resize(count * sizeof(T));
-    if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
-    return array;
-}
 
 struct Half {
     std::uint16_t bits;
@@ -136,8 +125,7 @@ std::size_t element_bytes(std::string_view numpy_type) {
     return std::size_t(numpy_type[1] - '0');
 }
 
-std::optional<std::size_t> array_bytes(const std::vector<std::size_t>& shape,
-                                       std::size_t element_size_bytes) {
+std::optional<std::size_t> array_bytes(const ArrayShape& shape, std::size_t element_size_bytes) {
     std::size_t product = element_size_bytes;
     bool overflow = false, empty = false;
     for (std::size_t extent : shape) {
@@ -175,23 +163,24 @@ const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_
 std::vector<float> NamedArray::to_floats() const { return convert_numeric<float>(*this); }
 std::vector<double> NamedArray::to_doubles() const { return convert_numeric<double>(*this); }
 
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values,
-                      std::size_t count) {
-    return typed_array(std::move(name), std::move(shape), "f4", values, count);
+template <class T>
+NamedArray make_array(std::string name, ArrayShape shape, const T* values, std::size_t count) {
+    const char* dtype = std::is_same_v<T, float>    ? "f4"
+                        : std::is_same_v<T, double> ? "f8"
+                        : std::is_signed_v<T>       ? "i4"
+                                                    : "u2";
+    NamedArray array{std::move(name), dtype, std::move(shape), {}};
+    if (array.element_count() != count)
+        fail("array '{}' has {} values, expected {} for the shape [{}]", array.name, count,
+             array.element_count(), fmt::join(array.shape, ", "));
+    array.bytes.resize(count * sizeof(T));
+    if (count > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
+    return array;
 }
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values,
-                      std::size_t count) {
-    return typed_array(std::move(name), std::move(shape), "f8", values, count);
-}
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
-                      std::size_t count) {
-    return typed_array(std::move(name), std::move(shape), "i4", values, count);
-}
-
-NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
-                      std::size_t count) {
-    return typed_array(std::move(name), std::move(shape), "u2", values, count);
-}
+template NamedArray make_array(std::string, ArrayShape, const float*, std::size_t);
+template NamedArray make_array(std::string, ArrayShape, const double*, std::size_t);
+template NamedArray make_array(std::string, ArrayShape, const std::int32_t*, std::size_t);
+template NamedArray make_array(std::string, ArrayShape, const std::uint16_t*, std::size_t);
 
 NamedArray single_text(std::string name, const std::string& text) {
     NamedArray array = make_text_array(std::move(name), {text});

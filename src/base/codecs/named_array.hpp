@@ -15,7 +15,7 @@ namespace relidar::codecs {
 std::size_t element_bytes(std::string_view numpy_type);
 
 /// Returns nullopt if the size does not fit into std::size_t.
-std::optional<std::size_t> array_bytes(const std::vector<std::size_t>& shape, std::size_t element_size_bytes);
+std::optional<std::size_t> array_bytes(const ArrayShape& shape, std::size_t element_size_bytes);
 
 /// @throws DataError if the array has no name, an unknown type, or a number of bytes that
 /// does not match its shape
