@@ -3,10 +3,8 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 

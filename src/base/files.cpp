@@ -11,8 +11,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar {

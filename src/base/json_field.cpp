@@ -4,11 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 

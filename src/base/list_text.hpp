@@ -2,11 +2,9 @@
 // Formats and parses lists in messages and settings.
 #pragma once
 
-#include <algorithm>
 #include <string>
 #include <vector>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
 
 namespace relidar {

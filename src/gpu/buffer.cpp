@@ -8,7 +8,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 #include "base/fail.hpp"
 

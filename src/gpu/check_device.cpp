@@ -9,7 +9,6 @@
 #include <cmath>
 #include <numeric>
 #include <utility>
-#include <vector>
 
 #include <fmt/format.h>
 

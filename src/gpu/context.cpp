@@ -10,11 +10,9 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
 
 #include "base/fail.hpp"
-#include "gpu/memory.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/swiftshader.hpp"
 #include "gpu/transfers.hpp"

@@ -3,7 +3,6 @@
 // Throws a DeviceError if a Vulkan call fails.
 #pragma once
 
-#include <array>
 #include <atomic>
 #include <future>
 #include <map>

@@ -2,7 +2,6 @@
 // Checks which of the features that relidar needs a physical device supports. Lists all
 // missing extensions and features.
 #include <algorithm>
-#include <cstdio>
 #include <cstring>
 #include <utility>
 
@@ -23,18 +22,11 @@ std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical) {
 }
 
 const char* device_type_name(VkPhysicalDeviceType device_type) {
-    switch (device_type) {
-        case VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU:
-            return "discrete GPU";
-        case VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU:
-            return "integrated GPU";
-        case VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU:
-            return "virtual GPU";
-        case VK_PHYSICAL_DEVICE_TYPE_CPU:
-            return "CPU";
-        default:
-            return "other";
-    }
+    if (device_type == VK_PHYSICAL_DEVICE_TYPE_DISCRETE_GPU) return "discrete GPU";
+    if (device_type == VK_PHYSICAL_DEVICE_TYPE_INTEGRATED_GPU) return "integrated GPU";
+    if (device_type == VK_PHYSICAL_DEVICE_TYPE_VIRTUAL_GPU) return "virtual GPU";
+    if (device_type == VK_PHYSICAL_DEVICE_TYPE_CPU) return "CPU";
+    return "other";
 }
 
 std::uint64_t largest_heap_bytes(VkPhysicalDevice physical) {

@@ -8,10 +8,6 @@
 #include <charconv>
 #include <cstdlib>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "gpu/trust.hpp"
 

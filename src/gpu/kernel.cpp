@@ -10,8 +10,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/spirv.hpp"
@@ -205,16 +203,13 @@ VkPipeline KernelBase::Impl::wait_for_pipeline() {
 namespace {
 
 double to_double(const VkPipelineExecutableStatisticKHR& statistic) {
-    switch (statistic.format) {
-        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR:
-            return statistic.value.b32 ? 1.0 : 0.0;
-        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR:
-            return double(statistic.value.i64);
-        case VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR:
-            return double(statistic.value.u64);
-        default:
-            return statistic.value.f64;
-    }
+    if (statistic.format == VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_BOOL32_KHR)
+        return statistic.value.b32 ? 1.0 : 0.0;
+    if (statistic.format == VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_INT64_KHR)
+        return double(statistic.value.i64);
+    if (statistic.format == VK_PIPELINE_EXECUTABLE_STATISTIC_FORMAT_UINT64_KHR)
+        return double(statistic.value.u64);
+    return statistic.value.f64;
 }
 
 /// Reads the statistics of the driver's compiler, under the names of the driver

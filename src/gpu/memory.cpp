@@ -20,16 +20,12 @@ constexpr std::uint64_t kBufferAlignment = 256;
 std::vector<VkMemoryPropertyFlags> preferred_flags(BufferPurpose purpose) {
     constexpr VkMemoryPropertyFlags kHostFlags =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
-    switch (purpose) {
-        case BufferPurpose::device:
-            return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
-        case BufferPurpose::parameters:
-            return {kHostFlags | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHostFlags};
-        case BufferPurpose::upload:
-            return {kHostFlags};
-        case BufferPurpose::readback:
-            return {kHostFlags | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHostFlags};
-    }
+    if (purpose == BufferPurpose::device) return {VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT};
+    if (purpose == BufferPurpose::parameters)
+        return {kHostFlags | VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, kHostFlags};
+    if (purpose == BufferPurpose::upload) return {kHostFlags};
+    if (purpose == BufferPurpose::readback)
+        return {kHostFlags | VK_MEMORY_PROPERTY_HOST_CACHED_BIT, kHostFlags};
     return {};
 }
 

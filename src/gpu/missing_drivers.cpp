@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <fstream>
-#include <utility>
 
 #include <fmt/format.h>
 

@@ -10,7 +10,6 @@
 #include <cstdint>
 #include <cstring>
 #include <fstream>
-#include <string_view>
 
 #include <fmt/format.h>
 

@@ -4,10 +4,6 @@
 
 #include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "gpu/stream.hpp"
 #include "gpu/tiles.hpp"

@@ -26,37 +26,18 @@ public:
     }
 
     void evaluate(std::uint32_t opcode, SpirvInstruction instruction) {
-        switch (opcode) {
-            case kOpTypeBool:
-                types_.insert(instruction[1]);
-                break;
-            case kOpTypeInt:
-                if (instruction[2] == 32) types_.insert(instruction[1]);
-                break;
-            case kOpDecorate:
-                if (instruction[2] == kSpecId) spec_ids_[instruction[1]] = instruction[3];
-                break;
-            case kOpConstantTrue:
-                value_by_id_[instruction[2]] = 1;
-                break;
-            case kOpConstantFalse:
-                value_by_id_[instruction[2]] = 0;
-                break;
-            case kOpConstant:
-            case kOpSpecConstant:
-                if (types_.contains(instruction[1])) value_by_id_[instruction[2]] = specialised(instruction);
-                break;
-            case kOpSpecConstantOp:
-                fold(instruction, instruction[3], instruction.subspan(4));
-                break;
-            case kOpLogicalOr:
-            case kOpLogicalAnd:
-            case kOpLogicalNot:
-                fold(instruction, opcode, instruction.subspan(3));
-                break;
-            default:
-                break;
-        }
+        const auto has_type = [&] { return types_.contains(instruction[1]); };
+        if (opcode == kOpTypeBool || (opcode == kOpTypeInt && instruction[2] == 32))
+            types_.insert(instruction[1]);
+        else if (opcode == kOpDecorate && instruction[2] == kSpecId)
+            spec_ids_[instruction[1]] = instruction[3];
+        else if (opcode == kOpConstantTrue) value_by_id_[instruction[2]] = 1;
+        else if (opcode == kOpConstantFalse) value_by_id_[instruction[2]] = 0;
+        else if ((opcode == kOpConstant || opcode == kOpSpecConstant) && has_type())
+            value_by_id_[instruction[2]] = specialised(instruction);
+        else if (opcode == kOpSpecConstantOp) fold(instruction, instruction[3], instruction.subspan(4));
+        else if (opcode == kOpLogicalOr || opcode == kOpLogicalAnd || opcode == kOpLogicalNot)
+            fold(instruction, opcode, instruction.subspan(3));
     }
 
 private:
@@ -84,20 +65,12 @@ private:
         if (operation == kOpLogicalOr && (a == 1u || b == 1u)) return 1;
         if (operation == kOpLogicalAnd && (a == 0u || b == 0u)) return 0;
         if (!a || !b) return std::nullopt;
-        switch (operation) {
-            case kOpLogicalOr:
-                return *a | *b;
-            case kOpLogicalAnd:
-                return *a & *b;
-            case kOpLogicalNot:
-                return 1u - *a;
-            case kOpIEqual:
-                return *a == *b;
-            case kOpINotEqual:
-                return *a != *b;
-            default:
-                return std::nullopt;
-        }
+        if (operation == kOpLogicalOr) return *a | *b;
+        if (operation == kOpLogicalAnd) return *a & *b;
+        if (operation == kOpLogicalNot) return 1u - *a;
+        if (operation == kOpIEqual) return *a == *b;
+        if (operation == kOpINotEqual) return *a != *b;
+        return std::nullopt;
     }
 };
 
@@ -106,29 +79,15 @@ public:
     explicit ControlFlowGraph(std::span<const std::uint32_t> words) {
         std::uint32_t label = 0;
         for_instructions(words, [&](std::uint32_t opcode, SpirvInstruction instruction) {
-            switch (opcode) {
-                case kOpLabel:
-                    label = instruction[1];
-                    break;
-                case kOpPhi:
-                    with_phi_.insert(label);
-                    break;
-                case kOpLoopMerge:
-                    for (const std::size_t k : {1u, 2u}) header_of_[instruction[k]] = label;
-                    break;
-                case kOpBranch:
-                    next_[label] = {instruction[1]};
-                    break;
-                case kOpBranchConditional:
-                    next_[label] = {instruction[2], instruction[3]};
-                    break;
-                case kOpSwitch:
-                    for (std::size_t k = 2; k < instruction.size(); k += 2)
-                        next_[label].push_back(instruction[k]);
-                    break;
-                default:
-                    break;
-            }
+            if (opcode == kOpLabel) label = instruction[1];
+            else if (opcode == kOpPhi) with_phi_.insert(label);
+            else if (opcode == kOpLoopMerge)
+                for (const std::size_t k : {1u, 2u}) header_of_[instruction[k]] = label;
+            else if (opcode == kOpBranch) next_[label] = {instruction[1]};
+            else if (opcode == kOpBranchConditional) next_[label] = {instruction[2], instruction[3]};
+            else if (opcode == kOpSwitch)
+                for (std::size_t k = 2; k < instruction.size(); k += 2)
+                    next_[label].push_back(instruction[k]);
         });
     }
 

@@ -3,7 +3,6 @@
 // check. The results are stored next to the pipeline cache.
 #pragma once
 
-#include <filesystem>
 #include <string>
 
 #include <relidar/gpu/trust.hpp>

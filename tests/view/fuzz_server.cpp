@@ -49,39 +49,22 @@ public:
 
 private:
     std::string changed(std::string text) {
-        static const std::vector<std::string> pieces = {"\r\n",
-                                                        "\r\n\r\n",
-                                                        std::string(1, '\0'),
-                                                        "%00",
-                                                        "..",
-                                                        "/",
-                                                        ":",
-                                                        "Host: evil\r\n",
-                                                        "Content-Length: 99999999999\r\n",
-                                                        " ",
-                                                        "\xff",
-                                                        std::string(300, 'A'),
-                                                        "[",
-                                                        "]"};
+        static const std::string long_text(300, 'A'), zero(1, '\0');
+        static const std::vector<std::string> pieces = {"\r\n",    "\r\n\r\n",
+                                                        zero,      "%00",
+                                                        "..",      "/",
+                                                        ":",       "Host: evil\r\n",
+                                                        long_text, "Content-Length: 99999999999\r\n",
+                                                        " ",       "\xff",
+                                                        "[",       "]"};
         for (std::size_t n = below(6); n > 0 && !text.empty(); --n) {
             const std::size_t at = below(text.size());
-            switch (below(5)) {
-                case 0:
-                    text[at] = static_cast<char>(below(256));
-                    break;
-                case 1:
-                    text.erase(at, 1 + below(8));
-                    break;
-                case 2:
-                    text.insert(at, pieces[below(pieces.size())]);
-                    break;
-                case 3:
-                    text.insert(at, text.substr(at, 1 + below(40)));
-                    break;
-                default:
-                    text.resize(at);
-                    break;
-            }
+            const std::size_t kind = below(5);
+            if (kind == 0) text[at] = static_cast<char>(below(256));
+            else if (kind == 1) text.erase(at, 1 + below(8));
+            else if (kind == 2) text.insert(at, pieces[below(pieces.size())]);
+            else if (kind == 3) text.insert(at, text.substr(at, 1 + below(40)));
+            else text.resize(at);
         }
         return text;
     }

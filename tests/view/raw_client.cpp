@@ -71,15 +71,8 @@ std::string frame(std::uint8_t first, std::string_view payload, bool masked, std
     std::string bytes(1, static_cast<char>(first));
     const auto mask_bit = static_cast<char>(masked ? 0x80 : 0);
     // Short lengths fit into the second byte. Longer ones follow in 2 or 8 extra bytes.
-    std::uint64_t short_length = length;
-    int n_extra = 0;
-    if (length >= 65536) {
-        short_length = 127;
-        n_extra = 8;
-    } else if (length >= 126) {
-        short_length = 126;
-        n_extra = 2;
-    }
+    const int n_extra = length >= 65536 ? 8 : length >= 126 ? 2 : 0;
+    const std::uint64_t short_length = n_extra == 8 ? 127 : n_extra == 2 ? 126 : length;
     bytes += static_cast<char>(mask_bit | static_cast<char>(short_length));
     for (int i = n_extra - 1; i >= 0; --i) bytes += static_cast<char>((length >> (8 * i)) & 0xff);
     constexpr char kMask[4] = {0x12, 0x34, 0x56, 0x78};

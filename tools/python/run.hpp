@@ -3,8 +3,6 @@
 // requests the first scan.
 #pragma once
 
-#include <optional>
-
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include "device.hpp"

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <filesystem>
 
 #include <pybind11/stl/filesystem.h>
-
-#include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/checkpoint.hpp>

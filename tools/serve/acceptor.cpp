@@ -17,9 +17,6 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 #include "../network/host_port.hpp"

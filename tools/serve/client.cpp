@@ -1,12 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client.hpp"
 
-#include <fmt/format.h>
 #include <grpcpp/create_channel.h>
 #include <grpcpp/security/credentials.h>
 #include <grpcpp/support/channel_arguments.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 namespace relidar::serve {

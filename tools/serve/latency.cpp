@@ -10,9 +10,6 @@
 #include <thread>
 #include <vector>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 #include "client.hpp"

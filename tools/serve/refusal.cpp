@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <new>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 
 namespace relidar::serve {

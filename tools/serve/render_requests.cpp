@@ -3,8 +3,6 @@
 
 #include <chrono>
 
-#include <fmt/format.h>
-
 #include <relidar/base/error.hpp>
 
 #include "refusal.hpp"

@@ -3,9 +3,6 @@
 
 #include <algorithm>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/run/run.hpp>
 #include "base/fail.hpp"
 

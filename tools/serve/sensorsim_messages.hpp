@@ -5,7 +5,6 @@
 // there.
 #pragma once
 
-#include <memory>
 #include <string>
 
 #include <relidar/run/run.hpp>

@@ -4,10 +4,8 @@
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
-#include <optional>
 #include <thread>
 
-#include <fmt/format.h>
 #include <google/protobuf/stubs/common.h>
 #include <grpc/support/log.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
@@ -15,7 +13,6 @@
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/resource_quota.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 #include "acceptor.hpp"

@@ -2,9 +2,7 @@
 // Implements the gRPC calls of render.proto. Only the render thread renders.
 #pragma once
 
-#include <functional>
 #include <span>
-#include <utility>
 
 #include "refusal.hpp"
 #include "relidar/v1/render.grpc.pb.h"

@@ -6,7 +6,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 #include "asset_catalogue.hpp"

@@ -2,7 +2,6 @@
 // Stores the actors that clients have added ("spawned") to scenes.
 #pragma once
 
-#include <cstdint>
 #include <mutex>
 #include <string>
 #include <vector>

@@ -4,10 +4,8 @@
 #include <algorithm>
 #include <limits>
 
-#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 namespace relidar::view {

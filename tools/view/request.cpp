@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 namespace relidar::view {

@@ -10,7 +10,6 @@
 #include <unistd.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/run/edit.hpp>
 #include "base/fail.hpp"

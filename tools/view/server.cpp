@@ -11,7 +11,6 @@
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 #include "http_session.hpp"

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "session.hpp"
 
-#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 
 namespace relidar::view {
@@ -22,14 +20,9 @@ const char* request_name(const BrowserRequest& request) {
 std::string dump_utf8(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
 const char* state_name(RecordedScans::RecordedScansState state) {
-    switch (state) {
-        case RecordedScans::RecordedScansState::ready:
-            return "ready";
-        case RecordedScans::RecordedScansState::missing:
-            return "missing";
-        default:
-            return "loading";
-    }
+    if (state == RecordedScans::RecordedScansState::ready) return "ready";
+    if (state == RecordedScans::RecordedScansState::missing) return "missing";
+    return "loading";
 }
 
 }  // namespace

@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/assets.hpp>

@@ -6,9 +6,6 @@
 #include <cstring>
 
 #include <flatbuffers/flatbuffers.h>
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 

@@ -14,8 +14,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "file_io.hpp"
 

@@ -8,10 +8,6 @@
 #include <string>
 #include <string_view>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar::codecs {

@@ -9,10 +9,6 @@
 #include <cmath>
 #include <span>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 
 namespace relidar {

@@ -13,9 +13,6 @@
 #include <ImfIO.h>
 #include <ImfOutputFile.h>
 #include <ImfStringAttribute.h>
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "file_io.hpp"

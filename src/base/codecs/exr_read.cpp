@@ -17,8 +17,6 @@
 #include <ImfInputFile.h>
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
-
 #include "base/fail.hpp"
 #include "base/files.hpp"
 

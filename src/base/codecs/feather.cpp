@@ -8,10 +8,8 @@
 #include <cstring>
 #include <utility>
 
-#include <fmt/format.h>
 #include <glm/gtc/packing.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/codecs/unpack.hpp"
 #include "base/fail.hpp"
 #include "base/files.hpp"

@@ -8,11 +8,7 @@
 #include <cerrno>
 #include <memory>
 #include <system_error>
-#include <utility>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 
 namespace relidar::codecs {

@@ -7,10 +7,7 @@
 #include <cerrno>
 #include <cstring>
 
-#include <fmt/format.h>
 #include <zlib.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/bytes.hpp"
 

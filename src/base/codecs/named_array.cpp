@@ -11,10 +11,7 @@
 #include <limits>
 #include <type_traits>
 
-#include <fmt/format.h>
 #include <fmt/ranges.h>
-
-#include <relidar/base/error.hpp>
 
 namespace relidar {
 namespace {

@@ -14,8 +14,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
-
 #include "named_array.hpp"
 
 namespace relidar::codecs {

@@ -5,13 +5,9 @@
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
-#include <string_view>
 
-#include <fmt/format.h>
 #include <png.h>
 #include <zlib.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 #include "file_io.hpp"

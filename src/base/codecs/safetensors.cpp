@@ -14,7 +14,6 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 

@@ -10,7 +10,6 @@
 
 #include <fmt/format.h>
 
-#include <relidar/base/error.hpp>
 #include "base/fail.hpp"
 #include "base/files.hpp"
 

@@ -4,11 +4,8 @@
 #include <memory>
 #include <vector>
 
-#include <fmt/format.h>
 #include <lz4frame.h>
 #include <zstd.h>
-
-#include <relidar/base/error.hpp>
 
 #include "base/fail.hpp"
 
