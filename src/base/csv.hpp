@@ -8,7 +8,6 @@
 
 namespace relidar {
 
-/// Removes blanks at both ends of each cell. Returns at least one cell.
 std::vector<std::string_view> split_csv_cells(std::string_view line);
 
 /// Returns -1 for a missing column.

@@ -20,25 +20,18 @@ bool does_path_exist(const std::filesystem::path& path);
 
 void require_folder(const std::filesystem::path& path, const std::string& expected_description);
 
-/// Sorted by name.
-/// @throws DataError if the folder cannot be read
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
-/// The name must consist of digits, and the number must be below 10^8.
 std::optional<int> parse_stem(const std::string& file_stem);
 
-/// At most 80 characters, without control characters.
 std::string quote(std::string_view text);
 
-/// Accepts "\n" and "\r\n". A line break at the end does not produce an empty line.
 std::vector<std::string> split_lines(const std::string& text);
 
 std::string_view trim(std::string_view text);
 
-/// Accepts "nan" and "inf". Returns nullopt if the text is not one number.
 std::optional<double> parse_number(std::string_view text);
 
-/// Numbers separated by blanks or line breaks.
 std::optional<std::vector<double>> parse_numbers(std::string_view text);
 
 }  // namespace relidar

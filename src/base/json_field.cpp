@@ -20,7 +20,6 @@ std::string describe_json(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
-/// @return the first invalid value: neither a number nor a list, or nested too deeply
 const nlohmann::json* collect_numbers(const nlohmann::json& value, int max_depth,
                                       std::vector<double>& numbers) {
     if (value.is_number()) {

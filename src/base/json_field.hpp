@@ -46,7 +46,6 @@ public:
         return result;
     }
     std::string location() const;  ///< Returns "file: field" for error messages.
-    /// Message: "file: field: found null, expected a number".
     [[noreturn]] void reject(const std::string& found, const std::string& expected) const;
 
 private:

@@ -17,7 +17,6 @@ inline std::string list_text(const std::vector<int>& numbers, std::size_t max_co
                        numbers.back(), numbers.size());
 }
 
-/// Splits "a, b,c" at its commas and removes blanks.
 inline std::vector<std::string> split_list(const std::string& comma_separated_list) {
     std::vector<std::string> words{""};
     for (const char c : comma_separated_list) {

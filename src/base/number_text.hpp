@@ -10,7 +10,6 @@ namespace relidar {
 /// exponent, so that TOML and JSON read it as a real number: "8.0", "1e-09", "-0.0".
 /// Other values become "nan", "inf" or "-inf", which TOML accepts but JSON does not.
 std::string number_text(double value);
-/// A float needs fewer digits than a double.
 std::string number_text(float value);
 
 }  // namespace relidar

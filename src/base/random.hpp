@@ -9,7 +9,6 @@
 
 namespace relidar {
 
-/// Output function of SplitMix64.
 inline std::uint64_t hash_integer(std::uint64_t value) {
     value += 0x9E3779B97F4A7C15ull;
     value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9ull;

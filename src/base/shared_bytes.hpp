@@ -11,7 +11,6 @@
 
 namespace relidar {
 
-/// Read-only bytes that stay valid as long as any copy of `memory` exists.
 struct SharedBytes {
     std::shared_ptr<const void> memory;
     std::string_view bytes;

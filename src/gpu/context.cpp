@@ -261,7 +261,6 @@ void Device::Impl::open_device(const std::filesystem::path& pipeline_cache_folde
 
 namespace {
 
-/// With all features enabled. Only supported features are requested.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};

@@ -18,7 +18,6 @@ struct ForcedBehaviour {
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// While an object of this class exists, new objects on the device behave as forced.
 class ForcedBehaviourScope {
 public:
     ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced);

@@ -21,10 +21,8 @@ namespace relidar::gpu {
 /// All buffers except `device` stay mapped and are host-coherent.
 enum class BufferPurpose {
     device,  ///< Arrays that kernels read and write.
-    /// Written by the host, in device memory if possible.
     parameters,
     upload,  ///< Staging memory that the host writes and copy commands read.
-    /// Read by the host, host-cached if possible.
     readback,
 };
 
@@ -74,7 +72,6 @@ public:
     DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device);
     ~DeviceMemoryAllocator();
 
-    /// @return result of the driver for the last memory type that was tried
     VkResult suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
                          MemorySuballocation& result);
     void release(const MemorySuballocation& result);

@@ -11,7 +11,6 @@ namespace relidar {
 struct ReadbackBuffer::Impl {
     std::string what;
     std::shared_ptr<Buffer::Impl> host;
-    /// Number of the submission that contains the copy. 0 means that no copy is pending.
     std::uint64_t ticket = 0;
     bool pending = false;
 

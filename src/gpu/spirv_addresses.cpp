@@ -24,7 +24,6 @@ public:
     void append_pointers(std::uint32_t type_id, std::uint32_t offset,
                          std::vector<std::uint32_t>& offsets) const {
         const auto type_entry = types_.find(type_id);
-        // Numbers and vectors cannot contain a device address.
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
@@ -45,7 +44,6 @@ private:
     std::uint32_t block_ = 0;
     std::map<std::uint32_t, SpirvInstruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
-    /// By the id of the struct and the index of the member.
     std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
     void store_type(std::uint32_t opcode, SpirvInstruction instruction) {

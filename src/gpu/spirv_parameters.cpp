@@ -29,7 +29,6 @@ struct SpirvModule {
     std::map<std::uint32_t, SpirvWords> types;         ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
     std::set<std::uint32_t> addresses;  ///< Ids that contain the address of the parameter block.
-    /// By the id of the OpAccessChain that computes a pointer to the parameter.
     std::map<std::uint32_t, MemberPath> parameter_paths;
 
     explicit SpirvModule(std::span<const std::uint32_t> words) : bound(words[3]) {

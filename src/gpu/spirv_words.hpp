@@ -53,7 +53,6 @@ inline void append_instruction(std::vector<std::uint32_t>& words, std::uint32_t 
     words.insert(words.end(), operands);
 }
 
-/// Texts are stored as little-endian bytes and end with a zero byte.
 inline const char* read_spirv_string(SpirvInstruction words) {
     return reinterpret_cast<const char*>(words.data());
 }

@@ -28,8 +28,6 @@ struct KernelBase::Impl {
     gpu::KernelSpeed* speed = nullptr;
     std::vector<std::uint32_t> addresses = {};
 
-    /// Waits until the pipeline is compiled.
-    /// @throws DeviceError if the driver rejects it
     VkPipeline wait_for_pipeline();
 
 private:
@@ -49,7 +47,6 @@ struct Stream::Impl {
         std::vector<VkCommandBuffer> buffers;
         std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Commands between a pair of timestamps, in the order of the timestamps.
         struct TimedCommands {
             std::string name;
             gpu::KernelSpeed* speed;
@@ -67,7 +64,6 @@ struct Stream::Impl {
     };
 
     using VulkanCommandRecorder = std::function<void(VkCommandBuffer)>;
-    /// Commands of a lane (ConcurrentSequenceScope) between two barriers.
     struct BarrierStep {
         std::string name;  ///< Name of the first command of the step.
         std::vector<VulkanCommandRecorder> commands;
@@ -117,7 +113,6 @@ struct Stream::Impl {
         std::size_t offset;
         std::uint64_t address;
     };
-    /// Stores a value from the host where the kernels of this submission can read it.
     StagedValue stage_bytes(const void* host_bytes, std::size_t n_bytes);
     template <class T>
     Address<T> stage_values(const std::vector<T>& host_values) {

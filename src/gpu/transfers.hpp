@@ -25,7 +25,6 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    /// Allocated at the first copy in each direction.
     std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void create_commands();

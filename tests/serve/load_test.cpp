@@ -52,7 +52,6 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     request.mutable_sensor()->set_name("VLP-16:128x10");
     const v1::LidarScan truth = ScanClient(address()).render_scan(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
-    // afterwards, threads, arenas and caches exist
     EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);
     const double before_mib = measure_resident_mib();
     EXPECT_EQ(answered(1000, request, truth.image().range_m()), 1000);
@@ -61,8 +60,6 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
         << " MiB a call";
 }
 
-/// Client that renders a rig of many large sensors. It occupies a slot of the queue until
-/// it disconnects.
 class Occupant {
 public:
     explicit Occupant(v1::RenderService::Stub& stub) {

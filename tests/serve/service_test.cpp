@@ -246,7 +246,6 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     request.mutable_actors();
     for (const bool is_native : {true, false}) {
         request.mutable_sensor()->set_name(is_native ? "native" : "VLP-16:360x10");
-        // points without an image are computed on the device
         for (const bool beside_image : {true, false}) {
             request.mutable_wanted()->set_range_image(beside_image);
             request.mutable_wanted()->set_drop_probability(beside_image);

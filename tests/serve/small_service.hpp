@@ -22,7 +22,6 @@
 
 namespace relidar::serve {
 
-// origin of relidar's world in the dataset
 inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
 inline Pose make_pose_at_x(double x_m) {
@@ -126,7 +125,6 @@ inline void set_path(v1::RenderLidarRequest& request, const PoseTrack& path) {
         add_pose(*request.mutable_path(), path.time_s[i], path.pose[i]);
 }
 
-/// Returns a request for all outputs of a scan by the log's sensor, which does not move.
 inline v1::RenderLidarRequest make_standing_request() {
     v1::RenderLidarRequest request;
     add_pose(*request.mutable_path(), 0.5, make_pose_at_x(0.0));

@@ -21,7 +21,6 @@ public:
     /// no byte arrives within `patience`.
     std::string receive(std::size_t n_bytes = SIZE_MAX,
                         std::chrono::milliseconds patience = std::chrono::seconds(3));
-    /// Closes the connection immediately, so that no port stays in use.
     void abort();
 
 private:
@@ -29,8 +28,6 @@ private:
 };
 
 std::string ask(int port, std::string_view request);
-/// Returns the status code of a response such as "HTTP/1.1 404 Not Found". Returns 0 if
-/// the response has no status line.
 int status_of(std::string_view answer);
 
 /// Encodes a WebSocket frame in the form in which a client sends it.

@@ -63,7 +63,6 @@ std::string make_upgrade_request(const std::string& fields = "Host: localhost\r\
            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
 }
 
-/// Returns the handshake of Foxglove or Lichtblick.
 std::string make_foxglove_request(const std::string& origin, const std::string& target = "/") {
     return make_upgrade_request("Host: localhost:8080\r\nOrigin: " + origin +
                                     "\r\nSec-WebSocket-Protocol: foxglove.sdk.v1, foxglove.websocket.v1\r\n",
@@ -78,8 +77,6 @@ struct Socket : RawClient {
     std::string answer;
 };
 
-/// Returns the code of the close frame at the end of a server's bytes. Returns 0 if the
-/// bytes contain no close frame.
 int close_code(const std::string& bytes) {
     const std::size_t at = bytes.rfind(static_cast<char>(0x88));
     if (at == std::string::npos || at + 4 > bytes.size()) return 0;
@@ -417,7 +414,6 @@ TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     echo.server.send_newest(echo.last, large);
     auto closed = std::async(std::launch::async, [&] { echo.server.drain(std::chrono::seconds(20)); });
     const std::string received = socket.receive();
-    // a message and a close frame
     EXPECT_EQ(received.size(),
               10 + large.size() + 2 + 2 + std::string("the program is shutting down").size());
     EXPECT_EQ(close_code(received), 1001);

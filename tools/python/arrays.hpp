@@ -16,8 +16,6 @@ namespace relidar::python {
 namespace py = pybind11;
 
 using NumpyShape = std::vector<py::ssize_t>;
-/// Placeholder in the expected shape of an array. It means that a dimension may have any
-/// length.
 inline constexpr py::ssize_t kAnyLength = -1;
 
 /// Returns a numpy array that takes ownership of the values of a vector, without a copy.

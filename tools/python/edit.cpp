@@ -39,8 +39,6 @@ struct EditedRun {
         return *this;
     }
 
-    /// Applies an edit that can change the times at which an actor is present. Warns if
-    /// the actor is then missing in more frames of the log.
     EditedRun& apply_to_actor(const std::string& entry, const std::string& name,
                               const std::function<SceneWithLog(SceneWithLog)>& edit) {
         const BoxTrack* box = find_box(driving.sequence, name);

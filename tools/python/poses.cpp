@@ -16,9 +16,6 @@ namespace {
 // limit would reject rotations from text files with six digits.
 constexpr double kMaxRotationError = 1e-4;
 
-/// Converts a 4x4 matrix to a pose. Throws an error unless the matrix is a rotation and a
-/// translation.
-/// @param matrix 16 numbers in row-major order
 Pose read_pose(const double* matrix, const std::string& where) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(

@@ -20,8 +20,6 @@ struct LoadedRun {
     DeviceObject<ScanRenderer>& get_renderer();
 };
 
-/// Also sets `run.folder`.
-/// @throws UsageError if the folder contains a run and `overwrite` is false
 void save_run_in(Run& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

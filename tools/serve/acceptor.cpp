@@ -24,7 +24,6 @@
 namespace relidar::serve {
 namespace {
 
-// If the system has no free file descriptor.
 constexpr std::chrono::milliseconds kRetryPause{50};
 // Maximum number of open file descriptors of the process. Connections count too.
 constexpr int kMostDescriptors = 16384;
@@ -67,7 +66,6 @@ void set_option(int socket, int level, int option_name, int option_value) {
     (void)::setsockopt(socket, level, option_name, &option_value, sizeof(option_value));
 }
 
-/// @return the socket, or -1 if an error occurs; errno then holds the reason
 int open_listener(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;

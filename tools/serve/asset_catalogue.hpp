@@ -9,7 +9,6 @@
 
 namespace relidar::serve {
 
-/// Never changes after construction, so several threads may read it.
 class AssetCatalogue {
 public:
     /// Does not read the surfels.

@@ -24,7 +24,6 @@ struct LatencySample {
     std::size_t rays, points;
 };
 
-/// Smallest value for which at least this share of the values is less or equal.
 double percentile(std::vector<double> values, double percentile_as_fraction) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(percentile_as_fraction * double(values.size())));

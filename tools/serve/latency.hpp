@@ -13,7 +13,6 @@ struct LatencyOptions {
     std::string scene;
     /// Empty: the sensor of the log.
     std::string sensor;
-    /// Each client has its own connection and waits for one call at a time.
     int clients = 1;
     int calls = 100;  ///< Total number of calls of all clients.
 };

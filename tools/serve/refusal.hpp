@@ -34,7 +34,6 @@ template <class... T>
 [[noreturn]] void reject_name(const std::string& field, const std::string& name,
                               const std::vector<std::string>& names);
 
-/// Removes line breaks and shortens long texts.
 std::string quote_client_text(const std::string& text);
 
 grpc::Status call_handler(const std::function<void()>& handle);

@@ -23,14 +23,11 @@ public:
     virtual ~QueuedRequest() = default;
     /// @param is_last false if both requests can be submitted together
     virtual void submit(bool is_last) = 0;
-    /// Called only for requests that have a scene.
     virtual void finish() {}
-    /// True if the client has disconnected or its deadline has passed. Polled.
     virtual bool is_cancelled() const { return false; }
 
     /// Requests for the same scene may overlap. Requests without a value never overlap.
     std::optional<std::size_t> scene = {};
-    /// Times until submit(), and from there until the response is ready.
     double queued_ms() const { return elapsed_ms(queued_at_, submitted_at_); }
     double render_ms() const { return elapsed_ms(submitted_at_, finished_at_); }
 
@@ -50,7 +47,6 @@ private:
 
 class RenderQueue {
 public:
-    /// @param n_pending maximum number of waiting requests, not counting the current one
     explicit RenderQueue(std::size_t n_pending);
     /// All QueueSlot objects must be destroyed before.
     ~RenderQueue();
@@ -91,7 +87,6 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    /// The thread that waits for the response owns the request.
     std::deque<QueuedRequest*> pending_;
     std::size_t n_reserved_ = 0, batch_size_ = 1;
     bool closed_ = false;

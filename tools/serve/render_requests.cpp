@@ -10,7 +10,6 @@
 namespace relidar::serve {
 namespace {
 
-/// If the scene cannot be loaded, the error message names the folder of its run.
 template <class Function>
 SceneLoadNumber with_renderer(SceneSet& scenes, const RenderRequest& request, const Function& use) {
     try {

@@ -24,13 +24,10 @@ class ClientRequest : public QueuedRequest {
 public:
     ClientRequest(SceneSet& scenes, const ServerContext& context) : scenes_(scenes), context_(context) {}
     bool is_cancelled() const override;
-    /// @throws RejectedRequest if the client has disconnected, if the deadline has
-    /// passed, or if the run cannot be read
     void run_checked(QueueSlot& slot);
 
 protected:
     SceneSet& scenes_;
-    /// Called if the client no longer waits for the response.
     virtual void revert() {}
 
 private:

@@ -120,7 +120,6 @@ std::pair<std::string, SensorPtr> RequestReader::cache_sensor(const v1::SensorSp
     return {handle, sensor};
 }
 
-/// The rays of the sensor are computed once and then cached.
 SensorPtr RequestReader::find_built_in(const std::string& sensor_name, std::size_t scene, int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, sensor_name);
     if (auto sensor = named_.find_cached(key)) return sensor;

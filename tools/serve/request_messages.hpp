@@ -41,10 +41,8 @@ struct RenderRequest {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
     SensorPtr sensor;
     ScanRequest request;
-    /// Actors that are visible in the scan, in the order in which the client listed them.
     std::vector<VisibleActor> placed;
     std::optional<std::uint64_t> sample;
-    /// Without a value: the weather with which the server was started.
     std::optional<Weather> weather;
     double points_at_s = 0.0;
     bool points = true, range_image = false, drop_probability = false, boxes = false;

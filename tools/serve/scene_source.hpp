@@ -18,11 +18,9 @@ namespace relidar::serve {
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
-    /// Without a value: the channels in the settings of the run.
     std::optional<std::string> channels = {};
     Weather weather = {};  ///< Weather that is simulated if the request does not contain a weather.
 
-    /// @throws UsageError if a channel is unknown, and the exceptions of load_run()
     Run load() const;
 };
 

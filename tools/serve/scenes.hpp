@@ -59,7 +59,6 @@ public:
 private:
     struct SceneInMemory {
         std::unique_ptr<ScanRenderer> renderer;
-        /// Keeps the last value after the scene is unloaded.
         std::uint64_t bytes = 0;
         std::uint64_t used = 0;
         SceneLoadNumber load{};   ///< Number of the most recent load of the scene.

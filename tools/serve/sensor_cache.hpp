@@ -21,7 +21,6 @@ using SensorPtr = std::shared_ptr<const SimulatedSensor>;
 class SensorCache {
 public:
     static constexpr std::size_t kMostSensors = 64;
-    /// Maximum number of rays of all cached sensors together (about 120 MB).
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
     std::string add_upload(SimulatedSensor sensor);

@@ -46,7 +46,6 @@ struct NumberReader {
     }
 };
 
-/// The array must have `n` values or be empty.
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
@@ -111,7 +110,6 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     check_ray_count(field, std::uint64_t(message.beams_size()) * message.columns());
     check_row_count(field, std::uint64_t(message.beams_size()));
     SpinningSensor sensor;
-    // Beams in messages have the same limits as beams in sensor files.
     for (const v1::Beam& beam : message.beams()) {
         const NumberReader read{fmt::format("{}.beams[{}]", field, sensor.beams.size())};
         sensor.beams.push_back(

@@ -16,7 +16,6 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of scans per call. The maximum number of sensors of a rig is the same.
 constexpr int kMostScans = 64;
 
 [[noreturn]] void reject_camera(const std::string& rpc_name, const std::string& found) {

@@ -16,7 +16,6 @@ namespace relidar::serve {
 
 class AssetCatalogue;
 
-/// An actor of the scene, or an asset.
 struct SpawnedModelSource {
     bool is_asset = false;
     std::string name;
@@ -55,7 +54,6 @@ public:
     /// changes
     std::vector<SpawnSlot> assign_slots(std::size_t scene, const std::vector<ActorToSpawn>& actors);
     void remove_actors(std::size_t scene, const std::vector<std::string>& names);
-    /// Frees the slots, and removes all slots from index `n_before`.
     void undo_assign(std::size_t scene, const std::vector<SpawnSlot>& slots, std::size_t n_before);
     std::size_t slot_count(std::size_t scene) const;
 
@@ -65,7 +63,6 @@ private:
     std::vector<std::vector<ActorToSpawn>> scenes_;
 };
 
-/// Differs from all track names of the run.
 std::string slot_track_name(std::size_t slot_index);
 
 /// Adds the model of each asset only once. Must be called before the run is rendered.

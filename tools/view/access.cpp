@@ -21,7 +21,6 @@ bool is_port(std::string_view text) {
     });
 }
 
-/// From "host", "host:port" or "[address]:port". Otherwise empty.
 std::string_view host_name(std::string_view host_and_port) {
     std::size_t end = host_and_port.find(':');
     if (host_and_port.starts_with('[')) {

@@ -15,7 +15,6 @@ using Json = nlohmann::json;
 
 constexpr char kMessageData = 1, kTime = 2;  // first bytes of binary messages
 constexpr int kErrorLevel = 2;
-// Queued messages of a client. Error messages beyond this limit are discarded.
 constexpr std::size_t kMaxTexts = 16;
 
 template <class T>

@@ -19,7 +19,6 @@ namespace http = boost::beast::http;
 namespace {
 
 constexpr std::size_t kDrainedAtOnce = 65536;
-// Maximum number of reads that discard the rest of a rejected request.
 constexpr int kMaxDrains = 16;
 constexpr std::chrono::milliseconds kDrainTime{500};
 
@@ -47,7 +46,6 @@ std::optional<http::status> parse_status(const boost::system::error_code& parse_
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// If the current read or write takes longer, the timer cancels it.
 void HttpSession::start_timeout(std::chrono::milliseconds max_duration) {
     late_ = false;
     timer_.expires_after(max_duration);

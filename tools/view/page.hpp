@@ -8,7 +8,6 @@
 
 namespace relidar::view {
 
-/// The texts stay valid until the program ends.
 const std::vector<WebPageFile>& web_page_files();
 
 }  // namespace relidar::view

@@ -14,7 +14,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Absolute values of positions and moves.
 constexpr double kMaxPosition_m = 10'000.0;
 constexpr double kFarAway_m = 1e6;  // Maximum absolute value of a position in relidar's world frame.
 constexpr double kMaxSpeed_mps = 200.0;
@@ -55,7 +54,6 @@ std::string read_text(const Json& value, const char* where, std::size_t max_byte
     return result;
 }
 
-/// An empty name means the run that the viewer shows.
 std::string read_run_name(const Json& run_name_json) {
     return run_name_json == "" ? "" : read_text(run_name_json, "from", kMaxRunName);
 }

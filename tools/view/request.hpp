@@ -63,7 +63,6 @@ struct SensorFile {
     std::string text;
 };
 
-/// For a new copy of an actor at the position where the user has clicked.
 struct GroundPoseRequest {
     std::string of;
     std::string from;            ///< See ActorEdits::ActorCopy.

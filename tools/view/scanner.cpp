@@ -51,10 +51,8 @@ Json copyable_actors(const Run& run) {
     return actors;
 }
 
-/// In a private temporary folder. The destructor removes both.
 class UploadedFile {
 public:
-    /// @param ending extension of the file, ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
         if (mkdtemp(pattern.data()) == nullptr)
@@ -176,7 +174,6 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
     SimulatedSensor sensor;
     try {
         sensor = simulate_sensor(find_sensor(upload.file_path(ending).string()));
-        // The error message must contain the name of the user's file.
     } catch (const Error& error) {
         std::string message = error.what();
         const std::string path = upload.file_path(ending).string();

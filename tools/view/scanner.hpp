@@ -28,7 +28,6 @@ struct TabCache {
     std::optional<std::pair<std::string, SimulatedSensor>> sensor = {};
 };
 
-/// Only one thread may use this object.
 class BrowserScanRenderer {
 public:
     BrowserScanRenderer(Run run, OtherRunsByName others, Device& device);

@@ -25,7 +25,6 @@ using ErrorCode = boost::system::error_code;
 
 // If the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which drain checks whether all connections are closed.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_address(const std::string& address_text) {
@@ -89,7 +88,6 @@ struct WebServer::Impl {
         });
     }
 
-    /// Does nothing if the client has disconnected.
     template <class Work>
     void post_session(ClientId client_id, Work call_session) {
         boost::asio::post(hub.io, [this, client_id, work = std::move(call_session)]() mutable {

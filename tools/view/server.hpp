@@ -25,7 +25,6 @@
 
 namespace relidar::view {
 
-/// The server sends it if a client requests exactly this path.
 struct WebPageFile {
     std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the start page.
     std::string_view type;  ///< Value of the header Content-Type.
@@ -73,7 +72,6 @@ public:
     /// For a browser on this machine. Contains the access token.
     std::string page_url() const;
 
-    /// Does nothing if the client has disconnected. Thread-safe, like the next functions.
     void send_text(ClientId client_id, std::string text);
     /// Replaces an older binary message that is still queued, because only the newest
     /// scan matters.
@@ -91,7 +89,6 @@ private:
 
 void check_address(const std::string& address);
 
-/// 32 hexadecimal digits.
 std::string make_token();
 
 }  // namespace relidar::view

@@ -12,7 +12,6 @@
 namespace relidar::codecs {
 namespace {
 
-// Maximum number of tables in a file. The columns of a dataset need only tens of tables.
 constexpr flatbuffers::uoffset_t kMostTables = 10000;
 constexpr std::size_t kLongestName = 200;
 

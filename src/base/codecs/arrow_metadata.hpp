@@ -66,9 +66,7 @@ struct RecordBatch {
     ArrowCompression codec = ArrowCompression::none;
 };
 
-/// @throws DataError with the reason, without the file name
 Footer parse_footer(std::string_view footer_bytes);
-/// @throws DataError with the reason, without the file name
 RecordBatch parse_batch(std::string_view message_bytes);
 
 }  // namespace relidar::codecs

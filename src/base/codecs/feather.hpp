@@ -30,9 +30,7 @@ public:
     /// @throws DataError with file and column if the column is missing, damaged or has
     /// another type (also the functions below)
     std::vector<double> read_numbers(const std::string& column_name) const;
-    /// The integers may have any width.
     std::vector<std::int64_t> read_integers(const std::string& column_name) const;
-    /// The column may be dictionary-encoded.
     std::vector<std::string> read_texts(const std::string& column_name) const;
 
     struct Batch {

@@ -28,9 +28,7 @@ public:
                               const McapMetadataMap& metadata = {});
     void add_metadata(std::string_view metadata_name, const McapMetadataMap& metadata_values);
     void add_message(std::uint16_t channel_id, std::uint64_t time_ns, std::string_view message);
-    /// Writes all messages since the last call as one chunk, which readers load at once.
     void write_chunk();
-    /// Writes the summary and the footer, which readers read first.
     void finish();
 
 private:

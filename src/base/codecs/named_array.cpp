@@ -76,7 +76,6 @@ std::vector<Out> convert_numeric(const NamedArray& array) {
     return function(array);
 }
 
-/// Returns 4 if the byte cannot begin a sequence.
 std::size_t utf8_tail_size(unsigned char first) {
     if (first < 0x80) return 0;
     if (first >> 5 == 6) return 1;
@@ -84,7 +83,6 @@ std::size_t utf8_tail_size(unsigned char first) {
     return first >> 3 == 30 ? 3 : 4;
 }
 
-/// Replaces each invalid byte with U+FFFD.
 std::u32string decode_utf8(std::string_view utf8) {
     // kMinCodePoint by length: a longer sequence for a smaller code point is invalid.
     constexpr char32_t kReplacementCharacter = 0xFFFD, kMinCodePoint[] = {0, 0x80, 0x800, 0x10000};

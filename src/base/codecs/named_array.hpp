@@ -10,10 +10,8 @@
 
 namespace relidar::codecs {
 
-/// Returns 0 if NamedArray does not support the type.
 std::size_t element_bytes(std::string_view numpy_type);
 
-/// Returns nullopt if the size does not fit into std::size_t.
 std::optional<std::size_t> array_bytes(const ArrayShape& shape, std::size_t element_size_bytes);
 
 /// @throws DataError if the array has no name, an unknown type, or a number of bytes that

@@ -17,7 +17,6 @@ namespace {
 constexpr std::size_t kHashParts = 32;
 constexpr std::size_t kItemsPerBlock = 1 << 16;
 
-/// Items of one block, in kHashParts lists by the hash of their keys.
 using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kHashParts>;
 
 std::vector<ItemIndicesByPart> partition_by_hash(std::span<const std::uint64_t> cell_key_per_item) {

@@ -51,7 +51,6 @@ export class Actors {
 
   checkSave() { this.save.disabled = !this.name.value || !this.name.checkValidity() || !this.isEdited; }
 
-  /** Sets the list of actors. Called once per connection. */
   load({ actors, others }) {
     this.own = new Set(actors.map(({ track }) => track));
     this.insert.replaceChildren(...others.flatMap(({ name, actors: theirs }) => theirs.map(
@@ -77,7 +76,6 @@ export class Actors {
     this.change();
   }
 
-  /** Marks these edits as accepted, because a scan with them has arrived. */
   accept(edits) { this.accepted = edits; }
 
   /** Undoes the edits that no scan has confirmed. @return true if any edit was undone */
@@ -112,7 +110,6 @@ export class Actors {
     this.onChange();
   }
 
-  /** Shows the actors of the displayed scan: [{track, category, size, present, pose}]. */
   update(actors, instances) {
     this.known = actors;
     document.getElementById('n-actors').textContent = `${actors.filter((a) => a.present).length} of ${actors.length} present`;
@@ -148,7 +145,6 @@ export class Actors {
     return row;
   }
 
-  /** Creates a button that adds a track to a named set or removes it. */
   toggle(label, set, track) {
     const mark = () => made.setAttribute('aria-pressed', String(this[set].has(track)));
     const made = button(label, () => {
@@ -181,27 +177,18 @@ export class Actors {
     return fields;
   }
 
-  /** Adds a copy that is parked next to the current position of the actor. */
   copy(track) {
     const { pose } = this.known.find((a) => a.track === track);
     const [x, y, z] = transform(pose, [0, COPY_BESIDE_M, 0]);
     this.add({ of: track, from: '', at: [x, y, z, (headingOf(pose) * 180) / Math.PI, 0, 0, 0] });
   }
 
-  /**
-   * Starts to choose a position on the ground for an actor {of, from}. Null ends the
-   * choice.
-   */
   place(actor) {
     this.placing = actor;
     this.say(actor ? `Click on the ground to place ${actor.of}. Press Esc to cancel.` : '', false);
     this.onPlacing(actor);
   }
 
-  /**
-   * Adds the copy at the ground position that the program has computed, in the form of
-   * the edits.
-   */
   placed({ of, from, at }) {
     this.place(null);
     this.add({ of, from, at });
@@ -213,7 +200,6 @@ export class Actors {
     this.change();
   }
 
-  /** Returns the boxes of all actors that are present. */
   get boxes() {
     return this.known.map((actor, i) => ({ ...actor, instance: i + 1 })).filter((a) => a.present && !this.removed.has(a.track) && !this.hidden.has(a.track));
   }

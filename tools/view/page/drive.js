@@ -33,7 +33,6 @@ export class Held {
     if (held) held.until = Math.max(time, held.from + SHORTEST_MS);
   }
 
-  /** Sets whether Shift is pressed from this time on. */
   shift(isFast, time) {
     if (isFast === this.isFast) return;
     this.count(time);

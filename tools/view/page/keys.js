@@ -4,7 +4,6 @@
 
 const OWN_KEYS = { range: ['arrowup', 'arrowdown', 'arrowleft', 'arrowright'], button: [' '], checkbox: [' '], file: [' '] };
 
-/** Returns true if the focused element uses a key itself. */
 function needs(target, key) {
   if (target.closest('textarea, select, dialog')) return true;
   if (target.closest('button, summary')) return OWN_KEYS.button.includes(key);

@@ -51,7 +51,6 @@ export class Link {
     return this.isOpen;
   }
 
-  /** Requests a scan of the changed state. */
   refresh() {
     this.stale = true;
     if (!this.waiting) this.ask();

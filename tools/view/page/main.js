@@ -157,7 +157,6 @@ function restore(hash = location.hash) {
 
 let remembering = null;   // Timer of a pending change of the URL.
 
-/** Schedules a change of the URL after the state has changed. */
 function remember() {
   if (hello) remembering ??= setTimeout(writeHash, ADDRESS_PAUSE_MS);
 }
@@ -187,14 +186,10 @@ function received(next, asked) {
   show();
 }
 
-/** Returns true if a point of a scan is drawn. */
 const shownOf = (scan) => (i) => scan.range[i] > 0 && beams.has(scan.ring[i]) && (panel.shows.dropped || returned(scan, i));
 
 const linesOf = ({ position, rgba }) => [position, rgba];
 
-/**
- * Updates colours and lines of the scan from the settings. The next picture shows them.
- */
 function show() {
   if (!frame) return redraw();
   const { header, simulated, real } = frame;
@@ -284,7 +279,6 @@ function setCamera(mode) {
   redraw();
 }
 
-/** Marks the position for an actor while the user chooses it. */
 function clicked(xy) {
   if (!frame || !actors.placing) return;
   const scan = frame.simulated ?? frame.real;

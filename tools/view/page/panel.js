@@ -84,7 +84,6 @@ export class Panel {
     document.querySelectorAll('[data-camera]').forEach((b) => b.setAttribute('aria-pressed', String(b.dataset.camera === mode)));
   }
 
-  /** Reports whether the scans of the log are available. */
   setLog({ state, why }) {
     this.hasLog = state === 'ready';
     document.getElementById('log-state').textContent = this.hasLog ? '' : `Cannot show the real scans, because the log cannot be read: ${why}`;
@@ -93,7 +92,6 @@ export class Panel {
     else this.markMode();
   }
 
-  /** Disables the modes that need the log while it is loading. */
   waitForLog() {
     const wanted = this.wanted ?? this.mode;
     this.hasLog = false;
@@ -113,7 +111,6 @@ export class Panel {
     this.message.classList.toggle('alarm', isAlarm);
   }
 
-  /** Shows the numbers of a new scan. */
   setNumbers({ header, simulated, real }) {
     this.say('', false);
     const scan = simulated ?? real;

@@ -56,7 +56,6 @@ export class SensorPanel {
     return !this.choose(sensor, lidar);
   }
 
-  /** Selects a sensor and a LiDAR, or the log's own sensor. @return true if both exist */
   choose(sensor, lidar) {
     this.choice.value = sensor;
     this.lidar.value = String(lidar);
@@ -66,7 +65,6 @@ export class SensorPanel {
     return isThere;
   }
 
-  /** Adds the sensor of an uploaded file. */
   addFile({ name, rays }) {
     let option = [...this.choice.options].find((o) => o.value === 'file');
     if (!option) this.choice.add(option = new Option('', 'file'));
@@ -81,7 +79,6 @@ export class SensorPanel {
     this.hint.classList.toggle('alarm', isAlarm);
   }
 
-  /** Shows the number in use. */
   showPlace(i) {
     this.inputs[i].value = String(Math.round(this.place[i] * 1000) / 1000);
   }

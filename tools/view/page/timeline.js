@@ -30,7 +30,6 @@ export class Timeline {
     this.set(time ?? frames[Math.floor(frames.length / 2)].time_s);
   }
 
-  /** Returns the frame that is nearest to the current time. */
   get nearest() {
     return this.frames.reduce((a, b) => (Math.abs(b.time_s - this.time) < Math.abs(a.time_s - this.time) ? b : a));
   }
