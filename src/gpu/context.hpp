@@ -3,14 +3,8 @@
 // Throws a DeviceError if a Vulkan call fails.
 #pragma once
 
-#include <atomic>
 #include <future>
-#include <map>
-#include <memory>
-#include <mutex>
 #include <semaphore>
-#include <string>
-#include <vector>
 
 #include <relidar/gpu/stream.hpp>
 #include "gpu/forced.hpp"

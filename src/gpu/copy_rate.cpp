@@ -8,7 +8,6 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/gpu/out_of_memory.hpp>
-#include <relidar/gpu/stream.hpp>
 
 #include "gpu/kernel.hpp"
 #include "gpu/shared/gpu.h"

@@ -3,7 +3,6 @@
 // missing extensions and features.
 #include <algorithm>
 #include <cstring>
-#include <utility>
 
 #include <fmt/format.h>
 

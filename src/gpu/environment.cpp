@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads device options from environment variables. The library ignores these variables if
 // the program does not call this function.
-#include <relidar/gpu/device.hpp>
 
 #include <algorithm>
-#include <array>
 #include <charconv>
 #include <cstdlib>
 

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "gpu/forced.hpp"
 
-#include <utility>
-
 #include "gpu/context.hpp"
 #include "gpu/kernel.hpp"
 

@@ -3,10 +3,7 @@
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cstdio>
-#include <map>
-#include <set>
 
 #include <fmt/format.h>
 

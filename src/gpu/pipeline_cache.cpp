@@ -5,9 +5,6 @@
 
 #include <unistd.h>
 
-#include <array>
-#include <atomic>
-#include <cstdint>
 #include <cstring>
 #include <fstream>
 

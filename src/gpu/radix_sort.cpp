@@ -2,8 +2,6 @@
 // Submits the kernels of a radix sort that starts with the least significant digit.
 #include "gpu/radix_sort.hpp"
 
-#include <utility>
-
 #include "base/fail.hpp"
 #include "gpu/stream.hpp"
 #include "gpu/tiles.hpp"

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Finds the device addresses in the parameter block of a kernel, using the types in the
 // SPIR-V module.
-#include <map>
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"

@@ -4,7 +4,6 @@
 // logical operators. Other conditions are left to the driver. Keeps a branch if its
 // removal requires moving blocks.
 #include <algorithm>
-#include <map>
 #include <optional>
 
 #include "gpu/spirv.hpp"

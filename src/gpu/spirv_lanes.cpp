@@ -6,7 +6,6 @@
 //
 // The second line replaces `%index` with the sum. The result of the first line is zero
 // because `nothing` is a multiple of 256 (shaders/base/kernel.glsl).
-#include <set>
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"

@@ -7,9 +7,7 @@
 //   %block = OpLoad %pointer_to_block %chain
 //   %place = OpAccessChain %pointer %block %int_0 %int_k ...
 //   %value = OpLoad %type %place Aligned n
-#include <map>
 #include <optional>
-#include <set>
 
 #include "gpu/spirv.hpp"
 #include "gpu/spirv_words.hpp"

@@ -7,12 +7,6 @@
 // reused only after the device has finished its submission.
 #pragma once
 
-#include <array>
-#include <functional>
-#include <string>
-#include <utility>
-#include <vector>
-
 #include "gpu/buffer.hpp"
 #include "gpu/kernel.hpp"
 

@@ -3,8 +3,6 @@
 // number of tiles for n items.
 #pragma once
 
-#include <cstddef>
-
 #include "gpu/kernel.hpp"
 
 namespace relidar {

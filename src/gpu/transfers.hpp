@@ -3,9 +3,6 @@
 // first copy creates the command buffer and a staging buffer per direction. Thread-safe.
 #pragma once
 
-#include <memory>
-#include <mutex>
-
 #include "gpu/buffer.hpp"
 
 namespace relidar::gpu {

@@ -2,11 +2,7 @@
 #include "gpu/trust.hpp"
 
 #include <fstream>
-#include <map>
-#include <mutex>
-#include <optional>
 #include <sstream>
-#include <utility>
 
 #include <fmt/format.h>
 

@@ -3,8 +3,6 @@
 // check. The results are stored next to the pipeline cache.
 #pragma once
 
-#include <string>
-
 #include <relidar/gpu/trust.hpp>
 
 #include "gpu/context.hpp"

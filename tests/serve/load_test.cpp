@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every request must be answered under load, and no memory may leak.
 #include <atomic>
-#include <chrono>
 #include <fstream>
 #include <thread>
 

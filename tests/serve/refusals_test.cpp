@@ -1,7 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Invalid requests get a one-line status, and the next request is answered.
-#include <functional>
-#include <limits>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -36,15 +34,14 @@ v1::RenderLidarRequest& extend_path(v1::RenderLidarRequest& request) {
     return request;
 }
 
-v1::SensorSpec& set_one_ray(v1::RenderLidarRequest& request) {
-    spec(request) = make_rays_ahead(1);
-    return spec(request);
+v1::SensorSpec& set_rays(v1::RenderLidarRequest& request, std::size_t count) {
+    return spec(request) = make_rays_ahead(count);
 }
 
-v1::SpinningSensor& set_spinning(v1::RenderLidarRequest& request) {
+v1::SpinningSensor& set_spinning(v1::RenderLidarRequest& request, double period_s = 0.1) {
     v1::SpinningSensor& spinning = *spec(request).mutable_spinning();
     spinning.set_columns(8);
-    spinning.set_period_s(0.1);
+    spinning.set_period_s(period_s);
     return spinning;
 }
 
@@ -88,7 +85,7 @@ const std::vector<Case> kSensorCases = {
     {[](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, "0 columns"},
     {[](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); }, "of 100000 bytes"},
     {[](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, "\"a b\""},
-    {[](auto& r) { set_one_ray(r).set_name(std::string(201, 'x')); }, "sensor.spec.name"},
+    {[](auto& r) { set_rays(r, 1).set_name(std::string(201, 'x')); }, "sensor.spec.name"},
     {[](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, "upload", Code::NOT_FOUND},
     {[](auto& r) { spec(r); }, "pattern ... rays, spinning, window"},
     {[](auto& r) { spec(r).mutable_rays(); }, "0 rays"},
@@ -99,16 +96,13 @@ const std::vector<Case> kSensorCases = {
          spec(r).mutable_rays()->set_columns(2);
      },
      "found 2 rows, 2 columns and 3 directions"},
-    {[](auto& r) {
-         spec(r) = make_rays_ahead(3);
-         spec(r).mutable_rays()->set_time_s(std::string(8, '\0'));
-     },
+    {[](auto& r) { set_rays(r, 3).mutable_rays()->set_time_s(std::string(8, '\0')); },
      "rays.time_s: found 8 bytes, expected 12 bytes"},
     {[](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); }, "ray 0 ... 0 ... 1"},
     {[](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); }, "nan"},
-    {[](auto& r) { set_one_ray(r).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
+    {[](auto& r) { set_rays(r, 1).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
      "origin_m of ray 0"},
-    {[](auto& r) { set_one_ray(r).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
+    {[](auto& r) { set_rays(r, 1).mutable_rays()->set_divergence_rad(std::string(4, '\xff')); },
      "rays.divergence_rad of ray 0"},
 };
 
@@ -133,11 +127,7 @@ const std::vector<Case> kPatternCases = {
          w.set_period_s(0.1);
      },
      "window.bottom_rad: found 0.1"},
-    {[](auto& r) {
-         spec(r).mutable_spinning()->add_beams();
-         spec(r).mutable_spinning()->set_columns(8);
-     },
-     "spinning.period_s: found 0"},
+    {[](auto& r) { set_spinning(r, 0.0).add_beams(); }, "spinning.period_s: found 0"},
     {[](auto& r) {
          spec(r).mutable_window()->set_rows(4294967295u);
          spec(r).mutable_window()->set_columns(4294967295u);
@@ -150,10 +140,10 @@ const std::vector<Case> kPatternCases = {
          s.set_first_hz(kNan);
      },
      "rosette.first_hz: found nan"},
-    {[](auto& r) { set_one_ray(r).set_max_range_m(-1.0); }, "max_range_m"},
+    {[](auto& r) { set_rays(r, 1).set_max_range_m(-1.0); }, "max_range_m"},
     {[](auto& r) { r.set_returns(3); }, "found 3, expected 0, 1 or 2"},
     {[](auto& r) {
-         spec(r) = make_rays_ahead(1);
+         set_rays(r, 1);
          r.set_returns(2);
      },
      "divergence"},
@@ -161,31 +151,25 @@ const std::vector<Case> kPatternCases = {
 
 class Refusals : public ServiceTest {
 protected:
-    void expect_refused(const std::vector<Case>& cases);
+    void expect_refused(const std::vector<Case>& cases) {
+        start();
+        const auto calls = stub();
+        const v1::LidarScan before = ScanClient(address()).render_scan(make_standing_request());
+        for (const Case& c : cases) {
+            SCOPED_TRACE(c.says);
+            v1::RenderLidarRequest request = make_standing_request();
+            c.spoil(request);
+            grpc::ClientContext spoilt, good;
+            v1::LidarScan answer;
+            const grpc::Status status = calls->RenderLidar(&spoilt, request, &answer);
+            EXPECT_EQ(status.error_code(), c.code);
+            EXPECT_THAT(status.error_message(), Names(c.says));
+            EXPECT_EQ(status.error_message().find('\n'), std::string::npos);
+            ASSERT_TRUE(calls->RenderLidar(&good, make_standing_request(), &answer).ok());
+            EXPECT_EQ(answer.image().range_m(), before.image().range_m()) << "nothing is left behind";
+        }
+    }
 };
-
-void Refusals::expect_refused(const std::vector<Case>& cases) {
-    start();
-    const auto calls = stub();
-    v1::LidarScan before;
-    {
-        grpc::ClientContext context;
-        ASSERT_TRUE(calls->RenderLidar(&context, make_standing_request(), &before).ok());
-    }
-    for (const Case& c : cases) {
-        SCOPED_TRACE(c.says);
-        v1::RenderLidarRequest request = make_standing_request();
-        c.spoil(request);
-        grpc::ClientContext spoilt, good;
-        v1::LidarScan answer;
-        const grpc::Status status = calls->RenderLidar(&spoilt, request, &answer);
-        EXPECT_EQ(status.error_code(), c.code);
-        EXPECT_THAT(status.error_message(), Names(c.says));
-        EXPECT_EQ(status.error_message().find('\n'), std::string::npos);
-        ASSERT_TRUE(calls->RenderLidar(&good, make_standing_request(), &answer).ok());
-        EXPECT_EQ(answer.image().range_m(), before.image().range_m()) << "nothing is left behind";
-    }
-}
 
 TEST_F(Refusals, PosesTimesAndNames) { expect_refused(kPoseCases); }
 TEST_F(Refusals, Sensors) { expect_refused(kSensorCases); }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // The expected positions of the points follow from the poses only.
-#include <functional>
 #include <set>
 
 #include <gmock/gmock.h>
@@ -48,10 +47,11 @@ wire::LidarRenderRequest moving() {
     return request;
 }
 
-void add_car(wire::LidarRenderRequest& request, const Pose& start, const Pose& end) {
+wire::DynamicObject& add_car(wire::LidarRenderRequest& request, const Pose& start, const Pose& end) {
     wire::DynamicObject& car = *request.add_dynamic_objects();
     car.set_track_id("car");
     set_pair(*car.mutable_pose(), start, end);
+    return car;
 }
 
 class Sensorsim : public ServiceTest {
@@ -63,17 +63,19 @@ protected:
         start();
         calls = wire::SensorsimService::NewStub(open_channel(address()));
     }
-    wire::LidarRenderReturn render(const wire::LidarRenderRequest& request) {
+    grpc::Status call(const wire::LidarRenderRequest& request, wire::LidarRenderReturn& answer) {
         grpc::ClientContext context;
+        return calls->render_lidar(&context, request, &answer);
+    }
+    wire::LidarRenderReturn render(const wire::LidarRenderRequest& request) {
         wire::LidarRenderReturn answer;
-        const grpc::Status status = calls->render_lidar(&context, request, &answer);
+        const grpc::Status status = call(request, answer);
         EXPECT_TRUE(status.ok()) << status.error_message();
         return answer;
     }
     grpc::Status refused(const wire::LidarRenderRequest& request) {
-        grpc::ClientContext context;
         wire::LidarRenderReturn answer;
-        return calls->render_lidar(&context, request, &answer);
+        return call(request, answer);
     }
     /// Returns x of each point in the world of the protocol, for a sensor that has the
     /// pose `end`.
@@ -228,19 +230,11 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
          "lidar.lidar_type ... 7 ... (PANDAR128), 1 (AT128) or 2 (OTHER)"},
         {[](auto& r) { r.mutable_lidar()->set_logical_id("roof"); }, "lidar.logical_id ... \"roof\"",
          Code::NOT_FOUND},
-        {[&](auto& r) {
-             add_car(r, here, here);
-             r.mutable_dynamic_objects(0)->set_track_id("cat");
-         },
+        {[&](auto& r) { add_car(r, here, here).set_track_id("cat"); },
          "dynamic_objects[0].track_id ... \"cat\" ... \"car\"", Code::NOT_FOUND},
+        {[&](auto& r) { add_car(r, here, here).clear_pose(); }, "dynamic_objects[0].pose ... start"},
         {[&](auto& r) {
-             add_car(r, here, here);
-             r.mutable_dynamic_objects(0)->clear_pose();
-         },
-         "dynamic_objects[0].pose ... start"},
-        {[&](auto& r) {
-             add_car(r, here, here);
-             add_car(r, here, here);
+             for (int i = 0; i < 2; ++i) add_car(r, here, here);
          },
          "dynamic_objects[1].track_id ... \"car\""},
     };

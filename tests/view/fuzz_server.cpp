@@ -4,7 +4,6 @@
 #include <cstdlib>
 #include <exception>
 #include <random>
-#include <string>
 #include <vector>
 
 #include "../../tools/view/server.hpp"

@@ -3,7 +3,6 @@
 #include "../../tools/view/request.hpp"
 
 #include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 

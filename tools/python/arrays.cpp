@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "arrays.hpp"
 
-#include <string>
-
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>

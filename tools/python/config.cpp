@@ -2,7 +2,6 @@
 #include "config.hpp"
 
 #include <algorithm>
-#include <filesystem>
 
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>

@@ -5,9 +5,6 @@
 
 #include <pybind11/stl.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/diff/first_use.hpp>
 #include "integers.hpp"
 #include "module.hpp"

@@ -2,7 +2,6 @@
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
-#include <optional>
 
 #include <pybind11/stl.h>
 

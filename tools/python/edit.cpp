@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Edits a run with chained Python calls: run.edit().remove("0").move("1",
 // pose).save("edited").
-#include <functional>
 
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>

@@ -3,8 +3,6 @@
 // is a pair (times, poses).
 #pragma once
 
-#include <string>
-
 #include <relidar/base/math.hpp>
 #include <relidar/log/sequence.hpp>
 #include "arrays.hpp"

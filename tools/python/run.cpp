@@ -3,14 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/simulate/actor_boxes.hpp>
 #include "arrays.hpp"
 #include "config.hpp"

@@ -5,9 +5,6 @@
 
 #include <pybind11/stl.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/scene/device_scene.hpp>
 #include "arrays.hpp"
 #include "integers.hpp"

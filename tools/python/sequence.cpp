@@ -2,16 +2,10 @@
 #include "sequence.hpp"
 
 #include <algorithm>
-#include <filesystem>
 
-#include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
-#include <fmt/format.h>
-
-#include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
-#include <relidar/run/run.hpp>
 #include <relidar/run/stage_options.hpp>
 #include "arrays.hpp"
 #include "calls.hpp"

@@ -3,9 +3,6 @@
 
 #include <algorithm>
 #include <bit>
-#include <map>
-
-#include <fmt/format.h>
 
 #include <relidar/run/edit.hpp>
 #include <relidar/simulate/actor_boxes.hpp>

@@ -2,11 +2,8 @@
 // Converts rendered scans and descriptions of scenes to Protobuf messages.
 #pragma once
 
-#include <relidar/run/run.hpp>
 #include <relidar/simulate/assets.hpp>
-#include <relidar/simulate/render.hpp>
 
-#include "relidar/v1/render.pb.h"
 #include "request_messages.hpp"
 #include "spawned.hpp"
 

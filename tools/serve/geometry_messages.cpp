@@ -3,8 +3,6 @@
 
 #include <cmath>
 
-#include <fmt/format.h>
-
 #include "refusal.hpp"
 
 namespace relidar::serve {

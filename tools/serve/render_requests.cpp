@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render_requests.hpp"
 
-#include <chrono>
-
 #include <relidar/base/error.hpp>
 
 #include "refusal.hpp"

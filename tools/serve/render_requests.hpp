@@ -2,10 +2,6 @@
 // The requests that gRPC calls send to the render thread, and their responses.
 #pragma once
 
-#include <exception>
-#include <span>
-#include <vector>
-
 #include <grpcpp/server_context.h>
 
 #include "render_queue.hpp"

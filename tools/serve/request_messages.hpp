@@ -2,11 +2,7 @@
 // Checks the scan requests of clients. Thread-safe.
 #pragma once
 
-#include <cstdint>
-#include <optional>
-#include <string>
 #include <utility>
-#include <vector>
 
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>

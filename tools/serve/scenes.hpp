@@ -2,11 +2,7 @@
 // The surfels of a run are on the device only if it was used recently.
 #pragma once
 
-#include <cstdint>
 #include <functional>
-#include <memory>
-#include <optional>
-#include <vector>
 
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>

@@ -3,9 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
-
-#include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>

@@ -5,11 +5,6 @@
 // there.
 #pragma once
 
-#include <string>
-
-#include <relidar/run/run.hpp>
-#include <relidar/simulate/render.hpp>
-
 #include "request_messages.hpp"
 #include "sensor_cache.hpp"
 #include "sensorsim/sensorsim.pb.h"

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "sensorsim_service.hpp"
 
-#include <deque>
-
-#include <fmt/format.h>
 #include <grpcpp/impl/rpc_service_method.h>
 #include <grpcpp/impl/service_type.h>
 #include <grpcpp/support/method_handler.h>

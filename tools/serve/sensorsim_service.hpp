@@ -2,10 +2,6 @@
 // Implements the gRPC calls of sensorsim.proto.
 #pragma once
 
-#include <memory>
-#include <string>
-#include <vector>
-
 #include <grpcpp/server_builder.h>
 
 #include "render_queue.hpp"

@@ -4,7 +4,6 @@
 #include <cstdlib>
 #include <fstream>
 #include <iterator>
-#include <thread>
 
 #include <google/protobuf/stubs/common.h>
 #include <grpc/support/log.h>

@@ -2,8 +2,6 @@
 // Implements the gRPC calls of render.proto. Only the render thread renders.
 #pragma once
 
-#include <span>
-
 #include "refusal.hpp"
 #include "relidar/v1/render.grpc.pb.h"
 #include "render_queue.hpp"

@@ -2,9 +2,6 @@
 #include "spawned.hpp"
 
 #include <algorithm>
-#include <map>
-
-#include <fmt/format.h>
 
 #include "base/fail.hpp"
 

@@ -2,7 +2,6 @@
 #include "foxglove.hpp"
 
 #include <algorithm>
-#include <limits>
 
 #include <nlohmann/json.hpp>
 

@@ -6,15 +6,10 @@
 // Clients send the texts subscribe and unsubscribe. Numbers are little-endian.
 #pragma once
 
-#include <chrono>
-#include <cstdint>
 #include <deque>
-#include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
-#include <string>
-#include <vector>
 
 #include <relidar/gpu/device.hpp>
 #include <relidar/run/run.hpp>

@@ -3,12 +3,8 @@
 // page or an error. Passes WebSocket connections on to a SocketSession.
 #pragma once
 
-#include <memory>
 #include <optional>
-#include <string>
-#include <string_view>
 
-#include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
 #include <boost/beast/core/tcp_stream.hpp>

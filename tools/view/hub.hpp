@@ -3,8 +3,6 @@
 #pragma once
 
 #include <map>
-#include <memory>
-#include <string>
 #include <utility>
 
 #include <boost/asio/io_context.hpp>

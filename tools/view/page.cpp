@@ -2,7 +2,6 @@
 #include "page.hpp"
 
 #include <deque>
-#include <string>
 #include <utility>
 
 namespace relidar {

@@ -2,8 +2,6 @@
 // Files of the web page, compiled into the program.
 #pragma once
 
-#include <vector>
-
 #include "server.hpp"
 
 namespace relidar::view {

@@ -2,7 +2,6 @@
 #include "scanner.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <fstream>
 

@@ -2,15 +2,6 @@
 // Renders the scans that the web page shows.
 #pragma once
 
-#include <cstddef>
-#include <map>
-#include <optional>
-#include <string>
-#include <utility>
-#include <vector>
-
-#include <nlohmann/json_fwd.hpp>
-
 #include <relidar/gpu/device.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>

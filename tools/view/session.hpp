@@ -4,17 +4,9 @@
 // receives only the newest scan that it has requested. Tabs are served in turn.
 #pragma once
 
-#include <chrono>
 #include <condition_variable>
-#include <cstdint>
 #include <deque>
-#include <filesystem>
-#include <functional>
-#include <map>
-#include <memory>
 #include <mutex>
-#include <optional>
-#include <string>
 
 #include "request.hpp"
 #include "scanner.hpp"

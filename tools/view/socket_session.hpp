@@ -2,12 +2,7 @@
 // Serves one WebSocket connection.
 #pragma once
 
-#include <cstdint>
 #include <deque>
-#include <memory>
-#include <string>
-#include <string_view>
-#include <vector>
 
 #include <boost/beast/core/flat_buffer.hpp>
 #include <boost/beast/core/tcp_stream.hpp>

@@ -2,10 +2,6 @@
 // Applies the edits that a user has made in one browser tab to the actors of a run.
 #pragma once
 
-#include <map>
-#include <string>
-#include <vector>
-
 #include <nlohmann/json_fwd.hpp>
 
 #include <relidar/scene/scene.hpp>

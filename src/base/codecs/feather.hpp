@@ -3,11 +3,7 @@
 // numbers and text, uncompressed or compressed with lz4 or zstd.
 #pragma once
 
-#include <cstdint>
 #include <filesystem>
-#include <string>
-#include <string_view>
-#include <vector>
 
 #include "base/codecs/arrow_metadata.hpp"
 

@@ -9,8 +9,6 @@
 
 #include <charconv>
 #include <cstring>
-#include <optional>
-#include <string_view>
 
 #include <fmt/format.h>
 

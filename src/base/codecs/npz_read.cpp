@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads npz files from numpy.savez and numpy.savez_compressed. libzip checks the
 // directory, the headers and the checksum of each entry.
-#include <relidar/base/arrays.hpp>
 
 #include <memory>
 

@@ -2,7 +2,6 @@
 // Writes npz files, which are zip archives of deflated .npy files, like
 // numpy.savez_compressed. All entries have the same time (1980-01-01), so that equal
 // arrays give identical files. libzip adds zip64 fields to files above 4 GiB.
-#include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
 #include <array>

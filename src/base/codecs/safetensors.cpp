@@ -4,7 +4,6 @@
 // each array, and string metadata. The reader checks that the ranges cover the data
 // exactly, so it rejects truncated files. The caller must check whether values are
 // finite.
-#include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
 #include <algorithm>
