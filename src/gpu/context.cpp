@@ -14,7 +14,6 @@
 
 #include "base/fail.hpp"
 #include "gpu/pipeline_cache.hpp"
-#include "gpu/swiftshader.hpp"
 #include "gpu/transfers.hpp"
 #include "gpu/trust.hpp"
 

@@ -60,6 +60,9 @@ void set_object_name(VkDevice device, VkObjectType type, Handle handle, const st
 
 bool has_extension(VkPhysicalDevice physical, const char* extension_name);
 
+/// Its compiler terminates the process on tracing kernels (docs/debugging.md).
+inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
+
 struct Missing {
     std::string text;
     void require(bool is_present, const char* feature_name) {

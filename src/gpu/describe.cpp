@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 
 #include "gpu/context.hpp"
-#include "gpu/swiftshader.hpp"
 
 namespace relidar::gpu {
 

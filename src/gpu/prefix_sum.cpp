@@ -5,7 +5,6 @@
 
 #include "base/assert.hpp"
 #include "gpu/stream.hpp"
-#include "gpu/tiles.hpp"
 
 namespace relidar {
 

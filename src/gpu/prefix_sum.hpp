@@ -7,6 +7,14 @@
 
 namespace relidar {
 
+/// Of kernels that process tiles of items.
+inline constexpr SpecialisationConstant kTileWorkgroup{SpecialisationConstantId::WORKGROUP_SIZE,
+                                                       RELIDAR_TILE_THREADS};
+
+inline std::size_t count_tiles(std::size_t n_items) {
+    return (n_items + RELIDAR_TILE_SIZE - 1) / RELIDAR_TILE_SIZE;
+}
+
 /// Number i is at index offset + i * stride.
 struct StridedCounts {
     Address<std::uint32_t, shared::ScanCounts> address;

@@ -3,8 +3,8 @@
 #include "gpu/radix_sort.hpp"
 
 #include "base/fail.hpp"
+#include "gpu/prefix_sum.hpp"
 #include "gpu/stream.hpp"
-#include "gpu/tiles.hpp"
 
 namespace relidar {
 namespace {

@@ -71,11 +71,11 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     SceneSet scenes(device(), sources, std::uint64_t(1) << 40, no_assets);
     const auto nothing = [](ScanRenderer&) {};
     const auto fails = [](ScanRenderer&) { throw DeviceError("planted"); };
-    const SceneSet::SceneLoadNumber first = scenes.use_scene(0, {}, nothing);
+    const SceneLoadNumber first = scenes.use_scene(0, {}, nothing);
     EXPECT_NO_THROW(scenes.reuse_scene(0, first, nothing));
     EXPECT_THROW(scenes.use_scene(0, {}, fails), DeviceError);
     EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "nothing there";
-    const SceneSet::SceneLoadNumber second = scenes.use_scene(0, {}, nothing);
+    const SceneLoadNumber second = scenes.use_scene(0, {}, nothing);
     EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "another one";
     EXPECT_NO_THROW(scenes.reuse_scene(0, second, nothing));
 }

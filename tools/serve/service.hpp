@@ -19,19 +19,14 @@ public:
     /// @param scenes used only on the render thread
     RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 
-    Status ListScenes(ServerContext*, const v1::ListScenesRequest* request,
-                      v1::ListScenesResponse* answer) override;
-    Status GetTracks(ServerContext*, const v1::GetTracksRequest* request,
-                     v1::GetTracksResponse* answer) override;
-    Status SpawnActors(ServerContext*, const v1::SpawnActorsRequest* request,
-                       v1::SpawnActorsResponse* answer) override;
-    Status DespawnActors(ServerContext*, const v1::DespawnActorsRequest* request,
-                         v1::DespawnActorsResponse* answer) override;
-    Status UploadSensor(ServerContext*, const v1::UploadSensorRequest* request,
-                        v1::UploadSensorResponse* answer) override;
-    Status RenderLidar(ServerContext*, const v1::RenderLidarRequest* request, v1::LidarScan* answer) override;
-    Status RenderRig(ServerContext*, const v1::RenderRigRequest* request,
-                     grpc::ServerWriter<v1::RigScan>* writer) override;
+    Status ListScenes(ServerContext*, const v1::ListScenesRequest*, v1::ListScenesResponse*) override;
+    Status GetTracks(ServerContext*, const v1::GetTracksRequest*, v1::GetTracksResponse*) override;
+    Status SpawnActors(ServerContext*, const v1::SpawnActorsRequest*, v1::SpawnActorsResponse*) override;
+    Status DespawnActors(ServerContext*, const v1::DespawnActorsRequest*,
+                         v1::DespawnActorsResponse*) override;
+    Status UploadSensor(ServerContext*, const v1::UploadSensorRequest*, v1::UploadSensorResponse*) override;
+    Status RenderLidar(ServerContext*, const v1::RenderLidarRequest*, v1::LidarScan*) override;
+    Status RenderRig(ServerContext*, const v1::RenderRigRequest*, grpc::ServerWriter<v1::RigScan>*) override;
 
 private:
     RenderQueue& queue_;

@@ -31,6 +31,9 @@ struct WebPageFile {
     std::string_view body;
 };
 
+/// Files of the web page, compiled into the program.
+const std::vector<WebPageFile>& web_page_files();
+
 struct WebServerOptions {
     std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
     int port = 8080;                    ///< TCP port to listen on. The value 0 selects a free port.

@@ -14,7 +14,6 @@
 #include "../../network/host_port.hpp"
 #include "../../network/loopback.hpp"
 #include "../../view/foxglove.hpp"
-#include "../../view/page.hpp"
 #include "../../view/server.hpp"
 #include "../../view/session.hpp"
 #include "base/fail.hpp"
