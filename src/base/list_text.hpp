@@ -2,6 +2,7 @@
 // Formats and parses lists in messages and settings.
 #pragma once
 
+#include <algorithm>
 #include <string>
 #include <vector>
 
