@@ -131,8 +131,7 @@ std::string format_constants(std::span<const std::uint32_t> words, KernelConstan
 }
 
 /// Creates the pipeline if no kernel with the same name and constants exists.
-/// @param mode at its first use (deferred), or immediately in another thread
-/// (async)
+/// @param mode at its first use (deferred), or immediately in another thread (async)
 std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, const KernelBase::Impl& kernel,
                                                         std::launch mode) {
     const std::scoped_lock lock(device.pipelines.mutex);

@@ -90,11 +90,10 @@ public:
         });
     }
 
-    /// Returns true if the branch from `from` to `to` can be
-    /// removed. If it leads directly to the merge block, the merge block must not have a
-    /// phi instruction. Otherwise, the blocks behind the branch become unreachable. They
-    /// must not lead back to `from`, and must not end or continue a loop that
-    /// starts before them.
+    /// Returns true if the branch from `from` to `to` can be removed. If it leads
+    /// directly to the merge block, the merge block must not have a phi instruction.
+    /// Otherwise, the blocks behind the branch become unreachable. They must not lead
+    /// back to `from`, and must not end or continue a loop that starts before them.
     /// @param merge block in which both paths of the branch join
     bool can_remove(std::uint32_t from, std::uint32_t to, std::uint32_t merge) const {
         if (to == merge) return !with_phi_.contains(merge);

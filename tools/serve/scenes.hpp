@@ -16,8 +16,7 @@ using RendererTask = std::function<void(ScanRenderer&)>;
 /// Loading discards pending scans, so a changed number shows that a scan is lost.
 enum class SceneLoadNumber : std::uint64_t {};
 
-/// Only the render thread may use it, except for runs(),
-/// assets() and spawned().
+/// Only the render thread may use it, except for runs(), assets() and spawned().
 class SceneSet {
 public:
     /// Loads each run once to check it and to measure its size on the device.

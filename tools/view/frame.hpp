@@ -56,8 +56,7 @@ ScanColumns measured_columns(const Log& sequence, const Frame& frame);
 nlohmann::json pose_json(const Pose& pose);
 
 /// @param header without the key "arrays"
-/// @param simulated, measured names of measured arrays begin
-/// with "real_"
+/// @param simulated, measured names of measured arrays begin with "real_"
 std::string encode_scans(nlohmann::json header, const ScanColumns* simulated, const ScanColumns* measured);
 
 }  // namespace relidar::view

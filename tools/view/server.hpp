@@ -67,8 +67,7 @@ struct WebSocketEvents {
 class WebServer {
 public:
     WebServer(const WebServerOptions& options, WebSocketEvents events);
-    /// Closes all connections immediately. drain()
-    /// sends queued messages first.
+    /// Closes all connections immediately. drain() sends queued messages first.
     ~WebServer();
 
     int port() const;

@@ -16,9 +16,8 @@ namespace relidar {
 /// `path` is a symbolic link, the target of the link is written. A target that is not a
 /// regular file (a folder, /dev/null) is rejected.
 /// @throws DataError if the folder cannot be written or the disk is full. The temporary
-/// file is then removed. A DataError or standard exception from `write` is
-/// rethrown as a DataError that names the path. Other relidar errors are passed on
-/// unchanged.
+/// file is then removed. A DataError or standard exception from `write` is rethrown as a
+/// DataError that names the path. Other relidar errors are passed on unchanged.
 void write_atomically(const std::filesystem::path& path,
                       const std::function<void(const std::filesystem::path&)>& write);
 /// Returns a unique temporary path in the same folder as `final_path`. The caller writes
@@ -47,8 +46,7 @@ public:
     StagedFolder(const StagedFolder&) = delete;
     StagedFolder& operator=(const StagedFolder&) = delete;
 
-    /// Path of the temporary folder. Write files to this path before
-    /// replace_folder().
+    /// Path of the temporary folder. Write files to this path before replace_folder().
     const std::filesystem::path& path() const { return path_; }
     /// Renames the temporary folder to its final name and replaces an existing folder.
     /// @throws DataError if the folder cannot be renamed. An existing folder is then
