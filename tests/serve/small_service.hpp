@@ -18,6 +18,7 @@
 
 #include "../support/device.hpp"
 #include "client.hpp"
+#include "geometry_messages.hpp"
 #include "server.hpp"
 
 namespace relidar::serve {
@@ -108,15 +109,7 @@ inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, d
                      const Pose& pose) {
     v1::TimedPose& added = *poses.Add();
     added.set_time_s(time_s);
-    v1::Vector& t = *added.mutable_pose()->mutable_translation();
-    t.set_x(pose.translation.x);
-    t.set_y(pose.translation.y);
-    t.set_z(pose.translation.z);
-    v1::Quaternion& q = *added.mutable_pose()->mutable_rotation();
-    q.set_w(pose.rotation.w);
-    q.set_x(pose.rotation.x);
-    q.set_y(pose.rotation.y);
-    q.set_z(pose.rotation.z);
+    write_pose(pose, *added.mutable_pose());
 }
 
 inline void set_path(v1::RenderLidarRequest& request, const PoseTrack& path) {

@@ -46,10 +46,9 @@ py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays) {
     return dict;
 }
 
-void check_array(const py::handle& object, const std::string& where, const py::dtype& expected_dtype,
+void check_array(const py::handle& object, const std::string& where, const py::dtype& dtype,
                  const NumpyShape& shape) {
-    const std::string expected =
-        fmt::format("an array of {} {}", format_dtype(expected_dtype), format_shape(shape));
+    const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
     if (!py::isinstance<py::array>(object)) {
         throw DataError(fmt::format("{}: found an object of type {}, expected {}", where,
                                     std::string(py::str(py::type::handle_of(object).attr("__name__"))),

@@ -42,7 +42,7 @@ py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays);
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
-void check_array(const py::handle& object, const std::string& where, const py::dtype& expected_dtype,
+void check_array(const py::handle& object, const std::string& where, const py::dtype& dtype,
                  const NumpyShape& shape);
 
 /// Returns the values of a numpy array in C order, without a copy.

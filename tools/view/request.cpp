@@ -27,10 +27,10 @@ constexpr std::size_t kMaxRunName = 1024;
     fail<UsageError>("cannot read the field \"{}\" of the request: expected {}", text, expected);
 }
 
-const Json& required_member(const Json& object, const char* member_name) {
-    const auto member = object.find(member_name);
-    if (member == object.end()) reject_request(member_name, "a value, but the field is missing");
-    return *member;
+const Json& member(const Json& object, const char* name) {
+    const auto match = object.find(name);
+    if (match == object.end()) reject_request(name, "a value, but the field is missing");
+    return *match;
 }
 
 double number_within(const Json& value, const std::string& where, double max_absolute_value) {
@@ -54,9 +54,7 @@ std::string read_text(const Json& value, const char* where, std::size_t max_byte
     return result;
 }
 
-std::string read_run_name(const Json& run_name_json) {
-    return run_name_json == "" ? "" : read_text(run_name_json, "from", kMaxRunName);
-}
+std::string read_run_name(const Json& json) { return json == "" ? "" : read_text(json, "from", kMaxRunName); }
 
 template <std::size_t N>
 std::array<double, N> read_numbers(const Json& value, const char* where,
@@ -76,47 +74,45 @@ std::set<std::string> read_track_names(const Json& value, const char* where) {
     return result;
 }
 
-ActorEdits parse_edits(const Json& edits_json) {
-    if (!edits_json.is_object()) reject_request("edits", "a JSON object");
+ActorEdits parse_edits(const Json& json) {
+    if (!json.is_object()) reject_request("edits", "a JSON object");
     ActorEdits edits;
-    const Json& copies = required_member(edits_json, "copies");
+    const Json& copies = member(json, "copies");
     if (!copies.is_array() || copies.size() > kMaxActors)
         reject_request("copies", fmt::format("a list of at most {} copies", kMaxActors));
     for (const Json& copy : copies) {
         if (!copy.is_object()) reject_request("copies", "a list of JSON objects");
         edits.copies.push_back(
-            {read_text(required_member(copy, "of"), "of"), read_run_name(required_member(copy, "from")),
-             read_numbers<7>(required_member(copy, "at"), "at",
+            {read_text(member(copy, "of"), "of"), read_run_name(member(copy, "from")),
+             read_numbers<7>(member(copy, "at"), "at",
                              {kFarAway_m, kFarAway_m, kFarAway_m, 360.0, 360.0, 360.0, kMaxSpeed_mps})});
     }
-    const Json& moves = required_member(edits_json, "moves");
+    const Json& moves = member(json, "moves");
     if (!moves.is_object() || moves.size() > kMaxActors)
         reject_request("moves", fmt::format("a JSON object with at most {} tracks", kMaxActors));
     for (const auto& [track, by] : moves.items())
         edits.moves[track] =
             read_numbers<4>(by, "moves", {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0});
-    edits.removed = read_track_names(required_member(edits_json, "removed"), "removed");
-    edits.hidden = read_track_names(required_member(edits_json, "hidden"), "hidden");
+    edits.removed = read_track_names(member(json, "removed"), "removed");
+    edits.hidden = read_track_names(member(json, "hidden"), "hidden");
     return edits;
 }
 
-LiveScanRequest parse_scan(const Json& request_json) {
-    const auto xyz_yaw_pitch_roll =
-        read_numbers<6>(required_member(request_json, "place"), "place",
-                        {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0, 360.0, 360.0});
+LiveScanRequest parse_scan(const Json& json) {
+    const auto place = read_numbers<6>(member(json, "place"), "place",
+                                       {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0, 360.0, 360.0});
     const double radians = kPi / 180.0;
     LiveScanRequest wish;
-    wish.id = static_cast<std::int64_t>(number_within(required_member(request_json, "id"), "id", 1e15));
-    wish.time_s = number_within(required_member(request_json, "time_s"), "time_s", kMaxTime_s);
-    wish.sensor_offset = {make_rotation(xyz_yaw_pitch_roll[3] * radians, xyz_yaw_pitch_roll[4] * radians,
-                                        xyz_yaw_pitch_roll[5] * radians),
-                          {xyz_yaw_pitch_roll[0], xyz_yaw_pitch_roll[1], xyz_yaw_pitch_roll[2]}};
-    wish.sensor = read_text(required_member(request_json, "sensor"), "sensor");
-    wish.lidar = static_cast<int>(number_within(required_member(request_json, "lidar"), "lidar", 1000.0));
-    wish.weather = parse_weather(read_text(required_member(request_json, "weather"), "weather"));
-    wish.simulate = read_boolean(required_member(request_json, "simulate"), "simulate");
-    wish.real = read_boolean(required_member(request_json, "real"), "real");
-    wish.edits = parse_edits(required_member(request_json, "edits"));
+    wish.id = static_cast<std::int64_t>(number_within(member(json, "id"), "id", 1e15));
+    wish.time_s = number_within(member(json, "time_s"), "time_s", kMaxTime_s);
+    wish.sensor_offset = {make_rotation(place[3] * radians, place[4] * radians, place[5] * radians),
+                          {place[0], place[1], place[2]}};
+    wish.sensor = read_text(member(json, "sensor"), "sensor");
+    wish.lidar = static_cast<int>(number_within(member(json, "lidar"), "lidar", 1000.0));
+    wish.weather = parse_weather(read_text(member(json, "weather"), "weather"));
+    wish.simulate = read_boolean(member(json, "simulate"), "simulate");
+    wish.real = read_boolean(member(json, "real"), "real");
+    wish.edits = parse_edits(member(json, "edits"));
     return wish;
 }
 
@@ -137,21 +133,19 @@ std::string read_folder(const Json& value) {
 
 }  // namespace
 
-BrowserRequest parse_request(const std::string& request_json_text) {
-    const Json json = Json::parse(request_json_text, nullptr, false);
+BrowserRequest parse_request(const std::string& text) {
+    const Json json = Json::parse(text, nullptr, false);
     if (!json.is_object()) throw UsageError("cannot read the request: expected a JSON object");
-    const std::string kind = read_text(required_member(json, "do"), "do");
+    const std::string kind = read_text(member(json, "do"), "do");
     if (kind == "scan") return parse_scan(json);
     if (kind == "sensor")
-        return SensorFile{read_text(required_member(json, "file"), "file", 200),
-                          read_text(required_member(json, "text"), "text", request_json_text.size())};
+        return SensorFile{read_text(member(json, "file"), "file", 200),
+                          read_text(member(json, "text"), "text", text.size())};
     if (kind == "save")
-        return SaveRequest{read_folder(required_member(json, "name")),
-                           parse_edits(required_member(json, "edits"))};
+        return SaveRequest{read_folder(member(json, "name")), parse_edits(member(json, "edits"))};
     if (kind == "ground")
-        return GroundPoseRequest{
-            read_text(required_member(json, "of"), "of"), read_run_name(required_member(json, "from")),
-            read_numbers<2>(required_member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
+        return GroundPoseRequest{read_text(member(json, "of"), "of"), read_run_name(member(json, "from")),
+                                 read_numbers<2>(member(json, "at"), "at", {kFarAway_m, kFarAway_m})};
     fail<UsageError>(
         "cannot read the field \"do\" of the request: found \"{}\", expected scan, sensor, ground or save",
         kind);
