@@ -135,7 +135,7 @@ void check_attribute(const std::string& name, const std::string& attribute_type,
         ImageHeader of_others;
         parse_channels(bytes, of_others);
     }
-    if (type == "stringvector") {
+    if (attribute_type == "stringvector") {
         const std::string list(bytes);
         for (ExrHeaderReader items(list); !items.is_at_end();) {
             const std::int32_t size = items.read_int32();
