@@ -8,11 +8,10 @@
 
 namespace relidar {
 
-RequestedDriveFrames find_drive(const DatasetOptions& options,
-                                std::span<const BenchmarkSequence> benchmark_sequences) {
-    const auto part = std::find_if(benchmark_sequences.begin(), benchmark_sequences.end(),
+DriveFrames find_drive(const DatasetOptions& options, std::span<const BenchmarkSequence> sequences) {
+    const auto part = std::find_if(sequences.begin(), sequences.end(),
                                    [&](const BenchmarkSequence& p) { return options.sequence == p.name; });
-    if (part == benchmark_sequences.end()) return {options.sequence, options.frames};
+    if (part == sequences.end()) return {options.sequence, options.frames};
     const int begin = std::max(options.frames.begin, part->first);
     const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
     if (begin >= end)

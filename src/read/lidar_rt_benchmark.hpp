@@ -34,7 +34,7 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
     {"wd3", "100721", 1, 50, 10, 10},     {"wd4", "105003", 148, 197, 157, 10},
 };
 
-struct RequestedDriveFrames {
+struct DriveFrames {
     /// Name of a drive (a recording of the dataset), or a unique part of it.
     std::string drive;
     /// Range of frames, limited to the sequence of the LiDAR-RT paper if the user named
@@ -47,7 +47,6 @@ struct RequestedDriveFrames {
 };
 /// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
 /// @throws UsageError if this sequence contains none of the requested frames
-RequestedDriveFrames find_drive(const DatasetOptions& options,
-                                std::span<const BenchmarkSequence> benchmark_sequences);
+DriveFrames find_drive(const DatasetOptions& options, std::span<const BenchmarkSequence> sequences);
 
 }  // namespace relidar

@@ -10,14 +10,13 @@
 
 namespace relidar {
 
-class MultiScalePlaneMaps {
+class PlaneMaps {
 public:
     static constexpr int kLevels = 3;
 
     /// @param first, last  cell size and scale of the robust kernel at the coarsest and
     /// at the finest level
-    MultiScalePlaneMaps(const RegistrationRound& first, const RegistrationRound& last)
-        : first_(first), last_(last) {
+    PlaneMaps(const RegistrationRound& first, const RegistrationRound& last) : first_(first), last_(last) {
         clear();
     }
 

@@ -91,7 +91,7 @@ private:
     std::vector<double> path_length_m_;   // [poses] length of the path up to each pose
     std::vector<std::size_t> keyframes_;  // indices of the keyframes
     std::vector<LoopClosure> closures_;
-    MultiScalePlaneMaps maps_;  // map around the keyframe `map_of_`
+    PlaneMaps maps_;  // map around the keyframe `map_of_`
     std::optional<std::size_t> map_of_;
 
     const Pose& keyframe_pose(std::size_t keyframe_index) const {
@@ -199,7 +199,7 @@ private:
 
     double refine_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
         double share = 0.0;
-        for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level)
+        for (int level = 0; level < PlaneMaps::kLevels; ++level)
             for (int i = 0;
                  i < kMaxLoopSteps && gauss_newton_step(points, pose, level, share) > kMinLoopStep_m; ++i) {}
         return share;
@@ -285,11 +285,10 @@ private:
     }
 
     /// Returns the error in metres of a loop closure after the poses are corrected.
-    double closure_error_m(const LoopClosure& loop_closure,
-                           const Eigen::VectorXd& keyframe_corrections) const {
+    double closure_error_m(const LoopClosure& loop_closure, const Eigen::VectorXd& corrections) const {
         const Vector6 moves =
-            keyframe_corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
-            transfer_correction(keyframes_[loop_closure.later], loop_closure.earlier, keyframe_corrections);
+            corrections.segment<6>(6 * Eigen::Index(loop_closure.later)) -
+            transfer_correction(keyframes_[loop_closure.later], loop_closure.earlier, corrections);
         return (moves.head<3>() -
                 Eigen::Vector3d(loop_closure.off[0], loop_closure.off[1], loop_closure.off[2]))
             .norm();

@@ -25,7 +25,7 @@ struct LoopClosureResult {
 /// where each x is a translation and a rotation that also moves all later poses.
 /// @param odometry_track  poses from odometry: accurate from scan to scan, with a drift
 /// of metres over kilometres
-/// @param first, last  coarsest and finest plane map (MultiScalePlaneMaps)
+/// @param first, last  coarsest and finest plane map (PlaneMaps)
 /// @param proceed  reports the progress, 0 to 1; loop closing stops if it returns false
 /// @return the unchanged track if fewer than two loop closures exist or `proceed`
 /// returned false

@@ -101,7 +101,7 @@ private:
     const OdometryOptions& options_;
     std::size_t begin_;
     std::optional<Pose> first_motion_;
-    MultiScalePlaneMaps maps_;
+    PlaneMaps maps_;
     double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
@@ -151,18 +151,17 @@ private:
 
     /// Aligns a scan with the map of the earlier scans, from large to small map cells.
     /// @return the aligned pose, and the share of the scan's points on planes of the map
-    PoseCandidate align_scan(std::size_t pose_index, const Pose& start_pose,
-                             const std::vector<SubsampledPoint>& scan) {
-        set_pose(pose_index, start_pose);
-        if (maps_.empty() || scan.empty()) return {start_pose, 0.0};
+    PoseCandidate align_scan(std::size_t pose, const Pose& start, const std::vector<SubsampledPoint>& scan) {
+        set_pose(pose, start);
+        if (maps_.empty() || scan.empty()) return {start, 0.0};
         double share = 0.0;
-        for (int level = 0; level < MultiScalePlaneMaps::kLevels; ++level) {
+        for (int level = 0; level < PlaneMaps::kLevels; ++level) {
             const double scale_m = maps_.settings_of_level(level).scale_m;
-            for (int i = 0; i < kMaxSteps && gauss_newton_step(pose_index, start_pose, scan, level, scale_m,
-                                                               share) > kMinStep_m;
+            for (int i = 0;
+                 i < kMaxSteps && gauss_newton_step(pose, start, scan, level, scale_m, share) > kMinStep_m;
                  ++i) {}
         }
-        return {track_.pose[pose_index], share};
+        return {track_.pose[pose], share};
     }
 
     /// @return length of the step

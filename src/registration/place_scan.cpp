@@ -21,24 +21,21 @@ constexpr double kConvergedStep_m = 2e-4;  // stops the iteration if a step is s
 constexpr int kMaxAlignmentSteps = 8;
 
 /// Selected rays of one frame, and their returns.
-struct SelectedFrameRays {
+struct FrameRays {
     int position;
     std::vector<std::size_t> rays;
     std::vector<SubsampledPoint> points;
 };
 
-std::vector<SelectedFrameRays> rays_at_pose(const Log& sequence, std::size_t pose_index,
-                                            const RegistrationOptions& options) {
-    std::vector<SelectedFrameRays> frames;
-    for (int i = 0; i < static_cast<int>(sequence.frames.size()); ++i) {
-        if (sequence.frames[std::size_t(i)].time_s != sequence.world_from_vehicle.time_s[pose_index])
-            continue;
-        SelectedFrameRays f{i, select_returns(sequence, i, options, kThinningCell_m), {}};
+std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const RegistrationOptions& options) {
+    std::vector<FrameRays> frames;
+    for (int i = 0; i < static_cast<int>(log.frames.size()); ++i) {
+        if (log.frames[std::size_t(i)].time_s != log.world_from_vehicle.time_s[pose]) continue;
+        FrameRays f{i, select_returns(log, i, options, kThinningCell_m), {}};
         if (f.rays.empty()) continue;
         f.points.resize(f.rays.size());
         parallel_blocks(f.rays.size(), [&](std::size_t index) {
-            f.points[index] =
-                make_point(sequence, sequence.world_from_vehicle, pose_index, f.position, f.rays[index]);
+            f.points[index] = make_point(log, log.world_from_vehicle, pose, f.position, f.rays[index]);
         });
         frames.push_back(std::move(f));
     }
@@ -52,14 +49,14 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose_index];
     ScanAlignment result{before, 0.0, 0.0, false};
-    const std::vector<SelectedFrameRays> frames = rays_at_pose(sequence, pose_index, options);
+    const std::vector<FrameRays> frames = rays_at_pose(sequence, pose_index, options);
     std::size_t n = 0;
-    for (const SelectedFrameRays& f : frames) n += f.rays.size();
+    for (const FrameRays& f : frames) n += f.rays.size();
     if (n == 0) return result;
     double step_m = 2.0 * kConvergedStep_m;
     for (int i = 0; i < kMaxAlignmentSteps && step_m > kConvergedStep_m; ++i) {
         SinglePoseEquations equations;
-        for (const SelectedFrameRays& f : frames) {
+        for (const FrameRays& f : frames) {
             const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
             equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& part, std::size_t k) {
                 if (surfaces[k].normal == glm::dvec3(0.0)) return;
@@ -76,7 +73,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
         step_m = twist_size_m(step);
     }
     const double moved_m = glm::distance(before.translation, track.pose[pose_index].translation);
-    if (!PlanePoseAdjustment::has_enough_planes(result.on_surfaces, n) || moved_m > options.largest_m)
+    if (!PoseAdjustment::has_enough_planes(result.on_surfaces, n) || moved_m > options.largest_m)
         return result;
     result.world_from_vehicle = track.pose[pose_index];
     result.moved_m = moved_m;

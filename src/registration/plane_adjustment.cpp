@@ -68,14 +68,14 @@ const LocalPlane* PlaneMap::find_plane_at(const glm::dvec3& point_m) const {
     return cell && planes[*cell] ? &*planes[*cell] : nullptr;
 }
 
-PlanePoseAdjustment::PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
-                                         std::vector<SubsampledPoint> points, std::vector<bool> gauge)
+PoseAdjustment::PoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
+                               std::vector<SubsampledPoint> points, std::vector<bool> gauge)
     : initial_track_(initial_track), track_(start), points_(std::move(points)), gauge_(std::move(gauge)) {
     centre_poses();
     start_ = track_;
 }
 
-std::vector<RegistrationRound> PlanePoseAdjustment::adjust_poses(
+std::vector<RegistrationRound> PoseAdjustment::adjust_poses(
     const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
     const std::function<bool(double finished_fraction)>& should_continue) {
     constexpr int kRounds = kShrinkingRounds + kLastRounds;
@@ -87,14 +87,14 @@ std::vector<RegistrationRound> PlanePoseAdjustment::adjust_poses(
     return rounds;
 }
 
-PlaneMap PlanePoseAdjustment::fit_planes(const RegistrationRound& round_settings) const {
+PlaneMap PoseAdjustment::fit_planes(const RegistrationRound& round_settings) const {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     PlaneMap map{PointCellGrid(placed, round_settings.cell_m, 0.0), {}};
     map.planes = fit_cell_planes(map.cells, points_, placed, round_settings);
     return map;
 }
 
-RegistrationRound PlanePoseAdjustment::run_round(RegistrationRound round_settings, double grid_shift_cells) {
+RegistrationRound PoseAdjustment::run_round(RegistrationRound round_settings, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PointCellGrid cells(placed, round_settings.cell_m, grid_shift_cells);
     const std::vector<std::optional<LocalPlane>> planes =
@@ -122,7 +122,7 @@ RegistrationRound PlanePoseAdjustment::run_round(RegistrationRound round_setting
     return round_settings;
 }
 
-void PlanePoseAdjustment::add_prior(PoseEquations& equations) const {
+void PoseAdjustment::add_prior(PoseEquations& equations) const {
     constexpr double kLinkTime_s = 0.1;
     const Eigen::VectorXd correction = stack_twists(start_, track_);
     const auto of_pose = [&](std::size_t index) -> Vector6 {
@@ -136,7 +136,7 @@ void PlanePoseAdjustment::add_prior(PoseEquations& equations) const {
     }
 }
 
-void PlanePoseAdjustment::centre_poses() {
+void PoseAdjustment::centre_poses() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
     for (int i = 0; i < 3; ++i) {
@@ -155,8 +155,8 @@ void PlanePoseAdjustment::centre_poses() {
     }
 }
 
-std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_neighbours(
-    std::size_t pose_index, const std::vector<bool>& is_selected) {
+std::pair<std::size_t, std::size_t> PoseAdjustment::find_neighbours(std::size_t pose_index,
+                                                                    const std::vector<bool>& is_selected) {
     std::size_t before = pose_index, after = pose_index;
     for (std::size_t k = pose_index; k-- > 0 && before == pose_index;)
         if (is_selected[k]) before = k;
@@ -165,13 +165,12 @@ std::pair<std::size_t, std::size_t> PlanePoseAdjustment::find_neighbours(
     return {before, after};
 }
 
-double PlanePoseAdjustment::time_fraction(std::size_t before_index, std::size_t pose_index,
-                                          std::size_t after_index) const {
+double PoseAdjustment::time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const {
     const std::vector<double>& t = initial_track_.time_s;
-    return (t[pose_index] - t[before_index]) / (t[after_index] - t[before_index]);
+    return (t[pose] - t[before]) / (t[after_index] - t[before]);
 }
 
-void PlanePoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_known) {
+void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_known) {
     const Eigen::VectorXd corrections = stack_twists(start_, track_);
     for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
         if (is_correction_known[k]) continue;
@@ -186,8 +185,8 @@ void PlanePoseAdjustment::fill_corrections(const std::vector<bool>& is_correctio
     }
 }
 
-double PlanePoseAdjustment::share_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
-                                            double kernel_scale_m) const {
+double PoseAdjustment::share_on_planes(const PlaneMap& map, std::span<const SubsampledPoint> points,
+                                       double kernel_scale_m) const {
     std::size_t n_placed = 0;
     for (const SubsampledPoint& point : points) {
         const WorldPointWithOrigin placed = point_to_world(track_, point);
@@ -197,12 +196,12 @@ double PlanePoseAdjustment::share_on_planes(const PlaneMap& map, std::span<const
     return points.empty() ? 0.0 : double(n_placed) / double(points.size());
 }
 
-bool PlanePoseAdjustment::has_enough_planes(double fraction_on_planes, std::size_t n_points) {
+bool PoseAdjustment::has_enough_planes(double fraction_on_planes, std::size_t n_points) {
     return fraction_on_planes >= kMinShareOnPlanes &&
            fraction_on_planes * double(n_points) >= double(kMinPlacedPoints);
 }
 
-double PlanePoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<bool>& is_neighbour) const {
+double PoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<bool>& is_neighbour) const {
     const auto [before, after] = find_neighbours(pose_index, is_neighbour);
     if (before == pose_index || after == pose_index) return 0.0;
     const auto correction = [&](std::size_t index) {
@@ -218,10 +217,9 @@ double PlanePoseAdjustment::deviation_m(std::size_t pose_index, const std::vecto
     return least;
 }
 
-std::vector<std::size_t> PlanePoseAdjustment::interpolate_lost(const PlaneMap& map,
-                                                               const std::vector<bool>& pose_has_points,
-                                                               double kernel_scale_m,
-                                                               double max_deviation_m) {
+std::vector<std::size_t> PoseAdjustment::interpolate_lost(const PlaneMap& map,
+                                                          const std::vector<bool>& pose_has_points,
+                                                          double kernel_scale_m, double max_deviation_m) {
     std::vector<std::span<const SubsampledPoint>> scans(pose_has_points.size());
     for (std::size_t k = 0, begin = 0, end = 0; k < scans.size(); ++k, begin = end) {
         while (end < points_.size() && points_[end].pose == k) ++end;
@@ -244,8 +242,8 @@ std::vector<std::size_t> PlanePoseAdjustment::interpolate_lost(const PlaneMap& m
     return lost;
 }
 
-void PlanePoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index,
-                                     const std::vector<SubsampledPoint>& points, double kernel_scale_m) {
+void PoseAdjustment::align_pose(const PlaneMap& map, std::size_t pose_index,
+                                const std::vector<SubsampledPoint>& points, double kernel_scale_m) {
     const SinglePoseEquations equations =
         sum_point_equations(points.size(), [&](SinglePoseEquations& part, std::size_t i) {
             const WorldPointWithOrigin placed = point_to_world(track_, points[i]);

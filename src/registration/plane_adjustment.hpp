@@ -30,15 +30,15 @@ struct PoseCorrectionPrior {
     Vector6 link = Vector6::Zero();
 };
 
-class PlanePoseAdjustment {
+class PoseAdjustment {
 public:
     /// @param initial_track  poses before any correction
     /// @param start  start values of the poses, accurate enough for the first cell size
     /// @param points  points of all sweeps, sweep by sweep
     /// @param gauge  [poses] true for the poses whose mean correction is kept at zero, so
     /// that the track does not move as a unit
-    PlanePoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
-                        std::vector<SubsampledPoint> points, std::vector<bool> gauge);
+    PoseAdjustment(const PoseTrack& initial_track, const PoseTrack& start,
+                   std::vector<SubsampledPoint> points, std::vector<bool> gauge);
 
     /// Optimises all poses in several rounds. The cell size and the scale of the robust
     /// kernel decrease from `first_round_settings` to `last_round_settings`.
@@ -86,7 +86,7 @@ private:
     /// Returns `pose_index` for a side on which no pose is selected.
     static std::pair<std::size_t, std::size_t> find_neighbours(std::size_t pose_index,
                                                                const std::vector<bool>& is_selected);
-    double time_fraction(std::size_t before_index, std::size_t pose_index, std::size_t after_index) const;
+    double time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const;
 };
 
 }  // namespace relidar

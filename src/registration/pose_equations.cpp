@@ -162,19 +162,17 @@ void PoseEquations::add_equations(PoseEquations&& other) {
     other = PoseEquations(0);  // frees the memory of `other`
 }
 
-void PoseEquations::add_zero_prior(std::size_t pose_index, const Vector6& weights,
-                                   const Vector6& current_correction) {
-    diagonal_[pose_index].diagonal() += weights;
-    gradient_.segment<6>(6 * Eigen::Index(pose_index)) += weights.cwiseProduct(current_correction);
+void PoseEquations::add_zero_prior(std::size_t pose, const Vector6& weights, const Vector6& correction) {
+    diagonal_[pose].diagonal() += weights;
+    gradient_.segment<6>(6 * Eigen::Index(pose)) += weights.cwiseProduct(correction);
 }
 
-void PoseEquations::add_smooth_prior(std::size_t pose_index, const Vector6& weights,
-                                     const Vector6& correction_difference) {
-    diagonal_[pose_index].diagonal() += weights;
-    diagonal_[pose_index + 1].diagonal() += weights;
-    next_[pose_index].diagonal() -= weights;
-    gradient_.segment<6>(6 * Eigen::Index(pose_index)) -= weights.cwiseProduct(correction_difference);
-    gradient_.segment<6>(6 * Eigen::Index(pose_index + 1)) += weights.cwiseProduct(correction_difference);
+void PoseEquations::add_smooth_prior(std::size_t pose, const Vector6& weights, const Vector6& difference) {
+    diagonal_[pose].diagonal() += weights;
+    diagonal_[pose + 1].diagonal() += weights;
+    next_[pose].diagonal() -= weights;
+    gradient_.segment<6>(6 * Eigen::Index(pose)) -= weights.cwiseProduct(difference);
+    gradient_.segment<6>(6 * Eigen::Index(pose + 1)) += weights.cwiseProduct(difference);
 }
 
 Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {

@@ -90,11 +90,10 @@ public:
                   const std::vector<WorldPointWithOrigin>& world_points,
                   std::span<const std::uint32_t> point_indices, const LocalPlane& plane, double scale_m);
     void add_equations(PoseEquations&& other);
-    void add_zero_prior(std::size_t pose_index, const Vector6& weights, const Vector6& current_correction);
+    void add_zero_prior(std::size_t pose, const Vector6& weights, const Vector6& correction);
     /// Adds a term that pulls the corrections of a pose and the next pose towards each
-    /// other. `correction_difference`: second minus first correction
-    void add_smooth_prior(std::size_t pose_index, const Vector6& weights,
-                          const Vector6& correction_difference);
+    /// other. `difference`: second minus first correction
+    void add_smooth_prior(std::size_t pose, const Vector6& weights, const Vector6& difference);
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
     /// preconditioner consists of the diagonal blocks and a direct solution for rigid
     /// motions of groups of eight poses, so that long logs need no more iterations.

@@ -109,18 +109,18 @@ std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>
     return apply_twist(reference, twist);
 }
 
-double actor_share(const PlanePoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
+double actor_share(const PoseAdjustment& adjustment, const std::vector<SubsampledPoint>& points) {
     return adjustment.share_on_planes(adjustment.fit_planes(kLastActorRound), points,
                                       kLastActorRound.scale_m);
 }
 
 /// Prepares the optimisation of the poses of a labelled box, in the frame of the box. A
 /// prior keeps the corrections small and smooth.
-PlanePoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint> points,
-                                    const std::vector<bool>& pose_has_points) {
+PoseAdjustment make_adjustment(const BoxTrack& box, std::vector<SubsampledPoint> points,
+                               const std::vector<bool>& pose_has_points) {
     const std::vector<double>& time_s = box.world_from_box.time_s;
     const PoseTrack identity{time_s, std::vector<Pose>(time_s.size())};
-    PlanePoseAdjustment adjustment(identity, identity, std::move(points), pose_has_points);
+    PoseAdjustment adjustment(identity, identity, std::move(points), pose_has_points);
     // Weights relative to a point, whose standard deviation is 0.05 m: (0.05 / standard
     // deviation in m or rad)^2. Label errors (pull): 0.15 m and 2 degrees. Changes of
     // label errors within 0.1 s (link): 0.05 m and 1 degree.
@@ -143,7 +143,7 @@ bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
     std::vector<SubsampledPoint> still = actor_points.points;
     for (SubsampledPoint& point : still)
         point.point_m = glm::vec3(inverse(middle) * point_to_world(track, point).point_m);
-    const PlanePoseAdjustment adjustment = make_adjustment(box, still, pose_has_points);
+    const PoseAdjustment adjustment = make_adjustment(box, still, pose_has_points);
     return actor_share(adjustment, still) >= moving_box_fraction_on_planes - kMinShareGain;
 }
 
@@ -157,7 +157,7 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
     if (actor_points.points.size() < kFewestActorPoints ||
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
-    PlanePoseAdjustment adjustment = make_adjustment(box, actor_points.points, has_points);
+    PoseAdjustment adjustment = make_adjustment(box, actor_points.points, has_points);
     const double labelled_share = actor_share(adjustment, actor_points.points);
     adjustment.adjust_poses(kFirstActorRound, kLastActorRound, [](double) { return true; });
     const double registered_share = actor_share(adjustment, actor_points.points);
@@ -191,15 +191,14 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
 
 }  // namespace
 
-ActorRegistrationResult register_actors(Log& sequence, const std::vector<int>& train_frames,
-                                        const Progress& progress) {
+ActorRegistrationResult register_actors(Log& log, const std::vector<int>& frames, const Progress& progress) {
     ActorRegistrationResult result;
     std::vector<double> moved_m;
     std::vector<BoxTrack*> boxes;
-    for (BoxTrack& box : sequence.boxes)
+    for (BoxTrack& box : log.boxes)
         if (box.is_moving() && std::max(box.size_m.x, box.size_m.y) >= kMinObjectSize_m)
             boxes.push_back(&box);
-    const std::vector<BoxFramePoints> actors = collect_in_boxes(sequence, train_frames, boxes);
+    const std::vector<BoxFramePoints> actors = collect_in_boxes(log, frames, boxes);
     result.n_actors = boxes.size();
     for (std::size_t i = 0; i < boxes.size(); ++i) {
         if (progress) progress("registering actors", double(i) / double(boxes.size()));

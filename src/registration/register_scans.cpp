@@ -30,8 +30,7 @@ constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and step
 
 /// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
 /// @return indices of the scans that could not be aligned
-std::vector<std::size_t> align_test_sweeps(PlanePoseAdjustment& adjustment,
-                                           const std::vector<bool>& is_test_sweep,
+std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
                                            const std::vector<bool>& is_training_sweep,
                                            const SubsampledScans& test_scans,
                                            const RegistrationRound& first_round, double max_deviation_m) {
@@ -48,7 +47,7 @@ std::vector<std::size_t> align_test_sweeps(PlanePoseAdjustment& adjustment,
             for (int step = 0; step < kStepsPerLevel; ++step)
                 adjustment.align_pose(map, k, test_scans[k], scale_m);
             if (level + 1 < kTestLevels) continue;
-            const bool is_registered = PlanePoseAdjustment::has_enough_planes(
+            const bool is_registered = PoseAdjustment::has_enough_planes(
                 adjustment.share_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
             if (is_registered && adjustment.deviation_m(k, is_training_sweep) <= max_deviation_m) continue;
             adjustment.set_pose(k, as_neighbours[k]);
@@ -59,10 +58,9 @@ std::vector<std::size_t> align_test_sweeps(PlanePoseAdjustment& adjustment,
 }
 
 /// Returns for each sweep whether one of the given frames belongs to it.
-std::vector<bool> flag_sweeps(const SweepsToRegister& sweeps, const std::vector<int>& frame_indices,
-                              std::size_t n_frames) {
+std::vector<bool> flag_sweeps(const SweepSet& sweeps, const std::vector<int>& frames, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
-    for (const int position : frame_indices) among[std::size_t(position)] = true;
+    for (const int position : frames) among[std::size_t(position)] = true;
     for (std::size_t k = 0; k < is.size(); ++k)
         is[k] =
             std::ranges::any_of(sweeps.frames[k], [&](int position) { return among[std::size_t(position)]; });
@@ -80,7 +78,7 @@ std::vector<bool> keep_middle(const std::vector<bool>& is_selected) {
 
 /// Returns the share of a scan's points that lie on planes, as the median over sweeps.
 /// @param is_sweep_selected [sweeps] sweeps that are included
-double median_share(const PlanePoseAdjustment& adjustment, const PlaneMap& map, const SubsampledScans& scans,
+double median_share(const PoseAdjustment& adjustment, const PlaneMap& map, const SubsampledScans& scans,
                     const std::vector<bool>& is_sweep_selected) {
     std::vector<double> all(scans.size()), shares;
     parallel_for(static_cast<int>(scans.size()), [&](int index) {
@@ -94,13 +92,12 @@ double median_share(const PlanePoseAdjustment& adjustment, const PlaneMap& map, 
 
 }  // namespace
 
-RegistrationResult register_scans(const Log& sequence, const Split& split,
-                                  const RegistrationOptions& options) {
+RegistrationResult register_scans(const Log& log, const Split& split, const RegistrationOptions& options) {
     RegistrationResult result;
-    result.world_from_vehicle = sequence.world_from_vehicle;
-    const SweepsToRegister sweeps = group_sweeps(sequence);
-    const std::vector<bool> is_train = flag_sweeps(sweeps, split.train, sequence.frames.size()),
-                            is_test = flag_sweeps(sweeps, split.test, sequence.frames.size());
+    result.world_from_vehicle = log.world_from_vehicle;
+    const SweepSet sweeps = group_sweeps(log);
+    const std::vector<bool> is_train = flag_sweeps(sweeps, split.train, log.frames.size()),
+                            is_test = flag_sweeps(sweeps, split.test, log.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
     // Each scan keeps one point per grid cell of this size.
@@ -115,7 +112,7 @@ RegistrationResult register_scans(const Log& sequence, const Split& split,
     const RegistrationRound first{std::max(2.0 * options.largest_m, kFinalRound.cell_m),
                                   std::max(0.5 * options.largest_m, kFinalRound.scale_m)};
 
-    const SubsampledScans scans = thin_sweeps(sequence, sweeps, is_train, options, thin_m);
+    const SubsampledScans scans = thin_sweeps(log, sweeps, is_train, options, thin_m);
     const PoseTrack followed = run_odometry(
         sweeps.track, scans,
         {first, kFinalOdometryRound, options.use_pose_motion, proceed("tracking the scans"), options.group});
@@ -129,25 +126,25 @@ RegistrationResult register_scans(const Log& sequence, const Split& split,
     std::vector<SubsampledPoint> points;
     for (const std::vector<SubsampledPoint>& scan : scans)
         points.insert(points.end(), scan.begin(), scan.end());
-    PlanePoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
-                                   options.use_pose_motion ? is_train : keep_middle(is_train));
+    PoseAdjustment adjustment(sweeps.track, closed.track, std::move(points),
+                              options.use_pose_motion ? is_train : keep_middle(is_train));
     result.rounds = adjustment.adjust_poses(first, kFinalRound, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
         fail(
             "cannot register the scans of {}: no two of its {} training scans show the same surface; try "
             "train.refine_poses=none",
-            sequence.name, split.train.size());
+            log.name, split.train.size());
     const PlaneMap map = adjustment.fit_planes(kFinalRound);
     result.on_planes = median_share(adjustment, map, scans, is_train);
     result.lost = adjustment.interpolate_lost(map, is_train, kFinalRound.scale_m, options.largest_m);
-    const SubsampledScans held_out = thin_sweeps(sequence, sweeps, is_test, options, thin_m);
+    const SubsampledScans held_out = thin_sweeps(log, sweeps, is_test, options, thin_m);
     const std::vector<std::size_t> lost =
         align_test_sweeps(adjustment, is_test, is_train, held_out, first, options.largest_m);
     result.lost.insert(result.lost.end(), lost.begin(), lost.end());
     std::sort(result.lost.begin(), result.lost.end());
     for (std::size_t& k : result.lost) k = sweeps.pose[k];
-    result.world_from_vehicle = spread_corrections(sequence.world_from_vehicle, sweeps, adjustment.track());
+    result.world_from_vehicle = spread_corrections(log.world_from_vehicle, sweeps, adjustment.track());
     result.done = true;
     return result;
 }

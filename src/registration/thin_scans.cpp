@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-SweepsToRegister group_sweeps(const Log& sequence) {
+SweepSet group_sweeps(const Log& sequence) {
     const PoseTrack& vehicle_track = sequence.world_from_vehicle;
     std::vector<std::vector<int>> frames(vehicle_track.pose.size());
     std::vector<bool> leads(vehicle_track.pose.size(), false);
@@ -24,7 +24,7 @@ SweepsToRegister group_sweeps(const Log& sequence) {
         frames[pose].push_back(static_cast<int>(i));
         if (sequence.frames[i].lidar == leader) leads[pose] = true;
     }
-    SweepsToRegister sweeps;
+    SweepSet sweeps;
     for (std::size_t pose = 0; pose < leads.size(); ++pose) {
         if (!leads[pose]) continue;
         sweeps.track.time_s.push_back(vehicle_track.time_s[pose]);
@@ -35,16 +35,14 @@ SweepsToRegister group_sweeps(const Log& sequence) {
     return sweeps;
 }
 
-PoseTrack spread_corrections(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
-                             const PoseTrack& corrected_track) {
-    PoseTrack all = initial_track;
+PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, const PoseTrack& corrected) {
+    PoseTrack all = initial;
     for (std::size_t pose = 0; pose < all.pose.size(); ++pose) {
         const double t_s = all.time_s[pose];
-        all.pose[pose] =
-            corrected_track.pose_at(t_s) * (inverse(sweeps.track.pose_at(t_s)) * initial_track.pose[pose]);
+        all.pose[pose] = corrected.pose_at(t_s) * (inverse(sweeps.track.pose_at(t_s)) * initial.pose[pose]);
         all.pose[pose].rotation = glm::normalize(all.pose[pose].rotation);
     }
-    for (std::size_t k = 0; k < sweeps.pose.size(); ++k) all.pose[sweeps.pose[k]] = corrected_track.pose[k];
+    for (std::size_t k = 0; k < sweeps.pose.size(); ++k) all.pose[sweeps.pose[k]] = corrected.pose[k];
     return all;
 }
 
@@ -95,7 +93,7 @@ double weight_of_pose(const SubsampledPoint& point, std::size_t pose_index) {
     return point.left + 1 == pose_index ? double(point.s) : 0.0;
 }
 
-SubsampledScans thin_sweeps(const Log& sequence, const SweepsToRegister& sweeps,
+SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
                             const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
                             double cell_size_m) {
     SubsampledScans scans(is_sweep_selected.size());

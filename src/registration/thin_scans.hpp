@@ -13,15 +13,14 @@ namespace relidar {
 /// Sweeps whose poses are registered. A sweep contains the frames of all LiDARs at one
 /// vehicle pose. Sweeps without a frame of the main LiDAR (the one with the most returns
 /// in the log) are not stored here. The corrections of their poses are interpolated.
-struct SweepsToRegister {
+struct SweepSet {
     PoseTrack track;                       ///< [sweeps] poses of the vehicle before registration
     std::vector<std::size_t> pose;         ///< [sweeps] index in Log::world_from_vehicle, ascending
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Log::frames
 };
-SweepsToRegister group_sweeps(const Log& sequence);
+SweepSet group_sweeps(const Log& sequence);
 /// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
-PoseTrack spread_corrections(const PoseTrack& initial_track, const SweepsToRegister& sweeps,
-                             const PoseTrack& corrected_track);
+PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, const PoseTrack& corrected);
 
 /// A measured point, and the two poses of the track between which it was measured.
 struct SubsampledPoint {
@@ -56,7 +55,7 @@ std::vector<std::size_t> select_returns(const Log& sequence, int frame, const Re
 SubsampledPoint make_point(const Log& sequence, const PoseTrack& track, std::size_t pose_index, int frame,
                            std::size_t ray);
 /// Applies select_returns() to the selected sweeps.
-SubsampledScans thin_sweeps(const Log& sequence, const SweepsToRegister& sweeps,
+SubsampledScans thin_sweeps(const Log& sequence, const SweepSet& sweeps,
                             const std::vector<bool>& is_sweep_selected, const RegistrationOptions& options,
                             double cell_size_m);
 

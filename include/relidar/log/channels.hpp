@@ -111,9 +111,8 @@ std::vector<ChannelColumn> list_columns(const std::vector<ScanChannel>& channels
                                         const std::string& axis_separator = "_");
 /// Appends the values of all channels for one ray or point to `output_bytes`. Each number
 /// takes 4 bytes in the byte order of the machine.
-/// @param element_index  index of the ray or point in the arrays of the channels
-void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
-                   std::size_t element_index);
+/// @param index  index of the ray or point in the arrays of the channels
+void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels, std::size_t index);
 
 /// Returns the value where the true value is unknown.
 template <class T>
@@ -129,12 +128,11 @@ void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, s
                    int return_number_from_1);
 
 /// Checks names and sizes of channels before the channels are written to a file.
-/// @param expected_size  expected number of values
-/// @param element_name_for_errors  name of the elements in error messages, for example
+/// @param size  expected number of values
+/// @param element  name of the elements in error messages, for example
 /// rays or points
 /// @throws DataError if a name is invalid or used twice, or if a channel does not have
-/// `expected_size` values
-void check_channels(const std::vector<ScanChannel>& channels, std::size_t expected_size,
-                    const std::string& element_name_for_errors);
+/// `size` values
+void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, const std::string& element);
 
 }  // namespace relidar

@@ -383,8 +383,7 @@ std::optional<SensorModel> find_built_in(const std::string& name, int columns = 
 /// - channel: the manufacturer's channel number, which is ignored.
 /// @param n_columns  azimuth steps in a sweep
 /// @throws DataError naming the line and the value that is wrong
-SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns,
-                           double rotation_rate_hz);
+SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns, double rate_hz);
 
 /// Returns a range grid by name, for example "kitti360", in upper or lower case.
 /// @throws UsageError for an unknown name

@@ -160,9 +160,8 @@ RayTable make_lidar_rays(const Lidar& lidar, double time_s);
 std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
                                       const RayTable& nominal_rays);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
-/// @param azimuth_shifts_rad  result of measure_shifts_rad(). Empty: no rotation
-RayTable rotate_firings(RayTable nominal_rays, const SpinningSensor& sensor,
-                        const std::vector<float>& azimuth_shifts_rad);
+/// @param shifts_rad  result of measure_shifts_rad(). Empty: no rotation
+RayTable rotate_firings(RayTable nominal, const SpinningSensor& sensor, const std::vector<float>& shifts_rad);
 
 /// Category of moving objects without a label that discover_tracks() found in the scans.
 inline constexpr const char* kDiscoveredCategory = "Discovered";
@@ -318,9 +317,8 @@ struct SurfaceReturn {
     float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
 /// @param ray  index of a ray of the frame
-/// @param return_index  0 for the strongest return, n for Scan::second_returns[n-1]
-SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray,
-                             std::size_t return_index = 0);
+/// @param index  0 for the strongest return, n for Scan::second_returns[n-1]
+SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index = 0);
 
 /// End point of a returned ray in the world frame, and the firing time of the ray,
 /// without range offset and intensity response of the beam.
@@ -331,9 +329,8 @@ struct WorldReturn {
     float intensity;  ///< intensity that the mean beam would measure at 10 m
 };
 /// @param ray  index of a returned ray of the frame
-/// @param return_index  number of an existing return of this ray
-WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray,
-                          std::size_t return_index = 0);
+/// @param index  number of an existing return of this ray
+WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. The boxes
 /// are interpolated, enlarged by margin_m, and exist as in

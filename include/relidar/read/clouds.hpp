@@ -56,8 +56,7 @@ SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sen
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
-Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
-                   const SweepFirings& sweep_firings);
+Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& firings);
 
 /// Builds a scan with one ray from the sensor origin to each point (rows = 1), in the
 /// order of the points. Rays without a return are unknown. The other returns of a ray
@@ -109,8 +108,7 @@ Pose make_pose(std::span<const double> matrix, const std::string& where);
 
 /// Appends a frame with an empty scan, and the vehicle's pose at this time unless a frame
 /// of another LiDAR has added it.
-Frame& add_frame(Log& sequence, int frame_number, double time_s, const Pose& world_from_vehicle,
-                 int lidar_index = 0);
+Frame& add_frame(Log& sequence, int number, double time_s, const Pose& world_from_vehicle, int lidar = 0);
 
 /// Moves the world origin to the vehicle at the middle pose of the log, so that
 /// coordinates are small enough for single precision. Adjusts poses, boxes and

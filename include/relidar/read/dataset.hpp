@@ -99,8 +99,7 @@ struct LogFolderOptions {
 /// written. The folder gets its final name only when it is complete.
 /// @throws UsageError if the path exists and may not be replaced
 /// @throws DataError if the folder cannot be written
-void save_folder(const Log& sequence, const std::filesystem::path& folder,
-                 const LogFolderOptions& options = {});
+void save_folder(const Log& log, const std::filesystem::path& folder, const LogFolderOptions& options = {});
 
 /// Returns true if a folder or file is a log of a known kind.
 bool is_dataset(const std::filesystem::path& path);

@@ -102,7 +102,6 @@ private:
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder
 /// @throws DataError if a file cannot be written
-std::size_t save_packets(const Log& sequence, const std::filesystem::path& file,
-                         const Progress& progress = {});
+std::size_t save_packets(const Log& log, const std::filesystem::path& file, const Progress& progress = {});
 
 }  // namespace relidar

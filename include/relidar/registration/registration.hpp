@@ -78,8 +78,7 @@ struct RegistrationResult {
 /// Another LiDAR that sweeps at the same times as the LiDAR with the most returns is
 /// combined with it. All other LiDARs keep their mounting on the vehicle.
 /// @throws DataError if no two training scans observe a common surface
-RegistrationResult register_scans(const Log& sequence, const Split& split,
-                                  const RegistrationOptions& options);
+RegistrationResult register_scans(const Log& log, const Split& split, const RegistrationOptions& options);
 
 /// Point and normal, world frame, of the surface that a ray hits. Normal 0: no surface.
 struct SurfaceHit {
@@ -126,8 +125,8 @@ struct ActorRegistrationResult {
 /// register_scans(), with a prior that keeps corrections small and slow, and a mean
 /// correction of zero. Poses without points are interpolated. If the points of a box fit
 /// one constant pose, the box gets that pose.
-/// @param train_frames  frames whose points are used
-ActorRegistrationResult register_actors(Log& sequence, const std::vector<int>& train_frames,
+/// @param frames  frames whose points are used
+ActorRegistrationResult register_actors(Log& log, const std::vector<int>& frames,
                                         const Progress& progress = {});
 
 }  // namespace relidar

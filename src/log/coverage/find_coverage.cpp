@@ -12,7 +12,7 @@
 namespace relidar {
 namespace {
 
-struct ObservedRaySegment {
+struct RaySegment {
     WorldRay ray;
     double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
 };
@@ -34,8 +34,7 @@ std::vector<double> observed_lengths_m(const std::vector<double>& ranges_m, doub
     return result;
 }
 
-void fill_between(ObservedVoxelSet& coverage, const ObservedRaySegment& first_ray,
-                  const ObservedRaySegment& second_ray) {
+void fill_between(ObservedVoxelSet& coverage, const RaySegment& first_ray, const RaySegment& second_ray) {
     const double length_m = std::min(first_ray.length_m, second_ray.length_m);
     const int n = int(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
                       ObservedVoxelSet::kCell_m);
@@ -63,7 +62,7 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
         step = std::size_t(std::clamp(ObservedVoxelSet::kCell_m / step_m, 1.0, 16.0));
     }
     std::vector<double> range_m(rows);
-    std::vector<ObservedRaySegment> looks(rows);
+    std::vector<RaySegment> looks(rows);
     for (std::size_t column = 0; column < columns; column += step) {
         for (std::size_t row = 0; row < rows; ++row)
             range_m[row] = std::min(double(scan.range_m[row * columns + column]), max_range_m);

@@ -127,11 +127,9 @@ std::vector<ChannelColumn> list_columns(const std::vector<ScanChannel>& channels
     return numbers;
 }
 
-void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels,
-                   std::size_t element_index) {
+void append_values(std::string& output_bytes, const std::vector<ScanChannel>& channels, std::size_t index) {
     for (const ScanChannel& channel : channels)
-        std::visit([&](const auto& values) { append_raw(output_bytes, values[element_index]); },
-                   channel.values);
+        std::visit([&](const auto& values) { append_raw(output_bytes, values[index]); }, channel.values);
 }
 
 void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t index_of_ray,
@@ -149,8 +147,7 @@ void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, s
     std::visit(append_one, ray_channel.values);
 }
 
-void check_channels(const std::vector<ScanChannel>& channels, std::size_t expected_size,
-                    const std::string& element_name_for_errors) {
+void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, const std::string& element) {
     std::set<std::string> used_names = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
     for (const ChannelInfo& basic : file_channels()) used_names.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
@@ -160,25 +157,23 @@ void check_channels(const std::vector<ScanChannel>& channels, std::size_t expect
         });
         if (!is_word)
             fail("channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _",
-                 element_name_for_errors, quote(info.name));
+                 element, quote(info.name));
         if (!used_names.insert(info.name).second)
-            fail("channels of {}: the name {} occurs twice, expected different names",
-                 element_name_for_errors, info.name);
+            fail("channels of {}: the name {} occurs twice, expected different names", element, info.name);
         if (count_values(second) > 0 && !used_names.insert(info.name + "_2").second)
             fail(
                 "channels of {0}: the name {1}_2 occurs twice, because the second returns of the channel {1} "
                 "are stored under this name; rename one of the two channels",
-                element_name_for_errors, info.name);
-        if (count_values(values) != expected_size)
+                element, info.name);
+        if (count_values(values) != size)
             fail("channels of {}: the channel {} has {} values, expected {}, one for each ray or point",
-                 element_name_for_errors, info.name, count_values(values), expected_size);
-        if (count_values(second) > 0 &&
-            (count_values(second) != expected_size || second.index() != values.index()))
+                 element, info.name, count_values(values), size);
+        if (count_values(second) > 0 && (count_values(second) != size || second.index() != values.index()))
             fail(
                 "channels of {}: the channel {} has {} values{} for second returns, expected {} values of "
                 "the same type as its values for first returns",
-                element_name_for_errors, info.name, count_values(second),
-                second.index() == values.index() ? "" : " of another type", expected_size);
+                element, info.name, count_values(second),
+                second.index() == values.index() ? "" : " of another type", size);
     }
 }
 

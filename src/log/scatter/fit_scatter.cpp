@@ -41,7 +41,7 @@ struct ScatterSample {
 };
 
 /// All training samples. Samples in the same tree node are contiguous in memory.
-struct ScatterSampleSet {
+struct ScatterSamples {
     std::vector<ScatterSample> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
@@ -59,7 +59,7 @@ std::uint8_t find_bin(const std::vector<float>& quantiles, float value) {
     return std::uint8_t(std::lower_bound(quantiles.begin(), quantiles.end(), value) - quantiles.begin());
 }
 
-struct ImageRayIndex {
+struct ImageRay {
     std::uint32_t image, ray;
 };
 
@@ -70,13 +70,12 @@ bool has_both_returns(const PairedIntensities& paired_image, std::size_t ray_ind
 
 /// Lists the measured points whose rays also hit a rendered surface, or a random part of
 /// about `max_returns` of them.
-std::vector<ImageRayIndex> sample_returns(std::span<const PairedIntensities> images,
-                                          std::size_t max_returns) {
+std::vector<ImageRay> sample_returns(std::span<const PairedIntensities> images, std::size_t max_returns) {
     std::size_t n = 0;
     for (const PairedIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += has_both_returns(image, i);
     const double share = double(max_returns) / double(std::max<std::size_t>(n, 1));
-    std::vector<std::vector<ImageRayIndex>> of_images(images.size());
+    std::vector<std::vector<ImageRay>> of_images(images.size());
     parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
@@ -86,19 +85,18 @@ std::vector<ImageRayIndex> sample_returns(std::span<const PairedIntensities> ima
     return concatenate(std::move(of_images));
 }
 
-RayFeatures return_features(std::span<const PairedIntensities> images, ImageRayIndex return_index) {
+RayFeatures return_features(std::span<const PairedIntensities> images, ImageRay return_index) {
     const PairedIntensities& image = images[return_index.image];
     const int columns = image.rendered.columns, ray = int(return_index.ray);
     return RayFeatureExtractor(image.rendered, image.measured).compute_features(ray / columns, ray % columns);
 }
 
-ScatterSampleSet make_samples(std::span<const PairedIntensities> images,
-                              const std::vector<ImageRayIndex>& return_indices) {
-    ScatterSampleSet result{std::vector<ScatterSample>(return_indices.size())};
-    const std::size_t stride = return_indices.size() / kQuantileReturns + 1;
-    std::vector<RayFeatures> some((return_indices.size() + stride - 1) / stride);
+ScatterSamples make_samples(std::span<const PairedIntensities> images, const std::vector<ImageRay>& indices) {
+    ScatterSamples result{std::vector<ScatterSample>(indices.size())};
+    const std::size_t stride = indices.size() / kQuantileReturns + 1;
+    std::vector<RayFeatures> some((indices.size() + stride - 1) / stride);
     parallel_blocks(some.size(), [&](std::size_t index) {
-        some[index] = return_features(images, return_indices[index * stride]);
+        some[index] = return_features(images, indices[index * stride]);
     });
     parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
@@ -106,11 +104,10 @@ ScatterSampleSet make_samples(std::span<const PairedIntensities> images,
         result.cuts[std::size_t(f)] = find_quantiles(std::move(values), kBins);
     });
     std::vector<float> values;
-    for (const ImageRayIndex& location : return_indices)
-        values.push_back(images[location.image].measured[location.ray]);
+    for (const ImageRay& location : indices) values.push_back(images[location.image].measured[location.ray]);
     const std::vector<float> classes = find_quantiles(values, kClasses);
-    parallel_blocks(return_indices.size(), [&](std::size_t index) {
-        const RayFeatures features = return_features(images, return_indices[index]);
+    parallel_blocks(indices.size(), [&](std::size_t index) {
+        const RayFeatures features = return_features(images, indices[index]);
         ScatterSample& one = result.all[index];
         for (std::size_t f = 0; f < kFeatures; ++f) one.bins[f] = find_bin(result.cuts[f], features[f]);
         one.of_class = find_bin(classes, values[index]);
@@ -151,10 +148,10 @@ struct TreeNodeSplit {
 
 // Number of features whose histograms fit into the first-level cache.
 constexpr std::size_t kFeaturesPerPass = 4;
-using ClassCountsByBin = std::array<ClassCounts, kBins>;
+using BinCounts = std::array<ClassCounts, kBins>;
 
 /// @param class_counts_by_bin  number of returns of each class in each bin of the feature
-TreeNodeSplit split_by_feature(const ClassCountsByBin& class_counts_by_bin, std::size_t feature,
+TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t feature,
                                std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
     TreeNodeSplit best;
     ClassCounts all, low;
@@ -177,10 +174,10 @@ TreeNodeSplit split_by_feature(const ClassCountsByBin& class_counts_by_bin, std:
 }
 
 /// Returns the best split by one of kFeaturesPerPass features from `first_feature`.
-TreeNodeSplit split_by_features(const ScatterSampleSet& samples, std::span<const ScatterSample> node_samples,
+TreeNodeSplit split_by_features(const ScatterSamples& samples, std::span<const ScatterSample> node_samples,
                                 std::size_t first_feature, const std::vector<double>& k_log_k_table) {
     const std::size_t n = std::min(kFeaturesPerPass, kFeatures - first_feature);
-    std::array<ClassCountsByBin, kFeaturesPerPass> counts{};
+    std::array<BinCounts, kFeaturesPerPass> counts{};
     for (const ScatterSample& one : node_samples)
         for (std::size_t f = 0; f < n; ++f) ++counts[f][one.bins[first_feature + f]].of[one.of_class];
     TreeNodeSplit best;
@@ -195,7 +192,7 @@ TreeNodeSplit split_by_features(const ScatterSampleSet& samples, std::span<const
 /// Returns the best split of each tree node. If two splits are equally good, uses the one
 /// with the lower feature index. For large nodes, also processes the features in
 /// parallel.
-std::vector<TreeNodeSplit> find_layer_splits(const ScatterSampleSet& samples,
+std::vector<TreeNodeSplit> find_layer_splits(const ScatterSamples& samples,
                                              const std::vector<double>& k_log_k,
                                              std::span<const IntensityScatterModel::DecisionTreeNode> nodes) {
     constexpr std::size_t kMinLargeNode = 65536;
@@ -220,7 +217,7 @@ std::vector<TreeNodeSplit> find_layer_splits(const ScatterSampleSet& samples,
 
 /// Splits the nodes of the decision tree with index `first_node` or higher. Reorders
 /// `samples` so that those of each node stay contiguous.
-void split_layer(ScatterSampleSet& samples, const std::vector<double>& k_log_k_table,
+void split_layer(ScatterSamples& samples, const std::vector<double>& k_log_k_table,
                  std::vector<IntensityScatterModel::DecisionTreeNode>& nodes, std::size_t first_node) {
     const std::vector<TreeNodeSplit> cuts =
         find_layer_splits(samples, k_log_k_table, std::span(nodes).subspan(first_node));
@@ -298,10 +295,10 @@ float IntensityScatterModel::quantise(float intensity) const {
 
 IntensityScatterModel fit_scatter(std::span<const PairedIntensities> images) {
     check_image_sizes(images);
-    const std::vector<ImageRayIndex> return_locations = sample_returns(images, kMaxReturns);
+    const std::vector<ImageRay> return_locations = sample_returns(images, kMaxReturns);
     IntensityScatterModel result;
     if (return_locations.size() < kMinReturns) return result;
-    ScatterSampleSet samples = make_samples(images, return_locations);
+    ScatterSamples samples = make_samples(images, return_locations);
     result.nodes = {{.first = 0, .count = std::uint32_t(return_locations.size())}};
     const std::vector<double> terms = make_entropy_terms(return_locations.size());
     for (std::size_t first = 0; first < result.nodes.size();) {

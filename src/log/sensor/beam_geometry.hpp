@@ -12,9 +12,9 @@
 namespace relidar {
 
 /// Computes the rays of one beam at many azimuths of the head.
-class BeamRayGenerator {
+class BeamRays {
 public:
-    explicit BeamRayGenerator(const Beam& beam)
+    explicit BeamRays(const Beam& beam)
         : beam_(beam),
           cos_elevation_(std::cos(beam.elevation_rad)),
           sin_elevation_(std::sin(beam.elevation_rad)),
@@ -45,7 +45,7 @@ private:
     double left_of_axis_m_;  ///< horizontal distance between the beam and the axis of rotation
 };
 
-inline std::vector<BeamRayGenerator> make_generators(const std::vector<Beam>& beams) {
+inline std::vector<BeamRays> make_generators(const std::vector<Beam>& beams) {
     return {beams.begin(), beams.end()};
 }
 

@@ -49,11 +49,11 @@ const std::array<FieldRule, kFieldCount> kFieldRules{
      {"max_range_m", 0.0, kFarthestLimit_m, RangeLimits{}.max_m},
      {"channel", 0.0, 65535.0, 0.0}}};
 
-using BeamTableRow = std::array<double, kFieldCount>;
+using BeamRow = std::array<double, kFieldCount>;
 
-BeamTableRow parse_beam_row(const std::vector<std::string_view>& cells,
-                            const std::vector<int>& column_of_field, const std::string& where) {
-    BeamTableRow value{};
+BeamRow parse_beam_row(const std::vector<std::string_view>& cells, const std::vector<int>& column_of_field,
+                       const std::string& where) {
+    BeamRow value{};
     for (std::size_t f = 0; f < kFieldRules.size(); ++f) {
         const FieldRule& rule = kFieldRules[f];
         value[f] = rule.missing;
@@ -70,7 +70,7 @@ BeamTableRow parse_beam_row(const std::vector<std::string_view>& cells,
 
 /// @throws DataError if the beam is higher than the previous one, or if its range limits
 /// differ from the first line
-void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const std::string& where) {
+void append_beam(SpinningSensor& sensor, const BeamRow& row_values, const std::string& where) {
     // The head turns clockwise.
     const double turned_rad = -2.0 * kPi / sensor.period_s * row_values[kFiring] * 1e-6;
     const Beam beam{row_values[kElevation] * kPi / 180.0,
@@ -95,8 +95,7 @@ void append_beam(SpinningSensor& sensor, const BeamTableRow& row_values, const s
 
 }  // namespace
 
-SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns,
-                           double rotation_rate_hz) {
+SpinningSensor parse_beams(const std::string& text, const std::string& where, int n_columns, double rate_hz) {
     const std::vector<std::string> lines = split_lines(text);
     const auto first =
         std::size_t(std::find_if(lines.begin(), lines.end(),
@@ -113,7 +112,7 @@ SpinningSensor parse_beams(const std::string& text, const std::string& where, in
 
     SpinningSensor sensor;
     sensor.columns = n_columns;
-    sensor.period_s = 1.0 / rotation_rate_hz;
+    sensor.period_s = 1.0 / rate_hz;
     sensor.first_azimuth_rad = kPi - kPi / n_columns;
     for (std::size_t l = first + 1; l < lines.size(); ++l) {
         if (trim(lines[l]).empty() || lines[l].starts_with('#')) continue;

@@ -104,9 +104,8 @@ double read_angle_or_rad(const JsonField& field, const std::string& name, double
     return has ? read_angle_rad(field, name, max_abs_deg) : default_rad;
 }
 
-double read_number_or(const JsonField& field, const char* key, double default_value, double min_value,
-                      double max_value) {
-    return field.has_member(key) ? field.at(key).number_in(min_value, max_value) : default_value;
+double read_number_or(const JsonField& field, const char* key, double default_value, double min, double max) {
+    return field.has_member(key) ? field.at(key).number_in(min, max) : default_value;
 }
 
 double read_divergence_rad(const JsonField& field) {
@@ -116,13 +115,12 @@ double read_divergence_rad(const JsonField& field) {
     return 1e-3 * read_number_or(field, "divergence_mrad", 0.0, 0.0, 1000.0);
 }
 
-CommonSensorMembers read_common(const JsonField& field, const std::string& default_name,
-                                double min_period_s) {
-    const CommonSensorMembers common{
+CommonMembers read_common(const JsonField& field, const std::string& default_name, double min_s) {
+    const CommonMembers common{
         field.has_member("name") ? field.at("name").text() : default_name,
         {read_number_or(field, "min_range_m", 0.0, 0.0, kLargestRange_m),
          read_number_or(field, "max_range_m", RangeLimits{}.max_m, 0.0, kLargestRange_m)},
-        read_number_or(field, "period_s", 0.1, min_period_s, kLongestPeriod_s),
+        read_number_or(field, "period_s", 0.1, min_s, kLongestPeriod_s),
         read_divergence_rad(field)};
     if (!(common.limits.min_m < common.limits.max_m))
         field.reject(fmt::format("found {} to {} m", common.limits.min_m, common.limits.max_m),

@@ -58,19 +58,17 @@ namespace sensor {
 double read_angle_rad(const JsonField& field, const std::string& name, double max_abs_deg);
 double read_angle_or_rad(const JsonField& field, const std::string& name, double default_rad,
                          double max_abs_deg);
-double read_number_or(const JsonField& field, const char* key, double default_value, double min_value,
-                      double max_value);
+double read_number_or(const JsonField& field, const char* key, double default_value, double min, double max);
 /// Reads divergence_rad or divergence_mrad; 0 if both are missing.
 double read_divergence_rad(const JsonField& field);
 
 /// Members of all kinds. A missing max_range_m means infinity.
-struct CommonSensorMembers {
+struct CommonMembers {
     std::string name;
     RangeLimits limits;
     double period_s, divergence_rad;
 };
-CommonSensorMembers read_common(const JsonField& field, const std::string& default_name,
-                                double min_period_s = 1e-6);
+CommonMembers read_common(const JsonField& field, const std::string& default_name, double min_s = 1e-6);
 /// Members of all sensors are allowed, too. An angle NAME is NAME_rad or NAME_deg.
 /// @throws DataError for an unknown member
 void check_members(const JsonField& field, std::vector<std::string> allowed_member_names,

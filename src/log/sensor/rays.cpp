@@ -79,11 +79,11 @@ RangeLimits intersect(const RangeLimits& first, const RangeLimits& second) {
 }
 
 BeamRay aim_beam(const Beam& beam, double head_azimuth_rad) {
-    return BeamRayGenerator(beam).compute_ray(head_azimuth_rad);
+    return BeamRays(beam).compute_ray(head_azimuth_rad);
 }
 
 double azimuth_facing_rad(const Beam& beam, const glm::dvec3& point_m) {
-    return BeamRayGenerator(beam).azimuth_facing(point_m);
+    return BeamRays(beam).azimuth_facing(point_m);
 }
 
 int offset_columns(const Beam& beam, int n_columns) {
@@ -97,7 +97,7 @@ RayTable make_rays(const SpinningSensor& sensor) {
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
     parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[std::size_t(row)];
-        const BeamRayGenerator geometry(beam);
+        const BeamRays geometry(beam);
         const int shift = offset_columns(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {

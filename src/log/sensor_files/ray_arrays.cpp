@@ -76,31 +76,29 @@ std::vector<double> choose_divergence(std::vector<double> ray_divergence_rad,
     return ray_divergence_rad;
 }
 
-SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& name,
-                            const std::string& where) {
-    check_ray_arrays(ray_arrays, where);
-    const std::size_t n = ray_arrays.direction.size() / 3;
+SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name, const std::string& where) {
+    check_ray_arrays(arrays, where);
+    const std::size_t n = arrays.direction.size() / 3;
     RayTable rays;
-    rays.rows = ray_arrays.rows;
-    rays.columns = ray_arrays.columns;
-    const std::vector<double>& divergence_rad = ray_arrays.divergence_rad;
+    rays.rows = arrays.rows;
+    rays.columns = arrays.columns;
+    const std::vector<double>& divergence_rad = arrays.divergence_rad;
     if (std::ranges::adjacent_find(divergence_rad, std::not_equal_to<>()) != divergence_rad.end())
         rays.ray_divergence_rad.assign(divergence_rad.begin(), divergence_rad.end());
     else if (!divergence_rad.empty()) rays.divergence_rad = float(divergence_rad[0]);
     for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec3 direction = xyz_at(ray_arrays.direction, i);
+        const glm::dvec3 direction = xyz_at(arrays.direction, i);
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnitLengthTolerance))
             fail("{}: entry {} of directions has length {}, expected 1", where, i, length);
-        const bool is_exact = ray_arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
+        const bool is_exact = arrays.keeps_floats && std::abs(length - 1.0) < 1e-6 &&
                               glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);
-        rays.origin.emplace_back(xyz_at(ray_arrays.origin, i));
-        rays.time_offset_s.push_back(ray_arrays.time_s.empty() ? 0.0f : float(ray_arrays.time_s[i]));
-        rays.channel.push_back(ray_arrays.channel.empty() ? std::uint16_t(0)
-                                                          : std::uint16_t(ray_arrays.channel[i]));
+        rays.origin.emplace_back(xyz_at(arrays.origin, i));
+        rays.time_offset_s.push_back(arrays.time_s.empty() ? 0.0f : float(arrays.time_s[i]));
+        rays.channel.push_back(arrays.channel.empty() ? std::uint16_t(0) : std::uint16_t(arrays.channel[i]));
     }
-    return {name, "", ray_arrays.limits, std::move(rays)};
+    return {name, "", arrays.limits, std::move(rays)};
 }
 
 SensorModel read_ray_npz(const std::string& path, const std::string& name) {

@@ -26,8 +26,7 @@ struct RayFileArrays {
     bool keeps_floats = false;
 };
 
-SensorModel make_ray_sensor(const RayFileArrays& ray_arrays, const std::string& name,
-                            const std::string& where);
+SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name, const std::string& where);
 
 /// @param ray_divergence_rad  [n] radians, or empty
 /// @throws DataError if the file contains both forms

@@ -24,10 +24,9 @@ using Json = nlohmann::json;
 constexpr std::size_t kMostSensors = 64;
 constexpr double kMaxOffset_m = 1000.0;
 
-glm::dvec3 read_vector(const Json& sensor_json, const char* key, double max_abs_value,
-                       const std::string& place) {
-    if (!sensor_json.contains(key)) return glm::dvec3(0.0);
-    const Json& list = sensor_json.at(key);
+glm::dvec3 read_vector(const Json& json, const char* key, double max_abs_value, const std::string& place) {
+    if (!json.contains(key)) return glm::dvec3(0.0);
+    const Json& list = json.at(key);
     glm::dvec3 v(0.0);
     const bool numbers = list.is_array() && list.size() == 3 &&
                          std::all_of(list.begin(), list.end(), [](const Json& n) { return n.is_number(); });
@@ -63,8 +62,7 @@ SensorModel read_rig_sensor(const Json& sensor_json, const std::string& sensor_n
     return model;
 }
 
-void check_sensor_name(const std::string& name, const std::set<std::string>& used_names,
-                       const std::string& place) {
+void check_sensor_name(const std::string& name, const std::set<std::string>& used, const std::string& place) {
     const auto allowed = [](char character) {
         return std::isalnum(static_cast<unsigned char>(character)) || character == '-' || character == '_' ||
                character == '.';
@@ -72,7 +70,7 @@ void check_sensor_name(const std::string& name, const std::set<std::string>& use
     if (name.empty() || name.size() > 64 || name.starts_with('.') ||
         !std::all_of(name.begin(), name.end(), allowed))
         fail("{}: name: found \"{}\", expected letters, digits, -, _ and .", place, quote(name));
-    if (used_names.contains(name)) fail("{}: name: \"{}\" occurs twice, expected it once", place, name);
+    if (used.contains(name)) fail("{}: name: \"{}\" occurs twice, expected it once", place, name);
 }
 
 /// A misspelt "translation" would mount the sensor at the origin.

@@ -78,18 +78,18 @@ std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& se
     return shift_rad;
 }
 
-RayTable rotate_firings(RayTable nominal_rays, const SpinningSensor& sensor,
-                        const std::vector<float>& azimuth_shifts_rad) {
-    if (azimuth_shifts_rad.empty()) return nominal_rays;
+RayTable rotate_firings(RayTable nominal, const SpinningSensor& sensor,
+                        const std::vector<float>& shifts_rad) {
+    if (shifts_rad.empty()) return nominal;
     visit_firings(sensor, [&](std::size_t ray, std::size_t firing) {
-        const double cosine = std::cos(double(azimuth_shifts_rad[firing])),
-                     sine = std::sin(double(azimuth_shifts_rad[firing]));
-        for (glm::vec3* v : {&nominal_rays.direction[ray], &nominal_rays.origin[ray]}) {
+        const double cosine = std::cos(double(shifts_rad[firing])),
+                     sine = std::sin(double(shifts_rad[firing]));
+        for (glm::vec3* v : {&nominal.direction[ray], &nominal.origin[ray]}) {
             *v = {static_cast<float>(cosine * v->x - sine * v->y),
                   static_cast<float>(sine * v->x + cosine * v->y), v->z};
         }
     });
-    return nominal_rays;
+    return nominal;
 }
 
 }  // namespace relidar

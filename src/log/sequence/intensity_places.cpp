@@ -25,14 +25,14 @@ constexpr double kMinPoints = 8.0;
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
-struct ReturnWithPoint {
+struct ReturnPoint {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
     CellReturn cell_return;  ///< the return; `cell` and `cosine` are computed later
 };
 
-std::vector<ReturnWithPoint> collect_returns(const Log& sequence, const Frame& frame) {
-    std::vector<ReturnWithPoint> result;
+std::vector<ReturnPoint> collect_returns(const Log& sequence, const Frame& frame) {
+    std::vector<ReturnPoint> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
         const auto beam = beam_of_return(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
@@ -47,13 +47,13 @@ std::vector<ReturnWithPoint> collect_returns(const Log& sequence, const Frame& f
 }
 
 /// Numbers the cells of a world grid that contain returns.
-ItemCellIndices cells_of_returns(const std::vector<ReturnWithPoint>& returns, double cell_size_m) {
+ItemCellIndices cells_of_returns(const std::vector<ReturnPoint>& returns, double cell_size_m) {
     return number_cells(returns.size(),
                         [&](std::size_t index) { return grid_key(returns[index].point_m, cell_size_m); });
 }
 
 /// Returns a normal of length zero for cells whose returns do not form a plane.
-std::vector<glm::vec3> estimate_normals(const std::vector<ReturnWithPoint>& returns,
+std::vector<glm::vec3> estimate_normals(const std::vector<ReturnPoint>& returns,
                                         const ItemCellIndices& cells) {
     const CellItemLists items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
@@ -72,8 +72,8 @@ std::vector<glm::vec3> estimate_normals(const std::vector<ReturnWithPoint>& retu
 
 }  // namespace
 
-RepeatedCellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
-    std::vector<ReturnWithPoint> returns =
+CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
+    std::vector<ReturnPoint> returns =
         concatenate(map_frames(sequence, frames, kMostCompared,
                                [&](const Frame& frame) { return collect_returns(sequence, frame); }));
     {

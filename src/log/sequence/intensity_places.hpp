@@ -21,10 +21,10 @@ struct CellReturn {
 
 /// LiDAR returns, sorted by grid cell. Cells with a single return are left out. Cell
 /// indices range from 0 to n_cells - 1, with gaps.
-struct RepeatedCellReturns {
+struct CellReturns {
     std::vector<CellReturn> sorted_returns;
     std::size_t n_cells = 0;
 };
-RepeatedCellReturns collect_cells(const Log& sequence, const std::vector<int>& frames);
+CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames);
 
 }  // namespace relidar

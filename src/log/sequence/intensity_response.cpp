@@ -48,7 +48,7 @@ struct IntensityFit {
     double rms = 0.0;
 };
 
-struct FittedIntensityTerms {
+struct FittedTerms {
     bool shared, beams;
 };
 
@@ -72,7 +72,7 @@ void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const 
     });
 }
 
-void fit_albedos(IntensityFit& model, const RepeatedCellReturns& returns) {
+void fit_albedos(IntensityFit& model, const CellReturns& returns) {
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
         double sum = 0.0, weight = 0.0;
         for (const CellReturn& r : place) {
@@ -90,7 +90,7 @@ void fit_albedos(IntensityFit& model, const RepeatedCellReturns& returns) {
 /// incidence factor, then gain and offset of each beam.
 struct VariableIndices {
     static constexpr auto kIncidenceChannel = Eigen::Index(kKnots_m.size());
-    FittedIntensityTerms parts;
+    FittedTerms parts;
     std::size_t n_beams;
 
     /// The index of the offset is the next one.
@@ -101,7 +101,7 @@ struct VariableIndices {
 };
 /// Nonzero derivatives of the expected intensity of one return: by two range factors,
 /// incidence factor, beam gain and beam offset, in this order.
-struct IntensityJacobianRow {
+struct JacobianRow {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
     /// `by_albedo`: derivative of the expected intensity with respect to the albedo of
@@ -109,8 +109,8 @@ struct IntensityJacobianRow {
     double by_albedo, error;
 };
 
-IntensityJacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
-                                  const CellReturn& measured_return) {
+JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
+                         const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
     // `s` is 0 at kKnots_m[knot] and 1 at the next sampled range.
     const double range_m = measured_return.range_m;
@@ -121,10 +121,10 @@ IntensityJacobianRow jacobian_row(const IntensityFit& model, const VariableIndic
     const double rho = model.shared.range_factor(measured_return.range_m),
                  kappa = model.shared.incidence_factor(measured_return.cosine),
                  albedo = model.albedo[measured_return.cell], mean_beam = albedo * rho * kappa;
-    IntensityJacobianRow row{{},
-                             0,
-                             beam.gain * rho * kappa,
-                             double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
+    JacobianRow row{{},
+                    0,
+                    beam.gain * rho * kappa,
+                    double(measured_return.intensity) - beam.gain * mean_beam - beam.offset};
     const auto append = [&](Eigen::Index variable, double derivative) {
         row.by[row.n++] = {variable, derivative};
     };
@@ -166,7 +166,7 @@ struct alignas(64) Sums {
         double cc = 0.0, ce = 0.0;
         touched.clear();
         for (const CellReturn& r : cell_returns) {
-            const IntensityJacobianRow row = jacobian_row(model, variable_indices, r);
+            const JacobianRow row = jacobian_row(model, variable_indices, r);
             for (std::size_t i = 0; i < row.n; ++i) {
                 const auto [unknown, derivative] = row.by[i];
                 if (coupling[std::size_t(unknown)] == 0.0) touched.push_back(unknown);
@@ -191,7 +191,7 @@ struct alignas(64) Sums {
 };
 
 NormalEquations build_equations(const IntensityFit& model, const VariableIndices& variable_indices,
-                                const RepeatedCellReturns& returns) {
+                                const CellReturns& returns) {
     std::vector<Sums> sums(kChunks, Sums(variable_indices.size()));
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t chunk) {
         sums[chunk].add_cell(model, variable_indices, place);
@@ -209,8 +209,7 @@ NormalEquations build_equations(const IntensityFit& model, const VariableIndices
     return sys;
 }
 
-void add_priors(NormalEquations& equations, const IntensityFit& model,
-                const VariableIndices& variable_indices) {
+void add_priors(NormalEquations& equations, const IntensityFit& model, const VariableIndices& indices) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         equations.h(i, i) += weight;
         equations.g[i] += weight * error;
@@ -219,7 +218,7 @@ void add_priors(NormalEquations& equations, const IntensityFit& model,
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
     // A prior pulls the factor at range kKnots_m[k] towards linear interpolation between
     // the factors k - 1 and k + 1. It matters only at ranges with few returns.
-    for (std::size_t k = 1; variable_indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
+    for (std::size_t k = 1; indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
                               now(model.shared.factor[k - 1], model.shared.factor[k],
@@ -228,7 +227,7 @@ void add_priors(NormalEquations& equations, const IntensityFit& model,
         equations.h.block<3, 3>(at, at) += prior * bend * bend.transpose();
         equations.g.segment<3>(at) -= prior * bend * bend.dot(now);
     }
-    if (variable_indices.parts.shared) {
+    if (indices.parts.shared) {
         // Doubling all albedos and halving all range factors gives the same intensities.
         // Therefore the range factor is fixed to 1 at one range.
         pull(kReferenceKnot, 1e3 * prior, 1.0 - model.shared.factor[kReferenceKnot]);
@@ -236,11 +235,11 @@ void add_priors(NormalEquations& equations, const IntensityFit& model,
             pull(Eigen::Index(k), 1e-3 * prior, 1.0 - model.shared.factor[k]);
         pull(VariableIndices::kIncidenceChannel, 1e-3 * prior, -model.shared.incidence);
     }
-    for (std::size_t b = 0; variable_indices.parts.beams && b < model.beams.size(); ++b)
+    for (std::size_t b = 0; indices.parts.beams && b < model.beams.size(); ++b)
         for (const double x : {equations.mean - equations.spread, equations.mean + equations.spread}) {
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
-            const Eigen::Index gain = variable_indices.gain_variable(b);
+            const Eigen::Index gain = indices.gain_variable(b);
             equations.h(gain, gain) += weight * x * x;
             equations.h(gain + 1, gain + 1) += weight;
             equations.h(gain + 1, gain) += weight * x;
@@ -266,7 +265,7 @@ void apply_step(IntensityFit& model, const VariableIndices& variable_indices, co
 
 /// Scales and shifts all beams so that the mean beam (weighted by number of returns) has
 /// gain 1 and offset 0. A common gain would look the same as brighter surfaces.
-void normalise_beams(std::vector<BeamGainOffset>& beams, const RepeatedCellReturns& returns) {
+void normalise_beams(std::vector<BeamGainOffset>& beams, const CellReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const CellReturn& r : returns.sorted_returns) n[r.beam] += 1.0;
     double all = 0.0, gain = 0.0, offset = 0.0;
@@ -281,7 +280,7 @@ void normalise_beams(std::vector<BeamGainOffset>& beams, const RepeatedCellRetur
     }
 }
 
-double rms_error(const IntensityFit& model, const RepeatedCellReturns& returns) {
+double rms_error(const IntensityFit& model, const CellReturns& returns) {
     struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
         double of = 0.0;
     };
@@ -300,8 +299,7 @@ double rms_error(const IntensityFit& model, const RepeatedCellReturns& returns) 
     return std::sqrt(all / double(returns.sorted_returns.size()));
 }
 
-IntensityFit fit_intensity(const RepeatedCellReturns& returns, std::size_t n_beams,
-                           FittedIntensityTerms terms_to_fit) {
+IntensityFit fit_intensity(const CellReturns& returns, std::size_t n_beams, FittedTerms terms_to_fit) {
     IntensityFit m;
     m.albedo.resize(returns.n_cells);
     m.beams.resize(n_beams);
@@ -347,7 +345,7 @@ IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<
         beam->intensity_gain = 1.0;
         beam->intensity_offset = 0.0;
     }
-    const RepeatedCellReturns returns = collect_cells(sequence, frames);
+    const CellReturns returns = collect_cells(sequence, frames);
     IntensityCalibrationResult result;
     result.returns = returns.sorted_returns.size();
     if (returns.sorted_returns.empty()) return result;

@@ -75,15 +75,14 @@ void fill_empty_bins(RangeNoiseTable& noise) {
 
 /// Estimates the range noise of one LiDAR, and counts the returns that were used. Without
 /// a bin of enough returns, the table is empty.
-std::pair<RangeNoiseTable, std::size_t> estimate_noise(
-    const std::vector<DifferencesByBin>& differences_by_frame) {
+std::pair<RangeNoiseTable, std::size_t> estimate_noise(const std::vector<DifferencesByBin>& differences) {
     RangeNoiseTable noise{{kRangeBinEnds_m.begin(), kRangeBinEnds_m.end()},
                           {kCosineBinEnds.begin(), kCosineBinEnds.end()},
                           std::vector<double>(kBins, 0.0)};
     std::size_t n = 0;
     for (std::size_t b = 0; b < kBins; ++b) {
         std::vector<float> all;
-        for (const DifferencesByBin& frame : differences_by_frame)
+        for (const DifferencesByBin& frame : differences)
             all.insert(all.end(), frame[b].begin(), frame[b].end());
         n += all.size();
         if (all.size() >= kFewestOfBin)

@@ -37,14 +37,14 @@ constexpr double kLeastGain = 0.97;
 constexpr int kMaxRounds = 30;
 
 /// A return in the world frame, not yet corrected by the range offset of its beam.
-struct UncorrectedReturn {
+struct RawReturn {
     glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
     std::uint32_t beam;
 };
 
-std::vector<UncorrectedReturn> world_returns(const Log& sequence, const Frame& frame) {
-    std::vector<UncorrectedReturn> result;
+std::vector<RawReturn> world_returns(const Log& sequence, const Frame& frame) {
+    std::vector<RawReturn> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
         const auto beam = beam_of_return(sequence, frame, ray, kMaxRange_m);
         if (!beam) continue;
@@ -57,23 +57,23 @@ std::vector<UncorrectedReturn> world_returns(const Log& sequence, const Frame& f
 /// Returns of a log, sorted by grid cell and, within a cell, by frame. Range corrections
 /// of beams do not change the cell, because they are very small.
 struct ReturnsByCell {
-    std::vector<UncorrectedReturn> returns;
+    std::vector<RawReturn> returns;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `returns`
 
     std::size_t size() const { return first.size() - 1; }
-    std::span<const UncorrectedReturn> returns_in(std::size_t cell_index) const {
+    std::span<const RawReturn> returns_in(std::size_t cell_index) const {
         return std::span(returns).subspan(first[cell_index], first[cell_index + 1] - first[cell_index]);
     }
 };
 
 ReturnsByCell group_by_cell(const Log& sequence, const std::vector<int>& frames) {
-    const std::vector<UncorrectedReturn> all =
+    const std::vector<RawReturn> all =
         concatenate(map_frames(sequence, frames, kMostOffsetReturns,
                                [&](const Frame& frame) { return world_returns(sequence, frame); }));
     const CellItemLists items(number_cells(all.size(), [&](std::size_t index) {
         return grid_key(glm::dvec3(all[index].point_m), kPlaneCell_m);
     }));
-    ReturnsByCell cells{std::vector<UncorrectedReturn>(all.size()), {0}};
+    ReturnsByCell cells{std::vector<RawReturn>(all.size()), {0}};
     for (std::size_t cell = 0; cell < items.size(); ++cell)
         cells.first.push_back(cells.first.back() + items.items_of(cell).size());
     parallel_blocks(items.size(), [&](std::size_t cell) {
@@ -83,8 +83,7 @@ ReturnsByCell group_by_cell(const Log& sequence, const std::vector<int>& frames)
     return cells;
 }
 
-glm::dvec3 corrected_point(const UncorrectedReturn& uncorrected_return,
-                           const std::vector<double>& beam_offsets_m) {
+glm::dvec3 corrected_point(const RawReturn& uncorrected_return, const std::vector<double>& beam_offsets_m) {
     return glm::dvec3(uncorrected_return.point_m) -
            beam_offsets_m[uncorrected_return.beam] * glm::dvec3(uncorrected_return.direction);
 }
@@ -93,13 +92,12 @@ struct CellPlane {
     glm::dvec3 point, normal;
 };
 
-std::optional<CellPlane> fit_cell_plane(std::span<const UncorrectedReturn> cell_returns,
+std::optional<CellPlane> fit_cell_plane(std::span<const RawReturn> cell_returns,
                                         const std::vector<double>& beam_offsets_m) {
     if (cell_returns.size() < std::size_t(kMinReturns)) return std::nullopt;
     const glm::dvec3 about = corrected_point(cell_returns[0], beam_offsets_m);
     PointMomentSums sums;
-    for (const UncorrectedReturn& o : cell_returns)
-        sums.add_point(corrected_point(o, beam_offsets_m) - about);
+    for (const RawReturn& o : cell_returns) sums.add_point(corrected_point(o, beam_offsets_m) - about);
     const PlaneFit fit = sums.fit_plane();
     if (fit.variance[0] > kMaxThickness_m * kMaxThickness_m ||
         fit.variance[1] < kMaxThickness_m * kMaxThickness_m)
@@ -139,10 +137,10 @@ BeamResiduals sum_residuals(const ReturnsByCell& cells, const std::vector<double
     all += parallel_sum(cells.size(), kCellsPerBlock, [&](std::size_t begin, std::size_t end) {
         BeamResiduals block{.fits = std::vector<BeamOffsetSums>(beam_offsets_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
-            const std::span<const UncorrectedReturn> cell_returns = cells.returns_in(cell);
+            const std::span<const RawReturn> cell_returns = cells.returns_in(cell);
             const std::optional<CellPlane> plane = fit_cell_plane(cell_returns, beam_offsets_m);
             if (!plane) continue;
-            for (const UncorrectedReturn& o : cell_returns) {
+            for (const RawReturn& o : cell_returns) {
                 const double facing = glm::dot(plane->normal, glm::dvec3(o.direction)),
                              residual =
                                  glm::dot(plane->normal, corrected_point(o, beam_offsets_m) - plane->point);

@@ -329,26 +329,22 @@ double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const Sweep
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }
 
-SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray,
-                             std::size_t return_index) {
+SurfaceReturn surface_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index) {
     const Scan& scan = frame.scan;
     const Beam& beam = find_beam(sequence.lidar_of(frame).sensor.beams, scan.rays.channel[ray]);
-    const double measured_m = return_index == 0 ? scan.range_m[ray]
-                                                : scan.second_returns[return_index - 1].range_m[ray],
-                 measured = return_index == 0 ? scan.intensity[ray]
-                                              : scan.second_returns[return_index - 1].intensity[ray];
+    const double measured_m = index == 0 ? scan.range_m[ray] : scan.second_returns[index - 1].range_m[ray],
+                 measured = index == 0 ? scan.intensity[ray] : scan.second_returns[index - 1].intensity[ray];
     const float range_m = static_cast<float>(beam.to_surface_range_m(measured_m));
     return {range_m, static_cast<float>(beam.to_surface_intensity(
                          measured, sequence.intensity_response.range_factor(double(range_m))))};
 }
 
-WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray,
-                          std::size_t return_index) {
+WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t ray, std::size_t index) {
     const double t_s = firing_time_s(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
     const WorldRay w = ray_to_world(
         sequence.world_from_vehicle.mounted_pose_at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
         frame.scan.rays, ray);
-    const SurfaceReturn surface = surface_return(sequence, frame, ray, return_index);
+    const SurfaceReturn surface = surface_return(sequence, frame, ray, index);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};
 }

@@ -46,11 +46,10 @@ std::set<int> select_nth_frames(int test_every, const std::vector<int>& numbers)
 }
 
 /// Parses a list of frame indices and ranges, for example "13,26,40:45".
-std::set<int> parse_frame_list(const std::string& frame_list_text,
-                               const std::vector<int>& log_frame_numbers) {
+std::set<int> parse_frame_list(const std::string& text, const std::vector<int>& log_frame_numbers) {
     const std::set<int> log_frames(log_frame_numbers.begin(), log_frame_numbers.end());
     std::set<int> held_out;
-    for (const std::string_view cell : split_csv_cells(frame_list_text)) {
+    for (const std::string_view cell : split_csv_cells(text)) {
         const auto [first, end] = parse_frames(cell);
         for (int index = first; index < end; ++index) {
             if (!log_frames.contains(index))

@@ -21,7 +21,7 @@ constexpr const char* kNoCategory = "unknown";
 
 class WorldPoseLookup {
 public:
-    explicit WorldPoseLookup(const BoxTransformContext& places) : transform_context_(places) {}
+    explicit WorldPoseLookup(const BoxContext& places) : transform_context_(places) {}
 
     /// Returns nothing if the bag does not contain the pose at this time.
     std::optional<Pose> find_pose(const std::string& frame_id, double t_s) {
@@ -41,8 +41,8 @@ public:
     }
 
 private:
-    const BoxTransformContext& transform_context_;
-    std::map<std::string, std::optional<RelativeFramePose>> apart_;
+    const BoxContext& transform_context_;
+    std::map<std::string, std::optional<FramePose>> apart_;
 };
 
 /// Object trackers change the category and the size of an object over time. Gives all
@@ -71,7 +71,7 @@ void unify_labels(std::vector<BoxLabel>& labels) {
 /// Reads the box messages of a topic and converts the boxes to the world frame.
 class BoxMessageReader {
 public:
-    BoxMessageReader(const BoxTransformContext& places, double first_s, double last_s)
+    BoxMessageReader(const BoxContext& places, double first_s, double last_s)
         : transform_context_(places), frames_(places), first_s_(first_s), last_s_(last_s) {}
 
     bool is_in_log(double t_s) const { return t_s >= first_s_ && t_s <= last_s_; }
@@ -96,8 +96,8 @@ public:
         }
     }
 
-    LoadedBoxTracks make_tracks() {
-        LoadedBoxTracks result;
+    LoadedBoxes make_tracks() {
+        LoadedBoxes result;
         if (n_unplaced_ > 0)
             result.notes.push_back(fmt::format(
                 "{} boxes are skipped, because the pose of the frame '{}' in the frame '{}' is unknown",
@@ -118,7 +118,7 @@ public:
     }
 
 private:
-    const BoxTransformContext& transform_context_;
+    const BoxContext& transform_context_;
     WorldPoseLookup frames_;
     double first_s_, last_s_;
     std::vector<BoxLabel> labels_;
@@ -163,9 +163,8 @@ SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index) {
     return choice;
 }
 
-LoadedBoxTracks read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
-                               const BoxTransformContext& transform_context,
-                               const std::vector<double>& times_s) {
+LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
+                           const BoxContext& transform_context, const std::vector<double>& times_s) {
     const double step_s = median_interval_s(times_s);
     BoxMessageReader reader(transform_context, times_s.front() - step_s, times_s.back() + step_s);
     const BagTopic& topic = bag.topics()[box_topic.topic];

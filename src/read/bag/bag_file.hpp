@@ -72,7 +72,7 @@ private:
 class BagFile {
 public:
     virtual ~BagFile() = default;
-    struct MessageReadCallbacks {
+    struct ReadCallbacks {
         const TopicFilter& topic_filter;
         const MessageCallback& message_callback;
         std::function<void(const std::string&)> note;  ///< receives problems of the file
@@ -80,7 +80,7 @@ public:
     };
     /// Reads all messages in file order.
     /// @throws DataError with the problem and its byte offset
-    virtual void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) = 0;
+    virtual void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) = 0;
     /// Reads the bytes of one message. Thread-safe.
     virtual SharedBytes read_message(const MessagePosition& location) const = 0;
     /// If relidar wrote the bag, returns the name of the coordinate frame of its points.
@@ -91,7 +91,7 @@ protected:
     /// Processes the record at a byte. If it is damaged, throws, or skips it with a note.
     template <class Process>
     static void process_or_skip(const std::string& file, std::uint64_t at, bool skips,
-                                const MessageReadCallbacks& callbacks, const Process& process) {
+                                const ReadCallbacks& callbacks, const Process& process) {
         try {
             process();
         } catch (const DataError& error) {

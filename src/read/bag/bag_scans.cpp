@@ -25,24 +25,24 @@ read::PointTable read_point_table(const BagRecording& bag, const CloudTopic& clo
 }  // namespace
 
 std::string BagScanProvider::frame_name(std::size_t frame) const {
-    const FrameCloudMessage& cloud = clouds_[frame];
+    const FrameCloud& cloud = clouds_[frame];
     return fmt::format("{}: topic {}, cloud of frame {}",
                        bag_.file_paths().at(cloud.entry.message_position.file).string(),
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
 LidarPoints BagScanProvider::read_points(std::size_t frame) const {
-    const FrameCloudMessage& at = clouds_[frame];
+    const FrameCloud& at = clouds_[frame];
     if (at.entry.parts.empty()) return read_points(frame, at.entry, at.cloud_s);
     LidarPoints all;
     for (const RevolutionPart& part : at.entry.parts) {
-        const CloudIndexEntry cloud{part.stamp_ns - at.entry.correction_ns,
-                                    part.log_ns,
-                                    part.n_points,
-                                    part.message_position,
-                                    0,
-                                    {},
-                                    at.entry.correction_ns};
+        const CloudEntry cloud{part.stamp_ns - at.entry.correction_ns,
+                               part.log_ns,
+                               part.n_points,
+                               part.message_position,
+                               0,
+                               {},
+                               at.entry.correction_ns};
         LidarPoints points = read_points(
             frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())
@@ -64,27 +64,25 @@ LidarPoints BagScanProvider::read_points(std::size_t frame) const {
     return all;
 }
 
-read::PointTable BagScanProvider::read_table(std::size_t frame,
-                                             const MessagePosition& message_position) const {
+read::PointTable BagScanProvider::read_table(std::size_t frame, const MessagePosition& position) const {
     const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
-    if (const auto sample_entry = lidar.samples.find(message_position); sample_entry != lidar.samples.end())
+    if (const auto sample_entry = lidar.samples.find(position); sample_entry != lidar.samples.end())
         return sample_entry->second;
     try {
-        return read_point_table(bag_, *lidar.clouds, message_position);
+        return read_point_table(bag_, *lidar.clouds, position);
     } catch (const DataError& error) {
         fail("{}: {}", frame_name(frame), error.what());
     }
 }
 
-LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudIndexEntry& cloud,
-                                         double cloud_time_s) const {
-    const FrameCloudMessage& at = clouds_[frame];
+LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudEntry& cloud, double time_s) const {
+    const FrameCloud& at = clouds_[frame];
     const read::PointCloudUnits& units = lidars_[at.lidar].units;
     read::PointTable table = read_table(frame, cloud.message_position);
     if (units.zero == read::PointTimeReference::none) table.remove_fields(read::PointAttribute::time);
     // zero_s: time of the frame in seconds, on the clock that the point times use. It is
     // (time of the frame - time of the cloud) + time of the cloud on that clock.
-    double zero_s = at.time_s - cloud_time_s;
+    double zero_s = at.time_s - time_s;
     if (units.zero == read::PointTimeReference::epoch)
         zero_s += 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
     if (units.zero == read::PointTimeReference::sensor_clock) {
@@ -103,7 +101,7 @@ LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudIndexEntr
                                            .time_zero = are_offsets ? zero_s / units.time_unit_s : 0.0};
     LidarPoints points = read::convert_table(table, point_units, zero_s, frame_name(frame));
     if (!deskewed_by_) return points;
-    const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_time_s);
+    const Pose world_from_cloud = deskewed_by_(at.lidar, time_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
         const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
         points.position_m[i] =
@@ -113,11 +111,10 @@ LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudIndexEntr
 }
 
 Scan BagScanProvider::read_rays(std::size_t frame) const {
-    const FrameCloudMessage& at = clouds_[frame];
+    const FrameCloud& at = clouds_[frame];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
     const packets::PacketRevolution& revolution = clouds.revolutions[at.entry.revolution_index];
-    const std::vector<packets::PacketIndex::PacketMessageSource> sources =
-        clouds.packets.messages_of(revolution);
+    const std::vector<packets::PacketIndex::MessageSource> sources = clouds.packets.messages_of(revolution);
     std::vector<SharedBytes> messages;
     const BagTopic& topic = bag_.topics()[clouds.topic];
     for (const auto& source : sources) messages.push_back(bag_.read_message(topic, source.message_position));
@@ -137,7 +134,7 @@ LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic
     std::vector<read::PointTable> samples;
     std::vector<double> stamps_s;
     read::read_samples(cloud_topic.clouds.size(), [&](std::size_t i) {
-        const CloudIndexEntry& entry = cloud_topic.clouds[i];
+        const CloudEntry& entry = cloud_topic.clouds[i];
         samples.push_back(read_point_table(bag, cloud_topic, entry.message_position));
         stamps_s.push_back(1e-9 * double(entry.stamp_ns + entry.correction_ns));
         topic.samples.emplace(entry.message_position, samples.back());

@@ -16,12 +16,12 @@
 namespace relidar::bag {
 
 /// A point cloud of the bag that becomes the scan of a frame.
-struct FrameCloudMessage {
+struct FrameCloud {
     int number = 0;        ///< number of the frame
     double time_s = 0.0;   ///< time of the frame
     double cloud_s = 0.0;  ///< time of the cloud on the clock of the log
     std::size_t lidar = 0;
-    CloudIndexEntry entry;
+    CloudEntry entry;
 };
 
 /// A topic that contains the scans of one LiDAR.
@@ -46,8 +46,7 @@ public:
     /// @param deskewed_by  LiDAR poses with which the points of the bag were
     /// motion-compensated. The source undoes this compensation
     BagScanProvider(const BagRecording& bag, const std::vector<LidarTopic>& lidars,
-                    const std::vector<FrameCloudMessage>& clouds, LogClock clock,
-                    LidarPoseFunction deskewed_by = {})
+                    const std::vector<FrameCloud>& clouds, LogClock clock, LidarPoseFunction deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
 
     std::string frame_name(std::size_t frame_index) const override;
@@ -60,12 +59,12 @@ public:
 private:
     const BagRecording& bag_;
     const std::vector<LidarTopic>& lidars_;
-    const std::vector<FrameCloudMessage>& clouds_;
+    const std::vector<FrameCloud>& clouds_;
     const LogClock clock_;
     const LidarPoseFunction deskewed_by_;
 
-    read::PointTable read_table(std::size_t frame_index, const MessagePosition& message_position) const;
-    LidarPoints read_points(std::size_t frame_index, const CloudIndexEntry& cloud, double cloud_time_s) const;
+    read::PointTable read_table(std::size_t frame_index, const MessagePosition& position) const;
+    LidarPoints read_points(std::size_t frame_index, const CloudEntry& cloud, double time_s) const;
 };
 
 }  // namespace relidar::bag

@@ -51,7 +51,7 @@ struct ClockOffset {
 ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vector<MessageTimes> reference);
 
 /// The point cloud topics that are loaded.
-struct SelectedCloudTopics {
+struct ChosenClouds {
     std::vector<std::size_t> lidars;  ///< indices in BagIndex::clouds; each LiDAR has a different frame
     /// main LiDAR, as an index in `lidars`; each of its clouds starts a new frame
     std::size_t main = 0;
@@ -60,8 +60,8 @@ struct SelectedCloudTopics {
 /// @param requested_topics  names of topics; empty: automatic selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
-SelectedCloudTopics choose_clouds(const BagRecording& bag, const BagIndex& index,
-                                  const std::vector<std::string>& requested_topics);
+ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
+                           const std::vector<std::string>& requested_topics);
 
 /// Removes clouds whose times differ from those of their neighbours on both sides. If the
 /// clock of the time stamps jumps, sets all clouds to the clock of the reference, or else
@@ -69,11 +69,11 @@ SelectedCloudTopics choose_clouds(const BagRecording& bag, const BagIndex& index
 /// @param reference  messages on the right clock, for example the poses. If their clock
 /// jumps at the same time, nothing is corrected. May be empty
 /// @return text about the changes, or an empty text
-std::string fix_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
+std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
                             std::vector<MessageTimes> reference);
 
 /// Which vehicle poses of a bag are used, and which clock gives the times.
-struct SelectedPoseSource {
+struct ChosenPoses {
     LogClock clock = LogClock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud, which is 0 s in the log
     /// the same on the clock of the poses
@@ -90,8 +90,8 @@ struct SelectedPoseSource {
 /// corrected or their clouds removed
 /// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection
 /// @throws UsageError if `requested_frame_or_topic` is neither a frame nor a pose topic
-SelectedPoseSource choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                                const std::string& requested_frame_or_topic);
+ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
+                         const std::string& requested_frame_or_topic);
 
 struct SelectedBoxTopic {
     const BoxTopic* topic = nullptr;  ///< box topic in BagIndex::boxes, or null
@@ -101,9 +101,9 @@ struct SelectedBoxTopic {
 /// same number, selects the first one by name.
 SelectedBoxTopic choose_boxes(const BagRecording& bag, const BagIndex& index);
 
-struct BoxTransformContext {
+struct BoxContext {
     const FrameTree& frames;
-    const SelectedPoseSource& poses;
+    const ChosenPoses& poses;
     std::string vehicle;  ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
     std::int64_t box_zero_ns = 0;  ///< time on the clock of the boxes that is 0 s in the log
@@ -112,15 +112,14 @@ struct BoxTransformContext {
     bool is_world_of_poses = false;
 };
 
-struct LoadedBoxTracks {
+struct LoadedBoxes {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
 /// Reads the boxes of a topic and joins the boxes of each object to a track. Accepts
 /// times up to one time step before the first or after the last frame.
 /// @param times_s  times of the frames of the log in seconds, ascending
-LoadedBoxTracks read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
-                               const BoxTransformContext& transform_context,
-                               const std::vector<double>& times_s);
+LoadedBoxes read_bag_boxes(const BagRecording& bag, const BoxTopic& box_topic,
+                           const BoxContext& transform_context, const std::vector<double>& times_s);
 
 }  // namespace relidar::bag

@@ -113,15 +113,14 @@ bool is_in_sensor_frame(const CloudTopic& cloud_topic) {
 
 /// Throws if clouds are in a world-fixed frame. Adds a note if they are in the vehicle
 /// frame.
-void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds,
-                       SelectedCloudTopics& selected_topics) {
+void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds, ChosenClouds& selected) {
     if (has_frame_in(clouds, kOfWorld))
         fail(
             "{}: the clouds are in the world-fixed frame '{}', expected the frame of the LiDAR (select "
             "another topic with dataset.lidars)",
             topic_name, clouds.frame);
     if (has_frame_in(clouds, kOfVehicle))
-        selected_topics.notes.push_back(fmt::format(
+        selected.notes.push_back(fmt::format(
             "{}: the clouds are in the vehicle frame '{}', probably because clouds of several LiDARs were "
             "merged. All rays start at the origin of this frame, which is inaccurate near the vehicle",
             topic_name, clouds.frame));
@@ -211,9 +210,9 @@ std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& c
 
 }  // namespace
 
-SelectedCloudTopics choose_clouds(const BagRecording& bag, const BagIndex& index,
-                                  const std::vector<std::string>& requested_topics) {
-    SelectedCloudTopics choice;
+ChosenClouds choose_clouds(const BagRecording& bag, const BagIndex& index,
+                           const std::vector<std::string>& requested_topics) {
+    ChosenClouds choice;
     choice.lidars = requested_topics.empty() ? select_raw_topics(bag, index, choice.notes)
                                              : find_topics(bag, index, requested_topics);
     if (choice.lidars.empty())

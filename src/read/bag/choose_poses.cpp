@@ -11,7 +11,7 @@ namespace relidar::bag {
 namespace {
 
 /// A possible source of vehicle poses: a pose topic, or a chain of transforms.
-struct PoseSourceCandidate {
+struct PoseSource {
     /// name of the frame in which the poses are given, for example "map"
     std::string outer;
     const PoseTopic* topic = nullptr;  ///< pose topic; null if the poses come from the transforms in /tf
@@ -38,10 +38,9 @@ bool is_moving_below(const FrameTree& frame_tree, const std::vector<std::string>
                        [&](const std::string& frame) { return frame_tree.is_frame_moving(frame); });
 }
 
-PoseSourceCandidate make_tf_source(const FrameTree& frame_tree,
-                                   const std::vector<std::string>& frame_path_to_root,
-                                   const std::string& ancestor_frame) {
-    PoseSourceCandidate source;
+PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::string>& frame_path_to_root,
+                          const std::string& ancestor_frame) {
+    PoseSource source;
     source.outer = ancestor_frame;
     source.vehicle = find_vehicle_frame(frame_tree, frame_path_to_root, ancestor_frame);
     source.about = fmt::format("poses of the frame '{}' in the frame '{}' are read from /tf (path {}){}",
@@ -52,10 +51,10 @@ PoseSourceCandidate make_tf_source(const FrameTree& frame_tree,
     return source;
 }
 
-PoseSourceCandidate make_topic_source(const BagRecording& bag, const FrameTree& frame_tree,
-                                      const PoseTopic& pose_topic, const std::string& lidar_frame,
-                                      std::vector<std::string>& notes) {
-    PoseSourceCandidate source{
+PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tree,
+                             const PoseTopic& pose_topic, const std::string& lidar_frame,
+                             std::vector<std::string>& notes) {
+    PoseSource source{
         pose_topic.parent, &pose_topic, pose_topic.child.empty() ? "base_link" : pose_topic.child, {}};
     const std::string& name = bag.topics()[pose_topic.topic].name;
     if (!frame_tree.find_constant(source.vehicle, lidar_frame)) {
@@ -70,10 +69,10 @@ PoseSourceCandidate make_topic_source(const BagRecording& bag, const FrameTree& 
     return source;
 }
 
-std::optional<PoseSourceCandidate> find_source(const BagRecording& bag, const BagIndex& index,
-                                               const std::vector<std::string>& frame_path_to_root,
-                                               const std::string& requested_frame_or_topic,
-                                               std::vector<std::string>& notes) {
+std::optional<PoseSource> find_source(const BagRecording& bag, const BagIndex& index,
+                                      const std::vector<std::string>& frame_path_to_root,
+                                      const std::string& requested_frame_or_topic,
+                                      std::vector<std::string>& notes) {
     if (requested_frame_or_topic.empty()) return std::nullopt;
     if (std::find(frame_path_to_root.begin() + 1, frame_path_to_root.end(), requested_frame_or_topic) !=
         frame_path_to_root.end())
@@ -90,9 +89,9 @@ std::optional<PoseSourceCandidate> find_source(const BagRecording& bag, const Ba
         available_sources.empty() ? "none" : fmt::format("{}", fmt::join(available_sources, ", ")));
 }
 
-std::optional<PoseSourceCandidate> select_source(const BagRecording& bag, const BagIndex& index,
-                                                 const std::vector<std::string>& frame_path_to_root,
-                                                 std::vector<std::string>& notes) {
+std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex& index,
+                                        const std::vector<std::string>& frame_path_to_root,
+                                        std::vector<std::string>& notes) {
     const std::string outer = std::ranges::find(frame_path_to_root, "map") != frame_path_to_root.end()
                                   ? "map"
                                   : frame_path_to_root.back();
@@ -110,8 +109,8 @@ std::optional<PoseSourceCandidate> select_source(const BagRecording& bag, const 
     return std::nullopt;
 }
 
-TransformChain make_pose_chain(const BagIndex& index, const PoseSourceCandidate& pose_source,
-                               LogClock log_clock, std::int64_t time_origin_ns) {
+TransformChain make_pose_chain(const BagIndex& index, const PoseSource& pose_source, LogClock log_clock,
+                               std::int64_t time_origin_ns) {
     if (!pose_source.topic)
         return index.frames.make_chain(pose_source.outer, pose_source.vehicle, log_clock, time_origin_ns);
     TransformChain path;
@@ -121,20 +120,20 @@ TransformChain make_pose_chain(const BagIndex& index, const PoseSourceCandidate&
 
 std::size_t count_posed(const CloudTopic& clouds, const TransformChain& vehicle_pose_function, LogClock clock,
                         std::int64_t time_origin_ns) {
-    return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudIndexEntry& cloud) {
+    return std::size_t(std::ranges::count_if(clouds.clouds, [&](const CloudEntry& cloud) {
         return vehicle_pose_function.covers_time(1e-9 * double(cloud.time_ns(clock) - time_origin_ns));
     }));
 }
 
 /// Returns null if the source does not move.
-const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSourceCandidate& source) {
+const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSource& source) {
     return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.outer, source.vehicle);
 }
 
 /// Corrects a clock offset between clouds and poses if it is certain, and if more clouds
 /// then have a pose.
-void set_poses(SelectedPoseSource& choice, const BagIndex& index, const CloudTopic& clouds,
-               const PoseSourceCandidate& source) {
+void set_poses(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
+               const PoseSource& source) {
     choice.poses_zero_ns = choice.zero_ns;
     choice.path = make_pose_chain(index, source, choice.clock, choice.zero_ns);
     const std::vector<StampedPose>* poses = find_samples(index, source);
@@ -162,17 +161,17 @@ void set_poses(SelectedPoseSource& choice, const BagIndex& index, const CloudTop
 
 std::int64_t first_cloud_ns(const CloudTopic& clouds, LogClock clock) {
     std::int64_t first = clouds.clouds.front().time_ns(clock);
-    for (const CloudIndexEntry& cloud : clouds.clouds) first = std::min(first, cloud.time_ns(clock));
+    for (const CloudEntry& cloud : clouds.clouds) first = std::min(first, cloud.time_ns(clock));
     return first;
 }
 
 }  // namespace
 
-SelectedPoseSource choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
-                                const std::string& requested_frame_or_topic) {
-    SelectedPoseSource choice;
+ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTopic& main_lidar_clouds,
+                         const std::string& requested_frame_or_topic) {
+    ChosenPoses choice;
     const std::vector<std::string> frame_chain = index.frames.path_to_root(main_lidar_clouds.frame);
-    std::optional<PoseSourceCandidate> source =
+    std::optional<PoseSource> source =
         find_source(bag, index, frame_chain, requested_frame_or_topic, choice.notes);
     if (!source) source = select_source(bag, index, frame_chain, choice.notes);
     const std::vector<StampedPose>* poses = source ? find_samples(index, *source) : nullptr;

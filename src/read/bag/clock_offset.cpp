@@ -79,7 +79,7 @@ std::int64_t median_of(std::size_t begin, std::size_t end, const Function& funct
 
 /// Splits the clouds where their times jump. A late message is no jump: its time stamp
 /// follows the previous one regularly. Without recording times, only days are jumps.
-std::vector<ClockRun> split_at_jumps(const std::vector<CloudIndexEntry>& clouds, LogClock clock,
+std::vector<ClockRun> split_at_jumps(const std::vector<CloudEntry>& clouds, LogClock clock,
                                      const std::vector<MessageTimes>& reference, std::int64_t period_ns,
                                      bool has_log) {
     std::vector<ClockRun> runs{{}};
@@ -189,7 +189,7 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     return clock;
 }
 
-std::string fix_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock,
+std::string fix_clock_jumps(std::vector<CloudEntry>& clouds, LogClock clock,
                             std::vector<MessageTimes> reference) {
     if (clouds.size() <= kLeastRun) return "";
     std::ranges::stable_sort(reference, {}, &MessageTimes::log_ns);
@@ -207,7 +207,7 @@ std::string fix_clock_jumps(std::vector<CloudIndexEntry>& clouds, LogClock clock
         return std::pair(std::abs(run.ahead_ns) <= kMinJump_ns && run.size() >= kLeastRun, run.size());
     });
     if (main.size() < kLeastRun) return "";
-    std::vector<CloudIndexEntry> kept;
+    std::vector<CloudEntry> kept;
     std::size_t n_moved = 0;
     std::int64_t moved_ns = 0, out_ns = 0;
     for (const ClockRun& run : runs) {

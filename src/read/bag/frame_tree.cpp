@@ -15,7 +15,7 @@ constexpr std::size_t kMaxDepth = 64;  // maximum depth of the tree
 }  // namespace
 
 void TransformChain::append_samples(const std::vector<StampedPose>& pose_samples, LogClock clock,
-                                    std::int64_t time_origin_ns) {
+                                    std::int64_t origin_ns) {
     std::vector<const StampedPose*> sorted;
     for (const StampedPose& sample : pose_samples) sorted.push_back(&sample);
     std::ranges::stable_sort(sorted, {}, [&](const StampedPose* sample) { return sample->time_ns(clock); });
@@ -25,7 +25,7 @@ void TransformChain::append_samples(const std::vector<StampedPose>& pose_samples
         const std::int64_t time_ns = sample->time_ns(clock);
         if (!track.time_s.empty() && time_ns == last_ns) continue;
         last_ns = time_ns;
-        track.time_s.push_back(1e-9 * double(time_ns - time_origin_ns));
+        track.time_s.push_back(1e-9 * double(time_ns - origin_ns));
         track.pose.push_back(sample->pose);
     }
     links_.push_back(std::move(track));
@@ -49,8 +49,7 @@ bool TransformChain::is_moving() const {
     return std::ranges::any_of(links_, [](const PoseTrack& link) { return link.pose.size() > 1; });
 }
 
-void FrameTree::add_transform(const TransformMessage& transform, std::int64_t recording_time_ns,
-                              bool is_static) {
+void FrameTree::add_transform(const TransformMessage& transform, std::int64_t time_ns, bool is_static) {
     if (transform.child.empty() || transform.child == transform.header.frame) return;
     FrameTreeEdge& link = parents_[transform.child][transform.header.frame];
     link.is_static = is_static;
@@ -62,7 +61,7 @@ void FrameTree::add_transform(const TransformMessage& transform, std::int64_t re
         link.changes = link.changes || glm::distance(first.translation, current.translation) > 1e-6 ||
                        std::abs(glm::dot(first.rotation, current.rotation)) < 1.0 - 1e-12;
     }
-    link.samples.push_back({transform.header.stamp_ns, recording_time_ns, transform.parent_from_child});
+    link.samples.push_back({transform.header.stamp_ns, time_ns, transform.parent_from_child});
 }
 
 const std::pair<const std::string, FrameTree::FrameTreeEdge>* FrameTree::find_parent(
@@ -88,10 +87,8 @@ bool FrameTree::is_frame_moving(const std::string& frame) const {
     return up && !up->second.is_static && up->second.changes;
 }
 
-std::optional<Pose> FrameTree::find_constant(const std::string& target_frame,
-                                             const std::string& source_frame) const {
-    const std::vector<std::string> target_chain = path_to_root(target_frame),
-                                   source_chain = path_to_root(source_frame);
+std::optional<Pose> FrameTree::find_constant(const std::string& target, const std::string& source) const {
+    const std::vector<std::string> target_chain = path_to_root(target), source_chain = path_to_root(source);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
     // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
@@ -135,15 +132,15 @@ const std::vector<StampedPose>* FrameTree::fastest_samples(const std::string& an
     return fastest;
 }
 
-std::optional<RelativeFramePose> FrameTree::find_chain(const std::string& target_frame,
-                                                       const std::string& source_frame, LogClock clock,
-                                                       std::int64_t time_origin_ns) const {
+std::optional<FramePose> FrameTree::find_chain(const std::string& target_frame,
+                                               const std::string& source_frame, LogClock clock,
+                                               std::int64_t time_origin_ns) const {
     const std::vector<std::string> target_chain = path_to_root(target_frame),
                                    source_chain = path_to_root(source_frame);
     const auto common = std::ranges::find_first_of(source_chain, target_chain);
     if (common == source_chain.end()) return std::nullopt;
-    return RelativeFramePose{make_chain(*common, target_frame, clock, time_origin_ns),
-                             make_chain(*common, source_frame, clock, time_origin_ns)};
+    return FramePose{make_chain(*common, target_frame, clock, time_origin_ns),
+                     make_chain(*common, source_frame, clock, time_origin_ns)};
 }
 
 std::vector<std::string> FrameTree::ambiguous_frames() const {

@@ -80,13 +80,13 @@ private:
     const DatasetOptions& options_;
     BagRecording bag_;
     BagIndex survey_;
-    SelectedCloudTopics clouds_;
-    SelectedPoseSource poses_;
+    ChosenClouds clouds_;
+    ChosenPoses poses_;
     SelectedBoxTopic boxes_;
     Log sequence_;
-    std::vector<LidarTopic> lidars_;         ///< topic of each LiDAR
-    std::vector<FrameCloudMessage> frames_;  ///< cloud of each frame
-    bool has_poses_ = false;                 ///< the recording has poses
+    std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
+    std::vector<FrameCloud> frames_;  ///< cloud of each frame
+    bool has_poses_ = false;          ///< the recording has poses
     /// True if relidar wrote the bag with motion-compensated points. All points of a
     /// cloud are then in the sensor frame at the time stamp of the cloud.
     bool is_deskewed_ = false;
@@ -100,7 +100,7 @@ private:
         return bag_.topics()[topic_entry.topic].name;
     }
     std::string topic_name_of(const CloudTopic& cloud_topic) const { return cloud_topic.make_name(bag_); }
-    double cloud_time_of(const CloudIndexEntry& entry) const {
+    double cloud_time_of(const CloudEntry& entry) const {
         return 1e-9 * double(entry.time_ns(poses_.clock) - poses_.zero_ns);
     }
 
@@ -146,9 +146,9 @@ private:
     /// Each cloud of the main LiDAR starts a frame. Clouds of other LiDARs belong to the
     /// frame with the nearest time.
     void group_clouds() {
-        std::vector<FrameCloudMessage> sweeps;
+        std::vector<FrameCloud> sweeps;
         std::size_t n_late = 0;
-        for (const CloudIndexEntry& entry : main_topic().clouds) {
+        for (const CloudEntry& entry : main_topic().clouds) {
             const double t_s = cloud_time_of(entry);
             if (!sweeps.empty() && t_s < sweeps.back().time_s + kMinStep_s) {
                 ++n_late;
@@ -160,25 +160,24 @@ private:
             add_note(fmt::format("{} clouds are skipped, because they are not later than the previous cloud",
                                  n_late));
         std::vector<double> times_s;
-        for (const FrameCloudMessage& sweep : sweeps) times_s.push_back(sweep.time_s);
+        for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
         const double step_s = median_interval_s(times_s);
         add_note(describe_gaps(times_s, step_s));
-        std::vector<FrameCloudMessage> all = sweeps;
+        std::vector<FrameCloud> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
             if (l != clouds_.main) append_nearest(all, sweeps, l, kMaxSweepOffset * step_s);
-        std::ranges::stable_sort(all, [](const FrameCloudMessage& first, const FrameCloudMessage& second) {
+        std::ranges::stable_sort(all, [](const FrameCloud& first, const FrameCloud& second) {
             return first.number != second.number ? first.number < second.number : first.lidar < second.lidar;
         });
         select_clouds(all);
         add_units(step_s);
     }
 
-    void append_nearest(std::vector<FrameCloudMessage>& all_clouds,
-                        const std::vector<FrameCloudMessage>& main_sweeps, std::size_t lidar_index,
-                        double max_time_difference_s) {
-        const std::vector<CloudIndexEntry>& clouds = cloud_topic_of(lidar_index).clouds;
+    void append_nearest(std::vector<FrameCloud>& all_clouds, const std::vector<FrameCloud>& main_sweeps,
+                        std::size_t lidar_index, double max_time_difference_s) {
+        const std::vector<CloudEntry>& clouds = cloud_topic_of(lidar_index).clouds;
         std::vector<double> main_s, other_s;
-        for (const FrameCloudMessage& sweep : main_sweeps) main_s.push_back(sweep.time_s);
+        for (const FrameCloud& sweep : main_sweeps) main_s.push_back(sweep.time_s);
         ClockOffset offset;
         if (poses_.clock == LogClock::stamps)
             offset = estimate_offset(list_times(clouds), list_times(main_topic().clouds));
@@ -190,7 +189,7 @@ private:
                             offset.is_clear
                                 ? ", so their clocks differ; this time is subtracted"
                                 : "; either the clocks differ or messages are late; nothing is corrected"));
-        for (const CloudIndexEntry& entry : clouds)
+        for (const CloudEntry& entry : clouds)
             other_s.push_back(cloud_time_of(entry) - 1e-9 * double(offset.correction_ns()));
         const auto beside = match_sweeps(main_s, other_s, max_time_difference_s);
         std::size_t n_left = clouds.size();
@@ -206,9 +205,9 @@ private:
                                        n_left, topic_name_of(main_topic())));
     }
 
-    void select_clouds(const std::vector<FrameCloudMessage>& all_clouds) {
+    void select_clouds(const std::vector<FrameCloud>& all_clouds) {
         std::size_t n_unplaced = 0;
-        for (const FrameCloudMessage& cloud : all_clouds) {
+        for (const FrameCloud& cloud : all_clouds) {
             if (cloud.number < options_.frames.begin ||
                 (options_.frames.end >= 0 && cloud.number >= options_.frames.end))
                 continue;
@@ -298,7 +297,7 @@ private:
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
             std::vector<read::HeaderFrame> frames;
             const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
-            for (const FrameCloudMessage& frame : frames_)
+            for (const FrameCloud& frame : frames_)
                 frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});
             const auto poses = read::load_poses(options_.poses_file, frames, nullptr, notes);
             if (!poses)
@@ -334,7 +333,7 @@ private:
     /// If the vehicle poses are from a file of the user, the boxes move with the vehicle.
     void add_boxes() {
         if (!boxes_.topic) return;
-        BoxTransformContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};
+        BoxContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};
         if (poses_.clock == LogClock::stamps)
             transform_context.box_zero_ns -=
                 estimate_offset(list_times(main_topic().clouds), list_times(boxes_.topic->lists))
@@ -345,7 +344,7 @@ private:
             if (has_poses_) return poses_.path->compute_pose_at(t_s);
             return sequence_.has_poses ? sequence_.world_from_vehicle.pose_at(t_s) : Pose{};
         };
-        const LoadedBoxTracks tracks =
+        const LoadedBoxes tracks =
             read_bag_boxes(bag_, *boxes_.topic, transform_context, sequence_.world_from_vehicle.time_s);
         sequence_.boxes = tracks.tracks;
         for (const std::string& text : tracks.notes) add_topic_note(*boxes_.topic, text);

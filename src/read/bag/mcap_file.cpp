@@ -74,7 +74,7 @@ public:
             fail("{}: the file does not begin like an MCAP file", file_.name());
     }
 
-    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
         schemas_.clear();
         channels_.clear();
         points_in_.clear();
@@ -127,7 +127,7 @@ private:
     }
 
     void process_at(std::uint8_t record_code, std::uint64_t record_offset, std::uint64_t body_length,
-                    TopicTable& topics, const MessageReadCallbacks& callbacks) {
+                    TopicTable& topics, const ReadCallbacks& callbacks) {
         constexpr std::array kReadRecords = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk,
                                              kMcapMetadata};
         if (std::ranges::find(kReadRecords, record_code) == kReadRecords.end()) return;
@@ -145,7 +145,7 @@ private:
     }
 
     void process_record(const McapRecord& record, const MessagePosition& message_position, TopicTable& topics,
-                        const MessageReadCallbacks& callbacks) {
+                        const ReadCallbacks& callbacks) {
         codecs::ByteReader reader(record.body);
         if (record.code == kMcapSchema) {
             const auto id = reader.read_number<std::uint16_t>();

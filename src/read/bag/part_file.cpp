@@ -122,26 +122,24 @@ SharedBytes ChunkCache::find_or_unpack(std::uint64_t chunk_offset,
     return chunk;
 }
 
-SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,
-                         std::uint64_t unpacked_size) {
-    const std::string_view bytes = compressed_chunk.bytes;
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t size) {
+    const std::string_view bytes = chunk.bytes;
     if (compression.empty() || compression == "none") {
-        if (unpacked_size != bytes.size())
-            fail("found {} bytes of uncompressed data, expected {}", bytes.size(), unpacked_size);
-        return compressed_chunk;
+        if (size != bytes.size())
+            fail("found {} bytes of uncompressed data, expected {}", bytes.size(), size);
+        return chunk;
     }
     ChunkUnpacker unpack = nullptr;
     if (compression == "lz4") unpack = decompress_lz4;
     else if (compression == "zstd") unpack = decompress_zstd;
     else if (compression == "bz2") unpack = unpack_bz2;
     else fail("found the compression '{}', expected none, lz4, zstd or bz2", quote(compression));
-    if (unpacked_size > UINT_MAX ||
-        (unpacked_size > kAlwaysUnpacked && unpacked_size / kMostUnpacked > bytes.size()))
+    if (size > UINT_MAX || (size > kAlwaysUnpacked && size / kMostUnpacked > bytes.size()))
         fail("found {} compressed bytes that unpack to {} bytes, expected at most {} unpacked bytes",
-             bytes.size(), unpacked_size,
+             bytes.size(), size,
              std::min(std::uint64_t(UINT_MAX), std::max(kAlwaysUnpacked, kMostUnpacked * bytes.size())));
-    return allocate_bytes(std::size_t(unpacked_size), [&](std::span<char> target) {
-        if (unpacked_size > 0 || !bytes.empty()) unpack(bytes, target);
+    return allocate_bytes(std::size_t(size), [&](std::span<char> target) {
+        if (size > 0 || !bytes.empty()) unpack(bytes, target);
     });
 }
 

@@ -51,10 +51,9 @@ private:
 
 /// Unpacks a chunk. Does not copy uncompressed chunks.
 /// @param compression  "", "none", "lz4", "zstd" or "bz2"
-/// @param unpacked_size  according to the file; impossible sizes are rejected
+/// @param size  according to the file; impossible sizes are rejected
 /// @throws DataError if the chunk is damaged
-SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& compressed_chunk,
-                         std::uint64_t unpacked_size);
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t size);
 
 /// Removes the extension ".gz", if the path has it.
 std::filesystem::path strip_gz(const std::filesystem::path& file);

@@ -192,7 +192,7 @@ public:
         begin_ = tell();
     }
 
-    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
         ousters_ = packets::read_metadata_files(strip_gz(path_), broken);
@@ -273,7 +273,7 @@ private:
         std::shared_ptr<const packets::OusterMetadata> ouster;  ///< metadata of the sensor
         std::string livox_frame;  ///< frame name of the clouds of a Livox; empty for other products
     };
-    packets::OusterMetadataList ousters_;  ///< metadata from files in the folder of the capture
+    packets::MetadataList ousters_;  ///< metadata from files in the folder of the capture
     const std::filesystem::path path_;
     std::uint64_t bytes_ = 0;
     std::string problem_;  ///< note about a truncated gzip file; may be empty
@@ -299,17 +299,16 @@ private:
     }
 
     /// Reads the next UDP datagram of the file, with its UDP header.
-    /// @param callbacks_or_null  receives a note if the file is truncated
-    std::optional<Datagram> read_datagram(IpReassembler& reassembler,
-                                          const MessageReadCallbacks* callbacks_or_null) const {
+    /// @param callbacks  receives a note if the file is truncated
+    std::optional<Datagram> read_datagram(IpReassembler& reassembler, const ReadCallbacks* callbacks) const {
         for (;;) {
             const std::uint64_t at = tell();
             pcap_pkthdr* head = nullptr;
             const unsigned char* data = nullptr;
             const int code = pcap_next_ex(pcap_.get(), &head, &data);
-            if (code == PCAP_ERROR && callbacks_or_null)
-                callbacks_or_null->note(fmt::format("{}: {}; the packets after byte {} are missing",
-                                                    path_.string(), quote(pcap_geterr(pcap_.get())), at));
+            if (code == PCAP_ERROR && callbacks)
+                callbacks->note(fmt::format("{}: {}; the packets after byte {} are missing", path_.string(),
+                                            quote(pcap_geterr(pcap_.get())), at));
             if (code != 1) return std::nullopt;
             if (head->caplen < head->len) {
                 ++n_cut_;
@@ -342,7 +341,7 @@ private:
 
     /// Reports packets that cannot be decoded, although they have the size of Ouster
     /// packets, and packets of two sensors that match the same metadata file.
-    void report_undecoded(const MessageReadCallbacks& callbacks) const {
+    void report_undecoded(const ReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
@@ -390,12 +389,11 @@ private:
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
-    /// @param time_since_message_start_ns  time from the first to the last datagram
-    static bool is_complete(const CaptureStream& stream, std::size_t n_datagrams_in_message,
-                            std::int64_t time_since_message_start_ns) {
-        return stream.livox_frame.empty() ? n_datagrams_in_message == kMinStreamPackets
-                                          : time_since_message_start_ns >= packets::kLivoxCloud_ns ||
-                                                n_datagrams_in_message == packets::kMostLivoxPackets;
+    /// @param elapsed_ns  time from the first to the last datagram
+    static bool is_complete(const CaptureStream& stream, std::size_t n_datagrams, std::int64_t elapsed_ns) {
+        return stream.livox_frame.empty()
+                   ? n_datagrams == kMinStreamPackets
+                   : elapsed_ns >= packets::kLivoxCloud_ns || n_datagrams == packets::kMostLivoxPackets;
     }
     /// A datagram of a Livox after a pause begins a new message.
     static bool is_after_pause(const CaptureStream& stream, std::size_t n_datagrams_in_message,
@@ -408,7 +406,7 @@ private:
                                           : packets::join_livox_packets(datagram_bytes, stream.livox_frame);
     }
 
-    void emit_message(CaptureStream& stream, const MessageReadCallbacks& callbacks) const {
+    void emit_message(CaptureStream& stream, const ReadCallbacks& callbacks) const {
         if (stream.at != stream.first_at) stream.late_runs[stream.at] = stream.first_at;
         callbacks.message_callback(
             {stream.topic, stream.log_ns, encode_message(stream, stream.run), {stream.at, stream.number}});

@@ -113,7 +113,7 @@ std::string describe_jumps(const CloudTopic& cloud_topic) {
     std::size_t n_falls = 0, n_jumps = 0;
     double largest_s = 0.0;
     for (std::size_t i = 1; i < cloud_topic.clouds.size(); ++i) {
-        const CloudIndexEntry &before = cloud_topic.clouds[i - 1], &entry = cloud_topic.clouds[i];
+        const CloudEntry &before = cloud_topic.clouds[i - 1], &entry = cloud_topic.clouds[i];
         n_falls += entry.stamp_ns <= before.stamp_ns;
         const double jump_s =
             1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));

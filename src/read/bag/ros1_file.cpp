@@ -61,7 +61,7 @@ public:
             fail("{}: the file does not begin like a ROS 1 bag of format 2.0", file_.name());
     }
 
-    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
         connections_.clear();
         std::uint64_t at = kRos1Magic.size();
         while (at < file_.size()) {
@@ -132,7 +132,7 @@ private:
     }
 
     void process_at(std::uint64_t record_offset, const Ros1RecordExtent& record_extent, TopicTable& topics,
-                    const MessageReadCallbacks& callbacks) {
+                    const ReadCallbacks& callbacks) {
         const Ros1Header header(record_extent.header.bytes);
         const auto op = header.number_field<std::uint8_t>("op");
         if (op == kRos1Chunk) {
@@ -152,7 +152,7 @@ private:
 
     void process_record(const Ros1Header& record_header, std::string_view record_data,
                         const MessagePosition& message_position, TopicTable& topics,
-                        const MessageReadCallbacks& callbacks) {
+                        const ReadCallbacks& callbacks) {
         const auto op = record_header.number_field<std::uint8_t>("op");
         if (op != kRos1Connection && op != kRos1Message) return;
         const auto id = record_header.number_field<std::uint32_t>("conn");

@@ -62,7 +62,7 @@ public:
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
     }
 
-    void read_messages(TopicTable& topics, const MessageReadCallbacks& callbacks) override {
+    void read_messages(TopicTable& topics, const ReadCallbacks& callbacks) override {
         const std::lock_guard guard(lock_);
         std::map<std::int64_t, std::size_t> topic_of;
         const Statement topic_rows = prepare("SELECT id, name, type, serialization_format FROM topics");
@@ -119,7 +119,7 @@ private:
 
     /// Reads the next row of a query. If the file is damaged and `callbacks` are given,
     /// ends the query with a note. Messages before the damage remain usable.
-    bool next_row(sqlite3_stmt* statement, const MessageReadCallbacks* callbacks = nullptr) const {
+    bool next_row(sqlite3_stmt* statement, const ReadCallbacks* callbacks = nullptr) const {
         const int code = sqlite3_step(statement);
         if (callbacks && (code == SQLITE_CORRUPT || (code & 0xFF) == SQLITE_IOERR))
             callbacks->note(

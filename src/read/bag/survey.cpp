@@ -66,8 +66,8 @@ private:
     BagIndex& survey_;
     /// Angle correction files next to the recording, read when the first packet arrives.
     std::optional<std::vector<packets::AngleCorrection>> corrections_;
-    packets::OusterMetadataList ousters_;  ///< metadata known so far
-    std::set<std::size_t> late_;           ///< topics with packets that were recorded before their metadata
+    packets::MetadataList ousters_;  ///< metadata known so far
+    std::set<std::size_t> late_;     ///< topics with packets that were recorded before their metadata
     std::string broken_metadata_;
     bool has_read_metadata_ = false;
 
@@ -264,8 +264,8 @@ void join_parts(CloudTopic& cloud_topic) {
     cloud_topic.clouds.clear();
     for (const std::vector<RevolutionPart>& revolution : joined.revolutions) {
         const RevolutionPart& middle = revolution[revolution.size() / 2];
-        CloudIndexEntry& entry = cloud_topic.clouds.emplace_back(
-            CloudIndexEntry{middle.stamp_ns, middle.log_ns, 0, middle.message_position, 0, revolution});
+        CloudEntry& entry = cloud_topic.clouds.emplace_back(
+            CloudEntry{middle.stamp_ns, middle.log_ns, 0, middle.message_position, 0, revolution});
         for (const RevolutionPart& part : revolution) entry.n_points += part.n_points;
     }
     cloud_topic.parts_about = fmt::format(
@@ -291,7 +291,7 @@ std::string CloudTopic::make_name(const BagRecording& bag) const {
 std::size_t CloudTopic::median_points() const {
     if (clouds.empty()) return 0;
     std::vector<std::uint32_t> counts;
-    for (const CloudIndexEntry& cloud : clouds) counts.push_back(cloud.n_points);
+    for (const CloudEntry& cloud : clouds) counts.push_back(cloud.n_points);
     return compute_median(std::move(counts));
 }
 

@@ -39,9 +39,8 @@ class TransformChain {
 public:
     void append_constant(Pose transform) { links_.push_back({{0.0}, {transform}}); }
     /// @param pose_samples  in any order
-    /// @param time_origin_ns  time in nanoseconds at which the time of the log is 0 s
-    void append_samples(const std::vector<StampedPose>& pose_samples, LogClock clock,
-                        std::int64_t time_origin_ns);
+    /// @param origin_ns  time in nanoseconds at which the time of the log is 0 s
+    void append_samples(const std::vector<StampedPose>& pose_samples, LogClock clock, std::int64_t origin_ns);
     Pose compute_pose_at(double t_s) const;
     /// Returns true if every transform is known at `t_s`: a moving one from 0.1 s before
     /// its first sample to 0.1 s after its last.
@@ -55,7 +54,7 @@ private:
 
 /// Pose of frame "from" in frame "to" as a function of time. "above" is their nearest
 /// common ancestor.
-struct RelativeFramePose {
+struct FramePose {
     TransformChain above_from_to, above_from_from;
 
     Pose compute_pose_at(double t_s) const {
@@ -68,20 +67,19 @@ struct RelativeFramePose {
 
 class FrameTree {
 public:
-    void add_transform(const TransformMessage& transform, std::int64_t recording_time_ns, bool is_static);
+    void add_transform(const TransformMessage& transform, std::int64_t time_ns, bool is_static);
     bool empty() const { return parents_.empty(); }
     /// Returns a frame and all its ancestors, up to the root of the tree.
     std::vector<std::string> path_to_root(const std::string& start_frame) const;
     bool is_frame_moving(const std::string& frame) const;
-    /// Returns the pose of frame `source_frame` in frame `target_frame`. Returns nothing
+    /// Returns the pose of frame `source` in frame `target`. Returns nothing
     /// if a transform between the frames is missing or changes over time.
-    std::optional<Pose> find_constant(const std::string& target_frame, const std::string& source_frame) const;
+    std::optional<Pose> find_constant(const std::string& target, const std::string& source) const;
     TransformChain make_chain(const std::string& ancestor_frame, const std::string& child_frame,
                               LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns nothing if no transforms connect the two frames.
-    std::optional<RelativeFramePose> find_chain(const std::string& target_frame,
-                                                const std::string& source_frame, LogClock clock,
-                                                std::int64_t time_origin_ns) const;
+    std::optional<FramePose> find_chain(const std::string& target_frame, const std::string& source_frame,
+                                        LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns the samples of the moving transform with the most samples between a frame
     /// and its ancestor frame. Returns null if no transform moves.
     const std::vector<StampedPose>* fastest_samples(const std::string& ancestor_frame,
@@ -141,7 +139,7 @@ struct TopicStatistics {
     }
 };
 
-struct CloudIndexEntry {
+struct CloudEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     std::uint32_t n_points = 0;
     MessagePosition message_position;
@@ -168,7 +166,7 @@ struct CloudTopic {
     std::vector<CloudMessage::CloudField> fields;  ///< fields of the first cloud
     /// Clouds with points, in the order of the recording. Parts of a revolution are
     /// joined.
-    std::vector<CloudIndexEntry> clouds;
+    std::vector<CloudEntry> clouds;
     std::string parts_about;           ///< text about the joined clouds; empty if no clouds are joined
     std::vector<RevolutionPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;

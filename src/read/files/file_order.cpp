@@ -65,15 +65,14 @@ std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_s
 
 /// Returns how often the azimuth has passed `start_azimuth_rad` before each point. In
 /// files that store one ring after another, this is the number of the ring.
-std::vector<std::uint16_t> count_turns(const std::vector<double>& unwrapped_azimuths_rad,
-                                       double start_azimuth_rad) {
+std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
-    revolution_numbers.reserve(unwrapped_azimuths_rad.size());
+    revolution_numbers.reserve(azimuths_rad.size());
     double first_revolution = INFINITY;
-    for (const double t : unwrapped_azimuths_rad)
+    for (const double t : azimuths_rad)
         first_revolution = std::min(first_revolution, std::floor((t - start_azimuth_rad) / (2.0 * kPi)));
     int last = 0;
-    for (const double t : unwrapped_azimuths_rad) {
+    for (const double t : azimuths_rad) {
         // Never decreases, because of rounding errors at the first point of a ring.
         last = std::max(last, int(std::floor((t - start_azimuth_rad) / (2.0 * kPi)) - first_revolution));
         revolution_numbers.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
@@ -83,14 +82,12 @@ std::vector<std::uint16_t> count_turns(const std::vector<double>& unwrapped_azim
 
 /// Uses only the farther half of the points, because beams start beside the sensor
 /// origin.
-std::vector<double> ring_elevations(const LidarPoints& points,
-                                    const std::vector<std::uint16_t>& ring_of_point) {
+std::vector<double> ring_elevations(const LidarPoints& points, const std::vector<std::uint16_t>& rings) {
     std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
-        if (ring_of_point[i] >= samples_by_ring.size())
-            samples_by_ring.resize(std::size_t(ring_of_point[i]) + 1);
-        samples_by_ring[ring_of_point[i]].emplace_back(glm::length(points.position_m[i]),
-                                                       elevation_of_rad(points.position_m[i]));
+        if (rings[i] >= samples_by_ring.size()) samples_by_ring.resize(std::size_t(rings[i]) + 1);
+        samples_by_ring[rings[i]].emplace_back(glm::length(points.position_m[i]),
+                                               elevation_of_rad(points.position_m[i]));
     }
     std::vector<double> elevations;
     for (auto& points_of_ring : samples_by_ring) {

@@ -116,10 +116,9 @@ void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool is_
 
 /// A byte b below 32 precedes b + 1 bytes that are copied. A larger byte starts a
 /// reference of two or three bytes: length and distance of earlier output to repeat.
-std::string decompress_lzf(std::string_view compressed_data, std::size_t decompressed_size,
-                           const std::string& where) {
+std::string decompress_lzf(std::string_view compressed_data, std::size_t size, const std::string& where) {
     std::string out;
-    out.reserve(decompressed_size);
+    out.reserve(size);
     std::size_t at = 0;
     const auto next = [&] {
         return at < compressed_data.size() ? std::size_t(static_cast<unsigned char>(compressed_data[at++]))
@@ -128,8 +127,7 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
     while (at < compressed_data.size()) {
         const std::size_t control = next();
         if (control < 32) {
-            if (control + 1 > compressed_data.size() - at || control + 1 > decompressed_size - out.size())
-                fail_lzf(where);
+            if (control + 1 > compressed_data.size() - at || control + 1 > size - out.size()) fail_lzf(where);
             out.append(compressed_data.substr(at, control + 1));
             at += control + 1;
             continue;
@@ -138,11 +136,11 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t decompr
         if (length == 7) length += next();
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
-        if (back > out.size() || length > decompressed_size - out.size()) fail_lzf(where);
+        if (back > out.size() || length > size - out.size()) fail_lzf(where);
         // byte by byte, because copied bytes may overlap appended bytes
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
-    if (out.size() != decompressed_size) fail_lzf(where);
+    if (out.size() != size) fail_lzf(where);
     return out;
 }
 

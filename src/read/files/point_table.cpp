@@ -246,10 +246,10 @@ const PointFieldView* PointTable::find_field(PointAttribute attribute) const {
     return all.empty() ? nullptr : find_field(all[0]);
 }
 
-void PointTable::add_value_field(const std::string& field_name, const PointFieldView& values,
+void PointTable::add_value_field(const std::string& name, const PointFieldView& values,
                                  const std::string& where) {
-    if (!fields_.emplace(field_name, values).second)
-        fail("{}: the field '{}' occurs twice, expected it once", where, field_name);
+    if (!fields_.emplace(name, values).second)
+        fail("{}: the field '{}' occurs twice, expected it once", where, name);
 }
 
 void PointTable::remove_fields(PointAttribute attribute) {

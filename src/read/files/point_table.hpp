@@ -114,8 +114,7 @@ public:
     /// names.
     std::vector<std::string> list_fields(PointAttribute attribute) const;
     /// @throws DataError if the field already exists
-    void add_value_field(const std::string& field_name, const PointFieldView& values,
-                         const std::string& where);
+    void add_value_field(const std::string& name, const PointFieldView& values, const std::string& where);
     template <class T>
     void add_value_field(const std::string& field_name, ScalarType type, std::vector<T> values,
                          const std::string& where) {

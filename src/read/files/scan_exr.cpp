@@ -79,7 +79,7 @@ Lidar fill_sensor(Lidar lidar, const ExrImage& image) {
 
 }  // namespace
 
-Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context) {
+Scan read_scan_exr(const std::filesystem::path& file, const ImageContext& image_context) {
     const ExrImage image = read_exr(file);
     const std::string where = file.string();
     std::vector<NamedArray> arrays = convert_channels(image, where);

@@ -17,9 +17,9 @@ namespace {
 constexpr std::size_t kMostReturns = 8;
 
 /// The named arrays of a scan file. Each array has one entry per ray of the range image.
-class ScanNpzArrays {
+class NpzArrays {
 public:
-    ScanNpzArrays(const std::string& location, std::vector<NamedArray> arrays)
+    NpzArrays(const std::string& location, std::vector<NamedArray> arrays)
         : where_(location), arrays_(std::move(arrays)) {
         const std::vector<std::size_t>& shape = required_array("range").shape;
         if (shape.empty() || shape.size() > 2 || required_array("range").element_count() > kMaxRays)
@@ -76,7 +76,7 @@ private:
     std::vector<NamedArray> arrays_;
 };
 
-std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& array_name) {
+std::vector<float> read_ranges(const NpzArrays& arrays, const std::string& array_name) {
     const std::vector<double> file_ranges_m = arrays.ray_values(array_name, 1),
                               drop = arrays.ray_values_or("drop_prob", 0.0);
     std::vector<float> range_m;
@@ -90,7 +90,7 @@ std::vector<float> read_ranges(const ScanNpzArrays& arrays, const std::string& a
     return range_m;
 }
 
-std::vector<float> read_intensities(const ScanNpzArrays& arrays, const std::string& array_name,
+std::vector<float> read_intensities(const NpzArrays& arrays, const std::string& array_name,
                                     const std::vector<float>& range_m, const PointFileUnits& units) {
     const std::vector<double> file_intensities = arrays.ray_values_or(array_name, 0.0);
     std::vector<float> intensity;
@@ -103,7 +103,7 @@ std::vector<float> read_intensities(const ScanNpzArrays& arrays, const std::stri
 
 /// Returns the classes of the returns: the values of the channel `class`. Returns an
 /// empty array if the file does not contain the channel.
-std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const std::vector<float>& range_m) {
+std::vector<SurfaceClass> read_ray_classes(const NpzArrays& arrays, const std::vector<float>& range_m) {
     std::vector<SurfaceClass> classes;
     if (!arrays.find_optional("class")) return classes;
     const std::vector<double> numbers = arrays.ray_values("class", 1);
@@ -119,7 +119,7 @@ std::vector<SurfaceClass> read_ray_classes(const ScanNpzArrays& arrays, const st
 
 /// Returns the rays of the LiDAR's sensor model, for a range image without ray
 /// directions. Throws if the image and the model differ in size.
-RayTable match_sensor_rays(const ScanNpzArrays& arrays, const ScanImageContext& image_context) {
+RayTable match_sensor_rays(const NpzArrays& arrays, const ImageContext& image_context) {
     RayTable rays = make_lidar_rays(image_context.lidar, image_context.time_s);
     if (rays.size() == 0)
         fail("{}: the array of ray directions and the sensor in sequence.json are missing",
@@ -147,7 +147,7 @@ void reverse_rows(std::vector<NamedArray>& arrays, std::size_t n_rows) {
 }
 
 /// Reads the times, rings and divergences of the rays, if the file contains them.
-void set_ray_fields(const ScanNpzArrays& arrays, const ScanImageContext& image_context, RayTable& rays) {
+void set_ray_fields(const NpzArrays& arrays, const ImageContext& image_context, RayTable& rays) {
     const PointFileUnits& units = image_context.units;
     const std::size_t n = rays.size();
     if (arrays.find_optional("time") && !units.ignore_times) {
@@ -171,7 +171,7 @@ void set_ray_fields(const ScanNpzArrays& arrays, const ScanImageContext& image_c
     }
 }
 
-RayTable make_stored_rays(const ScanNpzArrays& arrays) {
+RayTable make_stored_rays(const NpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
@@ -223,36 +223,36 @@ std::uint16_t convert_ring(double file_value, const std::string& where) {
 }
 
 Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> stored_arrays,
-                      const ScanImageContext& image_context) {
+                      const ImageContext& context) {
     const bool has_rays = find_array(stored_arrays, "directions") != nullptr;
     const NamedArray* range = find_array(stored_arrays, "range");
-    if (!has_rays && image_context.lowest_first && range && range->shape.size() == 2)
+    if (!has_rays && context.lowest_first && range && range->shape.size() == 2)
         reverse_rows(stored_arrays, range->shape[0]);
-    const ScanNpzArrays arrays(where, std::move(stored_arrays));
+    const NpzArrays arrays(where, std::move(stored_arrays));
     const NamedArray* deskewed = arrays.find_optional("deskewed");
     check_deskewing(deskewed && deskewed->element_count() == 1 && deskewed->to_floats()[0] != 0.0f,
-                    image_context.motion_compensated, arrays.error_place());
+                    context.motion_compensated, arrays.error_place());
     Scan scan;
-    scan.rays = has_rays ? make_stored_rays(arrays) : match_sensor_rays(arrays, image_context);
-    set_ray_fields(arrays, image_context, scan.rays);
+    scan.rays = has_rays ? make_stored_rays(arrays) : match_sensor_rays(arrays, context);
+    set_ray_fields(arrays, context, scan.rays);
     // A rendered file contains a median and a mean range. The median is used, because the
     // mean can be between two surfaces.
     const std::vector<float> range_m =
         read_ranges(arrays, arrays.find_optional("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);
-    scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, image_context.units));
+    scan.intensity = to_scan_array(read_intensities(arrays, "intensity", range_m, context.units));
     scan.classes = to_scan_array(read_ray_classes(arrays, range_m));
     for (std::size_t number = 2;
          number <= kMostReturns && arrays.find_optional(fmt::format("range_{}", number)); ++number) {
         AdditionalReturns echo{read_ranges(arrays, fmt::format("range_{}", number)), {}};
         echo.intensity =
-            read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, image_context.units);
+            read_intensities(arrays, fmt::format("intensity_{}", number), echo.range_m, context.units);
         scan.second_returns.push_back(std::move(echo));
     }
     return scan;
 }
 
-Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context) {
+Scan read_scan_image(const std::filesystem::path& file, const ImageContext& image_context) {
     return file.extension() == ".exr" ? read_scan_exr(file, image_context)
                                       : scan_from_arrays(file.string(), read_npz(file), image_context);
 }

@@ -14,7 +14,7 @@
 namespace relidar::read {
 
 /// What an image file does not contain.
-struct ScanImageContext {
+struct ImageContext {
     const PointFileUnits& units;
     bool motion_compensated;  ///< what sequence.json says of all scans
     bool lowest_first;        ///< true if row 0 is the lowest beam
@@ -25,12 +25,11 @@ struct ScanImageContext {
 
 /// The channels are range, median_range, intensity, drop_prob, time, ring, range_2,
 /// intensity_2 and so on, and x, y and z of the direction and of the origin.
-Scan read_scan_exr(const std::filesystem::path& file, const ScanImageContext& image_context);
+Scan read_scan_exr(const std::filesystem::path& file, const ImageContext& image_context);
 /// Reads a scan from an npz file or an EXR image.
 /// @throws DataError if the file is damaged, an array is missing, or array sizes differ
-Scan read_scan_image(const std::filesystem::path& file, const ScanImageContext& image_context);
-Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> arrays,
-                      const ScanImageContext& image_context);
+Scan read_scan_image(const std::filesystem::path& file, const ImageContext& image_context);
+Scan scan_from_arrays(const std::string& where, std::vector<NamedArray> arrays, const ImageContext& context);
 
 /// Writes without loss. If the scan is motion-compensated, all rays get the time 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);

@@ -59,12 +59,11 @@ std::vector<std::optional<std::int64_t>> read_stamps_ns(const fs::path& file) {
 
 }  // namespace
 
-std::vector<double> read_frame_times(const fs::path& time_file, const std::vector<int>& numbers,
-                                     Log& sequence) {
+std::vector<double> read_frame_times(const fs::path& time_file, const std::vector<int>& numbers, Log& log) {
     const std::vector<std::optional<std::int64_t>> time_ns = read_stamps_ns(time_file);
     const std::int64_t first_ns =
         **std::find_if(time_ns.begin(), time_ns.end(), [](const auto& t) { return t.has_value(); });
-    set_log_start(sequence, first_ns,
+    set_log_start(log, first_ns,
                   "after 1970; the files have no time zone, so their local times are read as UTC");
     std::vector<double> time_s;
     for (std::size_t i = 0; i < numbers.size(); ++i) {

@@ -103,14 +103,13 @@ std::vector<int> list_scans(const fs::path& folder, int begin_number, int end_nu
     return frames;
 }
 
-ScanPoints read_kitti_scan(const fs::path& scan_file, const fs::path& label_file) {
-    const std::string bytes = read_file(scan_file);
+ScanPoints read_kitti_scan(const fs::path& file, const fs::path& label_file) {
+    const std::string bytes = read_file(file);
     static_assert(sizeof(glm::vec4) == 16);
-    if (bytes.empty())
-        fail("{}: the file is empty, expected at least one point of 16 bytes", scan_file.string());
+    if (bytes.empty()) fail("{}: the file is empty, expected at least one point of 16 bytes", file.string());
     if (bytes.size() % 16 != 0) {
         fail("{}: the file is truncated: it has {} bytes, which are {} points of 16 bytes and {} more bytes",
-             scan_file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16);
+             file.string(), bytes.size(), bytes.size() / 16, bytes.size() % 16);
     }
     ScanPoints scan;
     std::vector<glm::vec4>& points = scan.points;
@@ -121,7 +120,7 @@ ScanPoints read_kitti_scan(const fs::path& scan_file, const fs::path& label_file
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
         if (!is_return_point(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
         fail("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values up to {} m",
-             scan_file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
+             file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m);
     }
     if (!label_file.empty() && does_path_exist(label_file))
         scan.classes = read_classes(label_file, points.size());

@@ -29,8 +29,7 @@ struct ScanPoints {
 /// the class; may not exist
 /// @throws DataError if the scan is truncated, empty or invalid, or if the number of
 /// labels differs
-ScanPoints read_kitti_scan(const std::filesystem::path& scan_file,
-                           const std::filesystem::path& label_file = {});
+ScanPoints read_kitti_scan(const std::filesystem::path& file, const std::filesystem::path& label_file = {});
 
 /// Returns a note about missing scan files, or an empty string.
 /// @throws DataError if scan files are missing and allow_missing is false
@@ -45,9 +44,9 @@ std::string describe_mistake(const std::filesystem::path& folder, const std::str
 /// Returns seconds after the first time in the file. Line i contains the time of frame i.
 /// The line is empty if the frame has no scan. Times can cross midnight.
 /// @throws DataError if a requested frame has no time, or if times do not increase
-/// @param sequence  gets the date of the log
+/// @param log  gets the date of the log
 std::vector<double> read_frame_times(const std::filesystem::path& time_file, const std::vector<int>& numbers,
-                                     Log& sequence);
+                                     Log& log);
 
 /// Returns the median of the times in timestamps_end.txt minus timestamps_start.txt.
 double read_sweep_s(const std::filesystem::path& drive);

@@ -44,19 +44,17 @@ constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
 /// A ray keeps at most two returns. A third return replaces the darker of the two, if it
 /// is brighter and differs in range from both.
-void keep_brightest(std::array<DecodedReturn, 2>& ray_returns, std::size_t return_index,
-                    const DecodedReturn& new_return) {
-    if (return_index < 2) {
-        ray_returns[return_index] = new_return;
+void keep_brightest(std::array<DecodedReturn, 2>& returns, std::size_t index, const DecodedReturn& added) {
+    if (index < 2) {
+        returns[index] = added;
         return;
     }
-    if (new_return.range_m == ray_returns[0].range_m || new_return.range_m == ray_returns[1].range_m) return;
-    DecodedReturn& other =
-        ray_returns[0].range_m == 0.0f ||
-                (ray_returns[1].range_m != 0.0f && ray_returns[0].intensity < ray_returns[1].intensity)
-            ? ray_returns[0]
-            : ray_returns[1];
-    if (other.range_m == 0.0f || other.intensity < new_return.intensity) other = new_return;
+    if (added.range_m == returns[0].range_m || added.range_m == returns[1].range_m) return;
+    DecodedReturn& other = returns[0].range_m == 0.0f ||
+                                   (returns[1].range_m != 0.0f && returns[0].intensity < returns[1].intensity)
+                               ? returns[0]
+                               : returns[1];
+    if (other.range_m == 0.0f || other.intensity < added.intensity) other = added;
 }
 
 class BlockDecoder : public PacketDecoder {
@@ -271,12 +269,11 @@ std::vector<PacketBeam> list_beams(const PacketLayout& layout) {
     return beams;
 }
 
-std::unique_ptr<PacketDecoder> make_block_decoder(const char* product_name,
-                                                  const DecoderCalibration& calibration) {
+std::unique_ptr<PacketDecoder> make_block_decoder(const char* name, const DecoderCalibration& calibration) {
     const PacketLayout* layout = nullptr;
     for (const PacketLayout& row : kLayouts)
-        if (row.name == std::string(product_name) ||
-            (calibration.has_two_returns && row.name == product_name + std::string(" with two returns")))
+        if (row.name == std::string(name) ||
+            (calibration.has_two_returns && row.name == name + std::string(" with two returns")))
             layout = &row;  // the row for two returns follows the usual one
     return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }

@@ -127,7 +127,7 @@ std::vector<FiringColumn> BlockWriter::merge_columns(std::vector<FiringColumn> s
 }
 
 void BlockWriter::append_returns(std::string& bytes, const FiringColumn& firing,
-                                 const PacketBlockIndex& block_position, double range_unit_m) const {
+                                 const BlockIndex& block_position, double range_unit_m) const {
     for (std::size_t k = 0; k < layout_.block_lasers; ++k) {
         const std::size_t ring =
             ring_of_[block_position.part][block_position.bank * layout_.block_lasers + k];
@@ -158,8 +158,8 @@ void BlockWriter::append_blocks(std::string& bytes, std::span<const FiringColumn
     const std::size_t n_joined = count_blocks() / std::size_t(packets_per_firing());
     for (std::size_t block = 0; block < layout_.n_blocks; ++block) {
         const auto block_firings = firings.subspan(block / n_joined * layout_.firings, layout_.firings);
-        const PacketBlockIndex block_index{sequence_of_block(block, packet_number),
-                                           block / n_returns % layout_.banks, block % n_returns};
+        const BlockIndex block_index{sequence_of_block(block, packet_number),
+                                     block / n_returns % layout_.banks, block % n_returns};
         if (layout_.flagged) append_raw(bytes, std::uint16_t(0xEEFF - 0x1100 * block_index.bank));
         const double azimuth_deg =
             block_firings.front().azimuth_deg + double(block_index.part) * sequence_deg_;

@@ -138,10 +138,8 @@ std::string unsupported_text(const LidarProduct* product, std::string_view packe
 bool is_dual_rs16(const std::vector<ReceivedPacket>& packets);
 
 // Creators of decoders: for Velodyne, Hesai and RS-LiDAR-16, and for Ouster.
-std::unique_ptr<PacketDecoder> make_block_decoder(const char* product_name,
-                                                  const DecoderCalibration& calibration);
-std::unique_ptr<PacketDecoder> make_ouster_decoder(const char* product_name,
-                                                   const DecoderCalibration& calibration);
+std::unique_ptr<PacketDecoder> make_block_decoder(const char* name, const DecoderCalibration& calibration);
+std::unique_ptr<PacketDecoder> make_ouster_decoder(const char* name, const DecoderCalibration& calibration);
 
 // Livox sensors that use the protocol of Livox SDK2 (Mid-360, HAP). They do not rotate.
 // As in Livox's driver, the packets of 0.1 s form one cloud.

@@ -20,9 +20,9 @@ constexpr double kProbeRange_m =
     1e4;  // distance at which the direction of a ray without a return is computed
 
 /// Finds the ray of each ring in a firing of a scan.
-class FiringRayTable {
+class FiringRays {
 public:
-    FiringRayTable(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
+    FiringRays(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
         if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
             fail<UsageError>(
                 "cannot write packets of {}: the scan has {} rows, expected one row for each of the {} beams",
@@ -43,13 +43,12 @@ private:
 
 /// Returns the difference between the latest and the earliest time in each firing after
 /// subtracting `beam_delays_us`, summed over all firings. 0: the delays fit perfectly.
-double time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
-                      const std::vector<double>& beam_delays_us) {
+double time_spread_us(const Scan& scan, const FiringRays& rays, const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
-    for (int firing = 0; firing < firing_rays.n_firings(); ++firing) {
+    for (int firing = 0; firing < rays.n_firings(); ++firing) {
         double first = INFINITY, last = -INFINITY;
-        for (std::size_t ring = 0; ring < firing_rays.n_rings(); ++ring) {
-            const std::size_t ray = firing_rays.ray_at(ring, firing);
+        for (std::size_t ring = 0; ring < rays.n_rings(); ++ring) {
+            const std::size_t ray = rays.ray_at(ring, firing);
             if (scan.range_m[ray] <= 0.0f) continue;
             const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - beam_delays_us[ring];
             first = std::min(first, time_us);
@@ -62,9 +61,8 @@ double time_spread_us(const Scan& scan, const FiringRayTable& firing_rays,
 
 /// Computes time and azimuth of a firing as the mean over its rays. Uses only rays with a
 /// return, because their directions are measured. Uses all rays if none has a return.
-FiringColumn join_rays(const Scan& scan, const FiringRayTable& firing_rays, int firing_index,
-                       const std::vector<BeamRayGenerator>& beams,
-                       const std::vector<double>& beam_delays_us) {
+FiringColumn join_rays(const Scan& scan, const FiringRays& firing_rays, int firing_index,
+                       const std::vector<BeamRays>& beams, const std::vector<double>& beam_delays_us) {
     FiringColumn column{.is_measured = true, .returns = {}};
     column.returns.resize(firing_rays.n_rings());
     std::size_t n_returned = 0, n_used = 0;
@@ -117,7 +115,7 @@ void time_empty_firings(std::vector<FiringColumn>& firings, double rotation_peri
 
 std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, const SpinningSensor& sensor,
                                           const std::vector<double>& beam_delays_us) {
-    const FiringRayTable image(scan, sensor);
+    const FiringRays image(scan, sensor);
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
     if (!(double(last - first) > kMinRevolutionFraction * sensor.period_s))
         fail<UsageError>(
@@ -129,7 +127,7 @@ std::vector<FiringColumn> extract_firings(const Scan& scan, double scan_time_s, 
     const std::vector<double> no_offset(beam_delays_us.size(), 0.0);
     const bool has_laser_times =
         time_spread_us(scan, image, beam_delays_us) < time_spread_us(scan, image, no_offset);
-    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
+    const std::vector<BeamRays> beams = make_generators(sensor.beams);
     std::vector<FiringColumn> columns;
     for (int firing = 0; firing < image.n_firings(); ++firing)
         columns.push_back(

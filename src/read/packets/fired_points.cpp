@@ -13,7 +13,7 @@
 #include "read/scans/arrange_firings.hpp"
 
 namespace relidar::packets {
-struct RevolutionPoints {
+struct TurnPoints {
     LidarPoints points;
     std::vector<int> numbers;        ///< [points] number of the firing that measured the point
     std::map<int, double> head_rad;  ///< azimuth of each received firing, by its number
@@ -52,9 +52,9 @@ void fill_long_gaps(std::vector<bool>& column_has_fired, const std::vector<bool>
 
 /// Converts the returns of a firing to points. If a ray has two returns, the brighter one
 /// is the first return.
-void add_points(RevolutionPoints& revolution_points, const FiringInstant& firing,
-                const std::array<DecodedReturn, 2>* returns_of_each_ring,
-                const std::vector<BeamRayGenerator>& beams, const std::vector<double>& beam_offsets_us) {
+void add_points(TurnPoints& revolution_points, const FiringInstant& firing,
+                const std::array<DecodedReturn, 2>* returns_of_each_ring, const std::vector<BeamRays>& beams,
+                const std::vector<double>& beam_offsets_us) {
     LidarPoints& points = revolution_points.points;
     revolution_points.head_rad.try_emplace(firing.number,
                                            -std::remainder(firing.azimuth_deg, 360.0) * kPi / 180.0);
@@ -84,7 +84,7 @@ void add_points(RevolutionPoints& revolution_points, const FiringInstant& firing
 /// column
 /// @param column_is_lost  [columns per revolution] true if the packet with the column
 /// was lost. Its rays are unknown, so the scan does not contain them.
-Scan make_fixed_scan(RevolutionPoints& revolution_points, const std::vector<bool>& column_is_enabled,
+Scan make_fixed_scan(TurnPoints& revolution_points, const std::vector<bool>& column_is_enabled,
                      const std::vector<bool>& column_is_lost, SpinningSensor sensor) {
     std::vector<bool> has_fired(column_is_enabled.size(), false);
     for (const auto& [column, head_rad] : revolution_points.head_rad) has_fired[std::size_t(column)] = true;
@@ -146,8 +146,8 @@ std::vector<bool> PacketIndex::find_lost(const PacketRevolution& revolution) con
 Scan PacketIndex::decode(const PacketRevolution& revolution,
                          const std::vector<std::vector<ReceivedPacket>>& packets_of_message,
                          const SpinningSensor& sensor, std::int64_t time_origin_ns) const {
-    RevolutionPoints fired;
-    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
+    TurnPoints fired;
+    const std::vector<BeamRays> beams = make_generators(sensor.beams);
     const FiringTiming& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = full_scale();
     const int n_columns = int(timing.fires.size());
@@ -194,19 +194,18 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
     return make_scan(revolution, fired, sensor);
 }
 
-Scan PacketIndex::make_scan(const PacketRevolution& revolution, RevolutionPoints& revolution_points,
+Scan PacketIndex::make_scan(const PacketRevolution& turn, TurnPoints& points,
                             const SpinningSensor& sensor) const {
-    if (revolution_points.points.size() == 0) return scan_of_points(revolution_points.points);
+    if (points.points.size() == 0) return scan_of_points(points.points);
     if (!decoder_->timing().fires.empty())
-        return make_fixed_scan(revolution_points, decoder_->timing().fires, find_lost(revolution), sensor);
-    const SweepFirings sweep =
-        sort_firings(revolution_points.points, revolution_points.numbers, revolution_points.head_rad);
+        return make_fixed_scan(points, decoder_->timing().fires, find_lost(turn), sensor);
+    const SweepFirings sweep = sort_firings(points.points, points.numbers, points.head_rad);
     // A revolution has no columns in the sector `skipped_`. If packets were lost, the
     // scan has only the received columns.
     SpinningSensor scan_sensor = sensor;
     scan_sensor.columns = int(std::ceil(double(sensor.columns) * (1.0 - skipped_.width_deg / 360.0)));
-    if (revolution.has_gaps) scan_sensor.columns = int(sweep.firings.size());
-    return spinning_scan(revolution_points.points, scan_sensor, sweep);
+    if (turn.has_gaps) scan_sensor.columns = int(sweep.firings.size());
+    return spinning_scan(points.points, scan_sensor, sweep);
 }
 
 }  // namespace relidar::packets

@@ -88,17 +88,16 @@ public:
         return {".csv", text};
     }
 
-    SensorPacket encode_packet(std::span<const FiringColumn> columns,
-                               std::uint32_t packet_number) const override {
-        SensorPacket packet{packet_time_ns(columns, packet_number, &FiringColumn::time_s), {}};
-        const std::int64_t clock_ns = packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
+    SensorPacket encode_packet(std::span<const FiringColumn> columns, std::uint32_t number) const override {
+        SensorPacket packet{packet_time_ns(columns, number, &FiringColumn::time_s), {}};
+        const std::int64_t clock_ns = packet_time_ns(columns, number, &FiringColumn::clock_s);
         std::string& bytes = packet.bytes;
         bytes.append(product_.header.begin(), product_.header.begin() + std::ptrdiff_t(product_.n_header));
         if (product_.n_header == 12 && is_dual()) {
             bytes[8] = 1;   // block that contains the last return (1: first block)
             bytes[10] = 2;  // number of returns
         }
-        append_blocks(bytes, columns, packet_number, 1e-3 * kRangeUnit_mm);
+        append_blocks(bytes, columns, number, 1e-3 * kRangeUnit_mm);
         if (product_.has_checksums) {
             append_crc32(bytes, product_.n_header);
             // safety field of a sensor without faults
@@ -109,7 +108,7 @@ public:
         }
         const std::size_t tail_offset = bytes.size();
         bytes.append(product_.reserved, '\0');
-        write_mode(bytes, packet_number);
+        write_mode(bytes, number);
         const std::uint8_t mode = is_dual() ? kLastAndStrongest : kSingleReturn;
         const auto speed_rpm = std::uint16_t(std::lround(60.0 / sensor_.period_s));
         const std::int64_t time_us = (clock_ns + 500) / 1000, second_us = kNsPerSecond / 1000;
@@ -120,7 +119,7 @@ public:
         if (!product_.is_mode_first) append_raw(bytes, mode);
         append_raw(bytes, kFactory);
         if (!product_.is_mode_first) append_utc(bytes, time_us / second_us);
-        append_raw(bytes, packet_number);
+        append_raw(bytes, number);
         bytes.append(product_.motion_bytes, '\0');
         if (product_.has_checksums) append_crc32(bytes, tail_offset);
         return packet;

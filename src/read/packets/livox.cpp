@@ -55,10 +55,9 @@ std::int64_t clamped_step_ns(std::int64_t first_ns, std::int64_t second_ns) {
     return std::clamp(passed_ns, -kMaxStep_ns, kMaxStep_ns);
 }
 
-/// @param packet_time_offset_ns  time of the first point minus the time of the cloud
+/// @param offset_ns  time of the first point minus the time of the cloud
 /// @return number of points
-std::uint32_t append_points(std::string& point_bytes, std::string_view packet,
-                            std::int64_t packet_time_offset_ns) {
+std::uint32_t append_points(std::string& point_bytes, std::string_view packet, std::int64_t offset_ns) {
     const int kind = std::uint8_t(packet[kKindAt]);
     const auto n = read_number_at<std::uint16_t>(packet, kCountAt);
     const double step_ns = 100.0 * read_number_at<std::uint16_t>(packet, kDurationAt) / std::max(int(n), 1);
@@ -68,8 +67,7 @@ std::uint32_t append_points(std::string& point_bytes, std::string_view packet,
         const glm::vec3 p = read_position_m(reader, kind);
         const std::string_view reflectivity_and_tag = reader.read_bytes(2);
         if (p == glm::vec3(0.0f)) continue;
-        append_raw(point_bytes,
-                   std::uint32_t(std::max(packet_time_offset_ns + std::llround(step_ns * i), 0ll)));
+        append_raw(point_bytes, std::uint32_t(std::max(offset_ns + std::llround(step_ns * i), 0ll)));
         append_raw(point_bytes, p.x);
         append_raw(point_bytes, p.y);
         append_raw(point_bytes, p.z);

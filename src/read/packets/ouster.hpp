@@ -44,7 +44,7 @@ struct OusterMetadata {
 
     std::string describe() const;
 };
-using OusterMetadataList = std::vector<std::shared_ptr<const OusterMetadata>>;
+using MetadataList = std::vector<std::shared_ptr<const OusterMetadata>>;
 
 /// Returns true if a text looks like metadata of an Ouster sensor, valid or not.
 bool is_metadata(std::string_view json_text);
@@ -54,21 +54,20 @@ std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_tex
 /// Reads the Ouster metadata (JSON files) in the folder of a recording, for example
 /// "a.pcap". If "a.json" contains metadata, reads only JSON files whose names begin with
 /// "a". Never reads "b.json" if the folder contains another recording, "b.pcap".
-/// @param error_messages  output: error messages about files that cannot be read
-OusterMetadataList read_metadata_files(const std::filesystem::path& recording_path,
-                                       std::vector<std::string>& error_messages);
+/// @param errors  output: error messages about files that cannot be read
+MetadataList read_metadata_files(const std::filesystem::path& recording, std::vector<std::string>& errors);
 
 /// Returns the metadata of the sensor that sent a packet, or null if it is ambiguous. The
 /// packet size and the port must match. The port may differ if the serial number matches,
 /// or if a LEGACY layout is the only metadata. Prefers metadata of the same topic (port
 /// of a capture, namespace of a bag), then with the same serial number.
-std::shared_ptr<const OusterMetadata> find_metadata(const OusterMetadataList& metadata_list,
-                                                    std::string_view topic, std::string_view packet);
+std::shared_ptr<const OusterMetadata> find_metadata(const MetadataList& metadata_list, std::string_view topic,
+                                                    std::string_view packet);
 /// Returns true if a supported layout of an Ouster can have packets of this size.
 bool is_ouster_size(std::size_t n_bytes);
 /// Returns the error message for packets that look like Ouster packets, but cannot be
 /// decoded.
-std::string ouster_error(const OusterMetadataList& metadata_list, const std::filesystem::path& recording_path,
+std::string ouster_error(const MetadataList& metadata_list, const std::filesystem::path& recording_path,
                          std::string_view topic, std::size_t packet_size);
 
 }  // namespace relidar::packets

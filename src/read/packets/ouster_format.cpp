@@ -97,15 +97,14 @@ public:
     std::vector<double> beam_delays() const override {
         return std::vector<double>(format_->sensor.beams.size(), 0.0);
     }
-    PacketCalibrationFile make_calibration(const std::vector<bool>& column_has_fired) const override {
-        return {".json", write_metadata(sensor_, format_->profile->name, find_window(column_has_fired))};
+    PacketCalibrationFile make_calibration(const std::vector<bool>& fired) const override {
+        return {".json", write_metadata(sensor_, format_->profile->name, find_window(fired))};
     }
 
-    SensorPacket encode_packet(std::span<const FiringColumn> columns,
-                               std::uint32_t packet_number) const override {
+    SensorPacket encode_packet(std::span<const FiringColumn> columns, std::uint32_t number) const override {
         const auto packets_per_revolution =
             std::uint32_t(format_->sensor.columns / format_->columns_per_packet);
-        const auto frame = std::uint16_t(packet_number / packets_per_revolution);
+        const auto frame = std::uint16_t(number / packets_per_revolution);
         const bool is_legacy = format_->profile->is_legacy;
         SensorPacket packet;
         if (!is_legacy) {

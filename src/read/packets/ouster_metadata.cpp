@@ -57,10 +57,9 @@ JsonField find_object(const Json& json, const std::string& place, const std::str
             return root.at(part);
     return root;
 }
-int read_integer(const Json& json, const std::string& place, const std::string& key, int default_value,
-                 int max_value) {
+int read_integer(const Json& json, const std::string& place, const std::string& key, int fallback, int max) {
     const JsonField part = find_object(json, place, key);
-    return part.has_member(key) ? int(part.at(key).integer_in(0, max_value)) : default_value;
+    return part.has_member(key) ? int(part.at(key).integer_in(0, max)) : fallback;
 }
 std::string read_text(const Json& json, const std::string& place, const std::string& key,
                       const std::string& default_value) {
@@ -172,7 +171,7 @@ constexpr std::size_t kHeadBytes = 32;
 constexpr std::uint8_t kLidarData = 1;
 constexpr std::uint64_t kLatestClock_ns = std::uint64_t(1) << 62;
 
-struct OusterColumnHeader {
+struct ColumnHeader {
     std::int64_t time_ns = 0;
     int number = 0;
     bool was_measured = false;
@@ -215,7 +214,7 @@ public:
         packet.n_slots = format_->columns_per_packet;
         std::vector<std::int64_t> times_ns;
         for (int slot = 0; slot < packet.n_slots; ++slot) {
-            const OusterColumnHeader column = read_header(reader);
+            const ColumnHeader column = read_header(reader);
             codecs::ByteReader pixels(reader.read_bytes(rings * profile.pixel_bytes));
             const bool was_measured =
                 profile.is_legacy ? reader.read_number<std::uint32_t>() == 0xFFFFFFFF : column.was_measured;
@@ -236,8 +235,8 @@ private:
     const std::shared_ptr<const OusterMetadata> format_;
     FiringTiming timing_;
 
-    OusterColumnHeader read_header(codecs::ByteReader& reader) const {
-        OusterColumnHeader column;
+    ColumnHeader read_header(codecs::ByteReader& reader) const {
+        ColumnHeader column;
         const auto time_ns = reader.read_number<std::uint64_t>();
         column.number = reader.read_number<std::uint16_t>();
         if (format_->profile->is_legacy)
@@ -247,8 +246,8 @@ private:
         return column;
     }
 
-    double column_azimuth_deg(const OusterColumnHeader& column,
-                              const std::vector<LaserFiring>& previous_firings, int slot_in_packet) const {
+    double column_azimuth_deg(const ColumnHeader& column, const std::vector<LaserFiring>& previous_firings,
+                              int slot_in_packet) const {
         const int columns = format_->sensor.columns;
         if (column.number >= columns)
             fail("a packet has column {}, expected a number below {} (lidar_mode in {})", column.number,
@@ -320,12 +319,10 @@ std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_tex
     return format;
 }
 
-OusterMetadataList read_metadata_files(const fs::path& recording_path,
-                                       std::vector<std::string>& error_messages) {
-    const std::string recording_stem = recording_path.stem().string();
-    const bool has_metadata_of_same_name =
-        is_metadata_file(fs::path(recording_path).replace_extension(".json"));
-    const fs::path folder = recording_path.has_parent_path() ? recording_path.parent_path() : ".";
+MetadataList read_metadata_files(const fs::path& recording, std::vector<std::string>& errors) {
+    const std::string recording_stem = recording.stem().string();
+    const bool has_metadata_of_same_name = is_metadata_file(fs::path(recording).replace_extension(".json"));
+    const fs::path folder = recording.has_parent_path() ? recording.parent_path() : ".";
     std::vector<fs::path> files;  // empty if the folder cannot be read
     std::error_code failed;
     for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
@@ -339,7 +336,7 @@ OusterMetadataList read_metadata_files(const fs::path& recording_path,
             ending == ".db3")
             recorded.insert(unpacked.stem().string());
     }
-    OusterMetadataList formats;
+    MetadataList formats;
     for (const fs::path& file : files) {
         const std::string stem = file.stem().string();
         if (stem != recording_stem &&
@@ -347,18 +344,18 @@ OusterMetadataList read_metadata_files(const fs::path& recording_path,
             continue;
         if (formats.size() >= kMostFiles || !is_metadata_file(file)) continue;
         try {
-            const fs::path shown = recording_path.has_parent_path() ? file : file.filename();
+            const fs::path shown = recording.has_parent_path() ? file : file.filename();
             formats.push_back(parse_metadata(read_text_file(file), shown.string()));
         } catch (const DataError& error) {
-            error_messages.emplace_back(error.what());
+            errors.emplace_back(error.what());
         }
     }
     return formats;
 }
 
-std::shared_ptr<const OusterMetadata> find_metadata(const OusterMetadataList& metadata_list,
-                                                    std::string_view topic, std::string_view packet) {
-    OusterMetadataList left;
+std::shared_ptr<const OusterMetadata> find_metadata(const MetadataList& metadata_list, std::string_view topic,
+                                                    std::string_view packet) {
+    MetadataList left;
     const int port = parse_port(topic);
     // If only one sensor has metadata, accepts its LEGACY packets on any UDP port,
     // because they have no serial number and users may change the port.
@@ -392,7 +389,7 @@ bool is_ouster_size(std::size_t n_bytes) {
     return false;
 }
 
-std::string ouster_error(const OusterMetadataList& metadata_list, const fs::path& recording_path,
+std::string ouster_error(const MetadataList& metadata_list, const fs::path& recording_path,
                          std::string_view topic, std::size_t packet_size) {
     const int port = parse_port(topic);
     const std::string found = fmt::format("found packets of {} bytes {}", packet_size,

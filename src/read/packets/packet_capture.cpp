@@ -94,16 +94,16 @@ void PcapWriter::close_file() {
     check_written(out_, file_);
 }
 
-std::size_t save_packets(const Log& sequence, const fs::path& file, const Progress& progress) {
-    if (sequence.lidars.size() != 1)
+std::size_t save_packets(const Log& log, const fs::path& file, const Progress& progress) {
+    if (log.lidars.size() != 1)
         fail<UsageError>("cannot write '{}': found {} LiDARs, expected one; select it with dataset.lidars",
-                         file.string(), sequence.lidars.size());
+                         file.string(), log.lidars.size());
     PacketOptions options;
-    options.start_ns = time_shift_of(sequence);
+    options.start_ns = time_shift_of(log);
     options.times_jitter = true;
-    for (const Frame& frame : sequence.frames)
+    for (const Frame& frame : log.frames)
         if (!frame.scan.second_returns.empty()) options.returns = 2;
-    PacketEncoder encoder(sequence.lidars.front().sensor, options);
+    PacketEncoder encoder(log.lidars.front().sensor, options);
     std::size_t n_packets = 0;
     write_atomically(file, [&](const fs::path& temporary) {
         PcapWriter capture(temporary, encoder.udp_port());
@@ -111,9 +111,9 @@ std::size_t save_packets(const Log& sequence, const fs::path& file, const Progre
             capture.write_packets(packets);
             n_packets += packets.size();
         };
-        for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
-            if (progress) progress("writing packets", double(f) / double(sequence.frames.size()));
-            add(encoder.add_scan(sequence.frames[f].scan, sequence.frames[f].time_s));
+        for (std::size_t f = 0; f < log.frames.size(); ++f) {
+            if (progress) progress("writing packets", double(f) / double(log.frames.size()));
+            add(encoder.add_scan(log.frames[f].scan, log.frames[f].time_s));
         }
         add(encoder.flush());
         capture.close_file();

@@ -66,16 +66,14 @@ public:
     /// [rings] delay of each beam after the first laser of a column
     virtual std::vector<double> beam_delays() const = 0;
     /// Returns the calibration file that other programs need to decode the packets.
-    /// @param column_has_fired  [columns] true if the sensor fires at this column; empty
+    /// @param fired  [columns] true if the sensor fires at this column; empty
     /// if the sensor fires at any azimuth
-    virtual PacketCalibrationFile make_calibration(
-        [[maybe_unused]] const std::vector<bool>& column_has_fired) const {
+    virtual PacketCalibrationFile make_calibration([[maybe_unused]] const std::vector<bool>& fired) const {
         return {};
     }
     /// The bytes contain the time on the sensor's clock.
-    /// @param packet_number  sequence number of the packet, from 0
-    virtual SensorPacket encode_packet(std::span<const FiringColumn> firings,
-                                       std::uint32_t packet_number) const = 0;
+    /// @param number  sequence number of the packet, from 0
+    virtual SensorPacket encode_packet(std::span<const FiringColumn> firings, std::uint32_t number) const = 0;
 };
 
 // Return null if the sensor is from another manufacturer.
@@ -117,7 +115,7 @@ protected:
 
 private:
     /// Indices of the firing sequence, of the group of lasers, and of the return.
-    struct PacketBlockIndex {
+    struct BlockIndex {
         std::size_t part, bank, number;
     };
 
@@ -134,8 +132,8 @@ private:
 
     double mean_delay_us(std::size_t laser) const;
     std::size_t count_blocks() const { return layout_.banks * std::size_t(returns_) * layout_.n_sequences(); }
-    void append_returns(std::string& bytes, const FiringColumn& firing,
-                        const PacketBlockIndex& block_position, double range_unit_m) const;
+    void append_returns(std::string& bytes, const FiringColumn& firing, const BlockIndex& block_position,
+                        double range_unit_m) const;
 };
 
 const PacketLayout& find_layout(const std::string& product_name);

@@ -328,8 +328,7 @@ std::uint32_t PacketIndex::first_message_of(const PacketRevolution& revolution) 
     return first;
 }
 
-std::vector<PacketIndex::PacketMessageSource> PacketIndex::messages_of(
-    const PacketRevolution& revolution) const {
+std::vector<PacketIndex::MessageSource> PacketIndex::messages_of(const PacketRevolution& revolution) const {
     std::uint32_t last = 0;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
         last = std::max(last, packets_[i].message);

@@ -71,7 +71,7 @@ struct SkippedSector {
 /// @param firing_step_deg  azimuth step between two firings
 SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, double firing_step_deg);
 
-struct RevolutionPoints;
+struct TurnPoints;
 
 /// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketRevolution {
@@ -109,11 +109,11 @@ public:
     /// empty.
     std::string describe_faults() const;
     /// Position of a message in the recording, and time of recording.
-    struct PacketMessageSource {
+    struct MessageSource {
         bag::MessagePosition message_position;
         std::int64_t log_ns;
     };
-    std::vector<PacketMessageSource> messages_of(const PacketRevolution& revolution) const;
+    std::vector<MessageSource> messages_of(const PacketRevolution& revolution) const;
     /// Returns the sensor model with the measured rotation rate.
     SpinningSensor make_sensor() const;
     std::string describe_product() const;
@@ -139,7 +139,7 @@ private:
     std::size_t n_packets_ = 0;  ///< number of packets without repeats
     std::uint16_t n_empty_ = 0;  ///< packets without a firing since the last one with firings
     std::vector<Entry> packets_;
-    std::vector<PacketMessageSource> messages_;
+    std::vector<MessageSource> messages_;
     std::vector<PacketRevolution> revolutions_;
     PacketFaultCounts faults_;
     SkippedRevolutions left_out_;
@@ -157,8 +157,7 @@ private:
     double column_step_deg() const;
     std::pair<double, double> azimuth_range_deg() const;
     std::vector<bool> find_lost(const PacketRevolution& revolution) const;
-    Scan make_scan(const PacketRevolution& revolution, RevolutionPoints& revolution_points,
-                   const SpinningSensor& sensor) const;
+    Scan make_scan(const PacketRevolution& turn, TurnPoints& points, const SpinningSensor& sensor) const;
     int column_of(const PacketRevolution& revolution, double azimuth_deg) const;
     void find_revolutions();
     std::size_t count_sent(std::size_t packet_index) const;

@@ -23,11 +23,10 @@ public:
     VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
         : BlockWriter(find_layout(product.sensor), sensor, options), code_(product.code) {}
 
-    SensorPacket encode_packet(std::span<const FiringColumn> columns,
-                               std::uint32_t packet_number) const override {
-        SensorPacket packet{packet_time_ns(columns, packet_number, &FiringColumn::time_s), {}};
-        const std::int64_t clock_ns = packet_time_ns(columns, packet_number, &FiringColumn::clock_s);
-        append_blocks(packet.bytes, columns, packet_number, layout().range_unit_m);
+    SensorPacket encode_packet(std::span<const FiringColumn> columns, std::uint32_t number) const override {
+        SensorPacket packet{packet_time_ns(columns, number, &FiringColumn::time_s), {}};
+        const std::int64_t clock_ns = packet_time_ns(columns, number, &FiringColumn::clock_s);
+        append_blocks(packet.bytes, columns, number, layout().range_unit_m);
         append_raw(packet.bytes, std::uint32_t((clock_ns + 500) % kNsPerHour / 1000));
         append_raw(packet.bytes, is_dual() ? kModeDual : kModeStrongest);
         append_raw(packet.bytes, code_);

@@ -18,7 +18,7 @@ constexpr int kMostMissing = 8;
 /// Interpolates firings without points between their neighbours.
 std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vector<int>& firing_numbers,
                                       const SpinningSensor& sensor, double azimuth_step_rad) {
-    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
+    const std::vector<BeamRays> beams = make_generators(sensor.beams);
     // For each firing: sum of exp(i d) over its points. d is the head azimuth minus the
     // azimuth at a constant rotation rate.
     std::map<int, std::complex<double>> sums;
@@ -40,14 +40,13 @@ std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vect
 
 /// Adds firings until the circle or the range image is full, at a constant rotation rate.
 /// @param n_image_columns  number of columns of the range image; 0 if unknown
-void append_empty_firings(std::map<int, double>& azimuth_by_firing, int n_image_columns,
-                          double azimuth_step_rad) {
+void append_empty_firings(std::map<int, double>& azimuths, int n_image_columns, double azimuth_step_rad) {
     const int full = int(2.0 * kPi / std::abs(azimuth_step_rad));
     const int n_missing =
-        (n_image_columns > 0 ? std::min(n_image_columns, full) : full) - int(azimuth_by_firing.size());
-    const auto [last, head] = *azimuth_by_firing.rbegin();
+        (n_image_columns > 0 ? std::min(n_image_columns, full) : full) - int(azimuths.size());
+    const auto [last, head] = *azimuths.rbegin();
     for (int k = 1; n_missing > kMostMissing && k <= n_missing; ++k)
-        azimuth_by_firing[last + k] = std::remainder(head + k * azimuth_step_rad, 2.0 * kPi);
+        azimuths[last + k] = std::remainder(head + k * azimuth_step_rad, 2.0 * kPi);
 }
 
 }  // namespace

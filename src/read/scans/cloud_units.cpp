@@ -70,21 +70,20 @@ bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s
     return double(n_near) < kMostClouds * double(ranges.size());
 }
 
-PointTimeReference find_time_reference(const std::vector<TimeRange>& time_ranges, double time_unit_s,
-                                       double sweep_s) {
+PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, double unit_s, double sweep_s) {
     const auto most = [&](auto test) {
-        return double(std::ranges::count_if(time_ranges, test)) >= kMostClouds * double(time_ranges.size());
+        return double(std::ranges::count_if(ranges, test)) >= kMostClouds * double(ranges.size());
     };
     const auto are_close = [&](double first, double second) {
         return std::abs(first - second) <= kBesideStamp_s;
     };
     if (most([&](const TimeRange& r) {
-            return are_close(r.first * time_unit_s, 0.0) && are_close(r.last * time_unit_s, 0.0);
+            return are_close(r.first * unit_s, 0.0) && are_close(r.last * unit_s, 0.0);
         }) &&
-        !follow_stamps(time_ranges, time_unit_s) && !first_times_differ(time_ranges, time_unit_s, sweep_s))
+        !follow_stamps(ranges, unit_s) && !first_times_differ(ranges, unit_s, sweep_s))
         return PointTimeReference::stamp;
     if (most([&](const TimeRange& r) {
-            return are_close(r.first * time_unit_s, r.stamp_s) && are_close(r.last * time_unit_s, r.stamp_s);
+            return are_close(r.first * unit_s, r.stamp_s) && are_close(r.last * unit_s, r.stamp_s);
         }))
         return PointTimeReference::epoch;
     return PointTimeReference::sensor_clock;

@@ -115,9 +115,8 @@ std::vector<std::complex<double>> sum_phases(const RingPointLists& rings, int n_
 
 /// Returns for consecutive numbers of columns how well the azimuths in each ring fit a
 /// grid of so many columns. For a perfect fit, the value is the number of points.
-std::vector<double> score_columns(const RingPointLists& rings, int first_column_count,
-                                  std::size_t n_counts_to_try) {
-    std::vector<double> lengths(n_counts_to_try, 0.0);
+std::vector<double> score_columns(const RingPointLists& rings, int first_column_count, std::size_t n_counts) {
+    std::vector<double> lengths(n_counts, 0.0);
     for (const RingPoints& ring : rings) {
         std::vector<std::complex<double>> turned, step;
         for (const double azimuth : ring.azimuth_rad) {

@@ -118,10 +118,10 @@ void read_sensor_object(const JsonField& field, bool must_spin, Lidar& lidar) {
     if (!members.has_member("max_range_m")) lidar.sensor.max_range_m = max_range_m;
 }
 
-SequenceHeaderLidar read_lidar(const JsonField& field, const std::string& json_file, const fs::path& folder,
-                               double default_max_range_m) {
+HeaderLidar read_lidar(const JsonField& field, const std::string& json_file, const fs::path& folder,
+                       double default_max_range_m) {
     field.check_members({"name", "vehicle_from_sensor", "sensor", "scans", "spins", "ring_0"});
-    SequenceHeaderLidar lidar;
+    HeaderLidar lidar;
     lidar.lidar.name = read_text_or(field, "name", "");
     lidar.lidar.sensor.max_range_m = default_max_range_m;
     if (field.has_member("vehicle_from_sensor"))
@@ -142,9 +142,9 @@ SequenceHeaderLidar read_lidar(const JsonField& field, const std::string& json_f
     return lidar;
 }
 
-std::vector<SequenceHeaderLidar> read_lidars(const JsonField& root, const std::string& json_file,
-                                             const fs::path& folder, double default_max_range_m) {
-    std::vector<SequenceHeaderLidar> lidars;
+std::vector<HeaderLidar> read_lidars(const JsonField& root, const std::string& json_file,
+                                     const fs::path& folder, double default_max_range_m) {
+    std::vector<HeaderLidar> lidars;
     if (root.has_member("lidars")) {
         const JsonField field = root.at("lidars");
         for (std::size_t i = 0; i < field.size(); ++i)
@@ -154,24 +154,23 @@ std::vector<SequenceHeaderLidar> read_lidars(const JsonField& root, const std::s
     } else {
         lidars.emplace_back().lidar.sensor.max_range_m = default_max_range_m;
     }
-    for (SequenceHeaderLidar& lidar : lidars)
+    for (HeaderLidar& lidar : lidars)
         if (lidar.scans.empty()) lidar.scans = lidars.size() == 1 ? "scans" : "scans/" + lidar.lidar.name;
     return lidars;
 }
 
-int find_frame_lidar(const JsonField& frame_entry, const std::vector<SequenceHeaderLidar>& lidars) {
+int find_frame_lidar(const JsonField& frame_entry, const std::vector<HeaderLidar>& lidars) {
     if (!frame_entry.has_member("lidar") && lidars.size() == 1) return 0;
     const std::string name = frame_entry.at("lidar").text();
     const auto at = std::find_if(lidars.begin(), lidars.end(),
-                                 [&](const SequenceHeaderLidar& l) { return l.lidar.name == name; });
+                                 [&](const HeaderLidar& l) { return l.lidar.name == name; });
     if (at == lidars.end())
         frame_entry.at("lidar").reject(fmt::format("found \"{}\"", quote(name)),
                                        "expected the name of a LiDAR in \"lidars\"");
     return int(at - lidars.begin());
 }
 
-std::vector<HeaderFrame> read_frame_list(const JsonField& frame_list,
-                                         const std::vector<SequenceHeaderLidar>& lidars,
+std::vector<HeaderFrame> read_frame_list(const JsonField& frame_list, const std::vector<HeaderLidar>& lidars,
                                          const fs::path& folder) {
     std::vector<HeaderFrame> frames;
     for (std::size_t i = 0; i < frame_list.size(); ++i) {
@@ -192,7 +191,7 @@ bool is_text_file(const fs::path& file) { return file.extension() == ".csv" || f
 bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
 
 /// Lists the scan files of each LiDAR, sorted by name.
-std::vector<HeaderFrame> list_folder_frames(double rate_hz, const std::vector<SequenceHeaderLidar>& lidars,
+std::vector<HeaderFrame> list_folder_frames(double rate_hz, const std::vector<HeaderLidar>& lidars,
                                             const fs::path& folder) {
     std::vector<HeaderFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
@@ -229,7 +228,7 @@ std::vector<HeaderFrame> list_folder_frames(double rate_hz, const std::vector<Se
 
 /// Scans with regular gaps, such as every fifth scan, are accepted.
 std::vector<std::string> note_missing_scans(const std::vector<HeaderFrame>& frames,
-                                            const std::vector<SequenceHeaderLidar>& lidars) {
+                                            const std::vector<HeaderLidar>& lidars) {
     const char* consequence =
         "with \"rate_hz\", the position of a scan in its folder determines its time and its pose; use the "
         "key \"frames\" in sequence.json if scans are missing";

@@ -46,7 +46,7 @@ struct PointFileUnits {
     double time_zero = 0.0;         ///< value of the point time at the time 0 s, in the unit of the file
 };
 
-struct SequenceHeaderLidar : LidarScanLayout {
+struct HeaderLidar : LidarScanLayout {
     Lidar lidar;
     std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
 };
@@ -62,7 +62,7 @@ struct SequenceHeader {
     std::string name, conventions;
     std::int64_t start_unix_ns = 0;
     Notes notes;
-    std::vector<SequenceHeaderLidar> lidars;
+    std::vector<HeaderLidar> lidars;
     std::vector<HeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
     bool motion_compensated = false;
     PointFileUnits units;
@@ -84,7 +84,7 @@ SequenceHeader read_header(const std::filesystem::path& folder, double default_m
 /// may be null
 std::optional<std::vector<Pose>> load_poses(const std::filesystem::path& file,
                                             const std::vector<HeaderFrame>& frames,
-                                            const OverlapScanPairReader& read_scan_pairs_for_pose_check,
+                                            const ScanPairReader& read_scan_pairs_for_pose_check,
                                             Notes& notes);
 
 /// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.

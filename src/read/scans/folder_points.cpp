@@ -70,20 +70,19 @@ std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_returns(
     return returns;
 }
 
-struct PointFieldConverter {
+struct FieldConverter {
     std::vector<std::uint32_t> selected_indices;
     const std::string& where;
 
-    /// Calls store_value(k, convert_value(value)) for the k-th selected point.
+    /// Calls store(k, convert_value(value)) for the k-th selected point.
     /// @throws DataError from `convert_value`, with the number of the point
     template <class OfValue, class Set>
-    void convert_each(const PointFieldView& field, const OfValue& convert_value,
-                      const Set& store_value) const {
+    void convert_each(const PointFieldView& field, const OfValue& convert_value, const Set& store) const {
         field.with_reader([&](const auto& value_at) {
             std::size_t k = 0;
             try {
                 for (; k < selected_indices.size(); ++k)
-                    store_value(k, convert_value(double(value_at(selected_indices[k]))));
+                    store(k, convert_value(double(value_at(selected_indices[k]))));
             } catch (const DataError& error) {
                 fail("{}: point {}{}", where, selected_indices[k], error.what());
             }
@@ -91,19 +90,17 @@ struct PointFieldConverter {
     }
     /// Does nothing if the field does not exist.
     template <class T, class OfValue>
-    void convert_field(std::vector<T>& values, const PointFieldView* field_or_null,
-                       const OfValue& convert_value) const {
-        if (!field_or_null) return;
+    void convert_field(std::vector<T>& values, const PointFieldView* field, const OfValue& convert) const {
+        if (!field) return;
         values.resize(selected_indices.size());
-        convert_each(*field_or_null, convert_value,
-                     [&](std::size_t index, T value) { values[index] = value; });
+        convert_each(*field, convert, [&](std::size_t index, T value) { values[index] = value; });
     }
 };
 
 /// With units.skip_wrong_times, a wrong time becomes the longest offset, so that
 /// read_scans() removes its point.
 /// @throws DataError otherwise, and MostTimesWrong if most times are wrong
-void convert_times(LidarPoints& points, const PointFieldConverter& convert, PointTable table,
+void convert_times(LidarPoints& points, const FieldConverter& convert, PointTable table,
                    const PointFileUnits& units, double frame_time_s) {
     unwrap_times(table, !units.absolute_times);
     if (!units.absolute_times) restore_signs(table);
@@ -186,7 +183,7 @@ LidarPoints convert_table(const PointTable& table, const PointFileUnits& units, 
     for (const auto& [field, name] : {std::pair(x, "x"), std::pair(y, "y"), std::pair(z, "z")})
         if (!field) fail("{}: the field {} is missing, expected x, y and z", where, name);
     LidarPoints points;
-    PointFieldConverter convert{{}, where};
+    FieldConverter convert{{}, where};
     std::tie(convert.selected_indices, points.position_m) = select_returns(table, {x, y, z}, units);
     if (units.returns.exist)
         points.return_number = number_returns(table, units.returns, units.intensity_field,

@@ -30,13 +30,13 @@ Pose make_pose(std::span<const double> matrix, const std::string& place) {
     return make_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, place);
 }
 
-Frame& add_frame(Log& sequence, int frame_number, double time_s, const Pose& world_from_vehicle, int lidar) {
+Frame& add_frame(Log& sequence, int number, double time_s, const Pose& world_from_vehicle, int lidar) {
     PoseTrack& track = sequence.world_from_vehicle;
     if (track.time_s.empty() || track.time_s.back() != time_s) {
         track.time_s.push_back(time_s);
         track.pose.push_back(world_from_vehicle);
     }
-    return sequence.frames.emplace_back(Frame{frame_number, time_s, {}, lidar});
+    return sequence.frames.emplace_back(Frame{number, time_s, {}, lidar});
 }
 
 void centre_log(Log& sequence) {

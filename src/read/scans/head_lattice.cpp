@@ -23,13 +23,13 @@ double EncoderTickGrid::tick_azimuth_rad(int tick) const {
 
 SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sensor) {
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
-    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
-    const BeamRayGenerator ideal((Beam()));
+    const std::vector<BeamRays> beams = make_generators(sensor.beams);
+    const BeamRays ideal((Beam()));
     // Its angle divided by n is the mean offset of the azimuths from the grid of n
     // columns.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const BeamRayGenerator& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
+        const BeamRays& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.azimuth_facing(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;

@@ -54,11 +54,11 @@ std::vector<glm::vec3> vehicle_points(const Log& sequence, const Frame& frame) {
 }
 
 /// Selects pairs of the first LiDAR, evenly spread over the log.
-OverlapScanPairs collect_pairs(const Log& sequence) {
+ScanPairs collect_pairs(const Log& sequence) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : sequence.frames)
         if (frame.lidar == 0 && frame.scan.count_returns() > 0) frames.push_back(&frame);
-    OverlapScanPairs pairs;
+    ScanPairs pairs;
     const std::size_t n = frames.empty() ? 0 : std::min(kScanPairs, frames.size() - 1);
     for (std::size_t k = 0; k < n; ++k) {
         const std::size_t i = k * (frames.size() - 1) / n;
@@ -70,8 +70,8 @@ OverlapScanPairs collect_pairs(const Log& sequence) {
 
 }  // namespace
 
-void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
-                                     double second_time_s, std::vector<glm::vec3> second_points_m) {
+void ScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m,
+                              double second_time_s, std::vector<glm::vec3> second_points_m) {
     std::erase_if(first_points_m, is_outside_overlap);
     std::erase_if(second_points_m, is_outside_overlap);
     if (!first_points_m.empty() && !second_points_m.empty())
@@ -79,7 +79,7 @@ void OverlapScanPairs::add_scan_pair(double first_time_s, std::vector<glm::vec3>
             {first_time_s, second_time_s, std::move(first_points_m), std::move(second_points_m)});
 }
 
-double OverlapScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) const {
+double ScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) const {
     double sum = 0.0;
     for (const OverlapScanPair& pair : pairs_) {
         const Pose first_from_second =
@@ -94,11 +94,11 @@ double OverlapScanPairs::overlap_fraction(const PoseTrack& world_from_vehicle) c
     return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
 }
 
-std::size_t choose_poses(const std::vector<PoseInterpretation>& interpretations,
-                         const OverlapScanPairReader& read_scan_pairs_or_null, const std::string& where,
+std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
+                         const ScanPairReader& read_scan_pairs_or_null, const std::string& where,
                          Notes& notes) {
     std::vector<double> forward, upright;
-    for (const PoseInterpretation& reading : interpretations) {
+    for (const PoseReading& reading : interpretations) {
         const auto driving = read::driving_direction(reading.world_from_vehicle);
         forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
         upright.push_back(mean_upright(reading.world_from_vehicle));
@@ -116,12 +116,12 @@ std::size_t choose_poses(const std::vector<PoseInterpretation>& interpretations,
     for (std::size_t k = 1; k < interpretations.size(); ++k)
         if (is_possible(k)) possible.push_back(k);
     if (possible.empty()) return 0;
-    const OverlapScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : OverlapScanPairs();
+    const ScanPairs scans = read_scan_pairs_or_null ? read_scan_pairs_or_null() : ScanPairs();
     const double first_overlap = scans.overlap_fraction(interpretations[0].world_from_vehicle);
     std::size_t best = 0, undecided = 0;
     double best_overlap = first_overlap + kMoreOverlap;
     for (const std::size_t k : possible) {
-        const PoseInterpretation& reading = interpretations[k];
+        const PoseReading& reading = interpretations[k];
         const double overlap = scans.overlap_fraction(reading.world_from_vehicle);
         if (scans.empty()) {
             if (reading.needs_scans || best > 0 || upright[k] < upright[0] - kLessUpright ||
@@ -166,8 +166,8 @@ void fix_inverted_poses(Log& sequence) {
         const glm::dquat q = pose.rotation;
         pose.rotation = glm::dquat(q.z, q.w, q.x, q.y);
     }
-    std::vector<PoseInterpretation> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
-                                                {"sensor-from-world poses", std::move(inverted_track), true}};
+    std::vector<PoseReading> readings = {{"world-from-sensor poses", sequence.world_from_vehicle},
+                                         {"sensor-from-world poses", std::move(inverted_track), true}};
     // The reader had no scans, which now decide the order of the quaternions.
     const auto undecided = std::ranges::find(sequence.notes, kQuaternionOrder, &Note::id);
     if (undecided != sequence.notes.end()) {

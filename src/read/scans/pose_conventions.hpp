@@ -17,7 +17,7 @@ namespace relidar::read {
 inline constexpr const char *kScalarFirst = "qw qx qy qz", *kScalarLast = "qx qy qz qw";
 
 /// One meaning of the numbers in a pose file.
-struct PoseInterpretation {
+struct PoseReading {
     std::string about;             ///< text for notes
     PoseTrack world_from_vehicle;  ///< poses according to this meaning
     /// True if this meaning needs scans that overlap better. Forward motion is not
@@ -26,7 +26,7 @@ struct PoseInterpretation {
 };
 
 /// Pairs of scans for testing poses. With correct poses, the scans of a pair overlap.
-class OverlapScanPairs {
+class ScanPairs {
 public:
     /// @param first_points_m, second_points_m  positions in the vehicle frame
     void add_scan_pair(double first_time_s, std::vector<glm::vec3> first_points_m, double second_time_s,
@@ -44,7 +44,7 @@ private:
     std::vector<OverlapScanPair> pairs_;
 };
 
-using OverlapScanPairReader = std::function<OverlapScanPairs()>;
+using ScanPairReader = std::function<ScanPairs()>;
 
 /// Returns the index of the meaning that fits the motion of the vehicle and the scans
 /// best: 0, the documented meaning, unless another meaning is clearly better. Adds a note
@@ -52,8 +52,8 @@ using OverlapScanPairReader = std::function<OverlapScanPairs()>;
 /// @param read_scan_pairs_or_null  called only if the motion contradicts the documented
 /// meaning
 /// @param where  name of the file, for the note
-std::size_t choose_poses(const std::vector<PoseInterpretation>& interpretations,
-                         const OverlapScanPairReader& read_scan_pairs_or_null, const std::string& where,
+std::size_t choose_poses(const std::vector<PoseReading>& interpretations,
+                         const ScanPairReader& read_scan_pairs_or_null, const std::string& where,
                          Notes& notes);
 
 /// Inverts the poses of a log, with a note, if the vehicle then drives forward and

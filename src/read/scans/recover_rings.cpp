@@ -166,7 +166,7 @@ void assign_rings(LidarPoints& points, const std::vector<Beam>& beams) {
     const auto elevation = [&](std::uint16_t index) { return beams[index].elevation_rad; };
     std::stable_sort(rising.begin(), rising.end(),
                      [&](auto first, auto second) { return elevation(first) < elevation(second); });
-    const std::vector<BeamRayGenerator> geometry = make_generators(beams);
+    const std::vector<BeamRays> geometry = make_generators(beams);
     points.ring.clear();
     for (const glm::vec3& point : points.position_m) {
         const glm::dvec3 p(point);

@@ -234,7 +234,7 @@ void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns
 }
 
 /// The origin and direction are of the ideal beam; the range stays 0.
-void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad) {
+void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azimuth_rad) {
     const BeamRay model = beam.compute_ray(head_azimuth_rad);
     scan.rays.origin[ray] = glm::vec3(model.origin_m);
     scan.rays.direction[ray] = glm::vec3(model.direction);
@@ -244,7 +244,7 @@ void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, 
 /// too close to the origin.
 /// @param head_azimuth_rad  azimuth at the time of the point. It gives the exact origin,
 /// even if the azimuths of the firings are rounded.
-bool set_ray(Scan& scan, std::size_t ray, const BeamRayGenerator& beam, double head_azimuth_rad,
+bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azimuth_rad,
              const LidarPoints& points, std::size_t point_index) {
     const glm::dvec3 p(points.position_m[point_index]);
     const glm::dvec3 origin = beam.compute_ray(head_azimuth_rad).origin_m;
@@ -268,33 +268,31 @@ void set_second(Scan& scan, std::size_t ray, const LidarPoints& points, std::siz
 
 }  // namespace
 
-Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor,
-                   const SweepFirings& sweep_firings) {
+Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& firings) {
     check_points(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
-        sweep_firings.lattice.n_ticks > kMostTicks)
+        firings.lattice.n_ticks > kMostTicks)
         fail<UsageError>(
             "cannot make a scan: found {} beams, {} columns and {} azimuth steps, expected 1 to {} rays and "
             "at most {} steps",
-            sensor.beams.size(), sensor.columns, sweep_firings.lattice.n_ticks, kMaxRays, kMostTicks);
-    if (sweep_firings.firings.empty())
+            sensor.beams.size(), sensor.columns, firings.lattice.n_ticks, kMaxRays, kMostTicks);
+    if (firings.firings.empty())
         fail<UsageError>("cannot make a scan of {} points: found no firing, expected at least one",
                          points.size());
     for (const std::uint32_t firing : points.firing)
-        if (firing >= sweep_firings.firings.size())
+        if (firing >= firings.firings.size())
             fail<UsageError>(
                 "cannot make a scan: a point has firing {}, expected the index of one of {} firings", firing,
-                sweep_firings.firings.size());
-    const std::vector<BeamRayGenerator> beams = make_generators(sensor.beams);
+                firings.firings.size());
+    const std::vector<BeamRays> beams = make_generators(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
         head_rad[i] = beams[points.ring[i]].azimuth_facing(glm::dvec3(points.position_m[i]));
-    PointToRayAssignment assigned(points, sensor, sweep_firings, head_rad);
-    const std::vector<double> times = firing_times(points, sensor, sweep_firings, assigned.firing_of);
-    const std::vector<int> slot = firing_per_column(sweep_firings, sensor.columns);
+    PointToRayAssignment assigned(points, sensor, firings, head_rad);
+    const std::vector<double> times = firing_times(points, sensor, firings, assigned.firing_of);
+    const std::vector<int> slot = firing_per_column(firings, sensor.columns);
     std::vector<double> firing_rad;
-    for (const int tick : sweep_firings.firings)
-        firing_rad.push_back(sweep_firings.lattice.tick_azimuth_rad(tick));
+    for (const int tick : firings.firings) firing_rad.push_back(firings.lattice.tick_azimuth_rad(tick));
     const int columns = sensor.columns;
     Scan scan;
     resize_scan(scan, int(sensor.beams.size()), columns, assigned.by_return.size() - 1,

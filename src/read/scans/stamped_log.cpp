@@ -35,9 +35,8 @@ constexpr double kSameTime = 1e-6;
 // Maximum coordinate of a pose in metres. UTM coordinates are smaller (up to 10^7).
 constexpr double kLargestCoordinate_m = 1e8;
 
-StampedPoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n_values,
-                         const std::string& where) {
-    StampedPoseRow row{0, {}, where};
+PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, const std::string& where) {
+    PoseRow row{0, {}, where};
     std::optional<std::int64_t> stamp = parse_stamp(cells[0]);
     if (!stamp) {  // Some programs write time stamps with a fraction or an exponent.
         const std::optional<double> number = parse_number(cells[0]);
@@ -45,10 +44,10 @@ StampedPoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t
     }
     if (!stamp) fail("{}: found '{}', expected a time", where, quote(cells[0]));
     row.stamp = *stamp;
-    if (cells.size() < n_values + 1)
+    if (cells.size() < n + 1)
         fail("{}: found {} cells in the line, expected a time and {} numbers, separated by commas", where,
-             cells.size(), n_values);
-    for (std::size_t c = 1; c <= n_values; ++c) {
+             cells.size(), n);
+    for (std::size_t c = 1; c <= n; ++c) {
         const std::optional<double> number = parse_number(cells[c]);
         if (!number || !(std::abs(*number) <= kLargestCoordinate_m))
             fail("{}: cell {} is '{}', expected a number from {:g} to {:g}", where, c + 1, quote(cells[c]),
@@ -189,16 +188,15 @@ std::vector<StampedScanFile> list_stamped_files(const fs::path& folder) {
     return scans;
 }
 
-std::vector<StampedPoseRow> read_stamped_rows(const fs::path& file, std::size_t min_values_per_row) {
+std::vector<PoseRow> read_stamped_rows(const fs::path& file, std::size_t min_values_per_row) {
     const std::vector<std::string> lines = split_lines(read_text_file(file));
-    std::vector<StampedPoseRow> rows;
+    std::vector<PoseRow> rows;
     std::size_t n_cells = 0;  // number of cells in the line before
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trim(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = split_csv_cells(lines[l]);
         if (l == 0 && !parse_number(cells[0])) continue;  // skips a first line with column names
-        StampedPoseRow row =
-            parse_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
+        PoseRow row = parse_row(cells, min_values_per_row, fmt::format("{} line {}", file.string(), l + 1));
         if (cells.size() < n_cells)
             fail("{}: found {} cells in the line, expected {} as in the line before", row.where, cells.size(),
                  n_cells);

@@ -31,7 +31,7 @@ std::optional<std::int64_t> parse_stamp(std::string_view text);
 /// @throws DataError if the folder contains no such file
 std::vector<StampedScanFile> list_stamped_files(const std::filesystem::path& folder);
 
-struct StampedPoseRow {
+struct PoseRow {
     std::int64_t stamp = 0;
     std::vector<double> values;  ///< the numbers after the time stamp; all are finite
     std::string where;           ///< name of the file and line number, for error messages
@@ -39,8 +39,7 @@ struct StampedPoseRow {
 /// Reads a CSV table whose lines contain a time stamp and numbers. Skips a header line,
 /// and repeated lines with the same time stamp.
 /// @throws DataError with file and line, also if time stamps decrease
-std::vector<StampedPoseRow> read_stamped_rows(const std::filesystem::path& file,
-                                              std::size_t min_values_per_row);
+std::vector<PoseRow> read_stamped_rows(const std::filesystem::path& file, std::size_t min_values_per_row);
 
 /// Direction in which a vehicle drives, measured in the frame of its sensor.
 struct DrivingDirection {

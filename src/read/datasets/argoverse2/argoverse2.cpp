@@ -152,11 +152,11 @@ RawSweep read_sweep(const fs::path& file) {
 }
 
 /// [sweeps] points of both LiDARs in each sweep
-using LidarSweepPairs = std::vector<std::array<LidarSweepPoints, 2>>;
+using SweepPairs = std::vector<std::array<SweepPoints, 2>>;
 
-LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
-                            const PoseTrack& vehicle_track, const Progress& progress,
-                            ScanErrorCollector& broken_scans) {
+SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
+                       const PoseTrack& vehicle_track, const Progress& progress,
+                       ScanErrorCollector& broken_scans) {
     std::optional<std::array<int, 2>> halves;
     for (std::size_t at = 0; at < files.size() && !halves; ++at)
         broken_scans.guard(at, [&] {
@@ -165,7 +165,7 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
         });
     std::array<PoseTrack, 2> ways;
     for (std::size_t l = 0; l < 2; ++l) ways[l] = mount_track(vehicle_track, lidars[l].vehicle_from_sensor);
-    LidarSweepPairs sweeps(files.size());
+    SweepPairs sweeps(files.size());
     progress_for(files.size(), progress, "reading sweeps", [&](std::size_t at) {
         broken_scans.guard(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
@@ -178,15 +178,15 @@ LidarSweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vect
 }
 
 void add_sweeps(Log& sequence, const std::vector<SweepFile>& sweep_files, const PoseTrack& vehicle_poses,
-                LidarSweepPairs lidar_sweep_points, const Progress& progress,
+                SweepPairs lidar_sweep_points, const Progress& progress,
                 const ScanErrorCollector& broken_scans) {
     broken_scans.report_broken(sequence, sweep_files.size());
-    std::vector<LidarSweepPoints*> of_frame;
+    std::vector<SweepPoints*> of_frame;
     std::size_t missing = 0;
     for (std::size_t at = 0; at < sweep_files.size(); ++at) {
         if (broken_scans.is_scan_broken(at)) continue;
         for (std::size_t l = 0; l < 2; ++l) {
-            LidarSweepPoints& lidar_sweep = lidar_sweep_points[at][l];
+            SweepPoints& lidar_sweep = lidar_sweep_points[at][l];
             SpinningSensor& sensor = sequence.lidars[l].sensor;
             if (lidar_sweep.points.size() == 0 && ++missing) continue;
             sensor.columns = std::max(sensor.columns, int(lidar_sweep.sweep.firings.size()));
@@ -270,7 +270,7 @@ Log load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
         sequence.boxes = read_sweep_boxes(folder / "annotations.feather", sweeps, vehicle_track);
     else sequence.notes.push_back("annotations.feather is missing, so this log has no labels");
     ScanErrorCollector broken(options.skip_broken);
-    LidarSweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
+    SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
     add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
     kitti::replace_poses(sequence, options.poses_file);
     centre_log(sequence);

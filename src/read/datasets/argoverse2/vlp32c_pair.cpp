@@ -99,11 +99,11 @@ std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Po
     return straight <= crossed ? std::array{0, 1} : std::array{1, 0};
 }
 
-LidarSweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
-                               const PoseTrack& world_from_sensor, double sweep_time_s) {
+SweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                          const PoseTrack& world_from_sensor, double sweep_time_s) {
     const std::array<LaserRowTiming, kLasersPerLidar> laser_table = make_laser_rows();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
-    LidarSweepPoints result;
+    SweepPoints result;
     std::vector<double> first_pair_ns;
     for (std::size_t i = 0; i < raw_sweep.point_m.size(); ++i) {
         if (raw_sweep.laser[i] / kLasersPerLidar != laser_group) continue;

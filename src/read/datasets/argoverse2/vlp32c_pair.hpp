@@ -29,7 +29,7 @@ SpinningSensor make_vlp32c(bool clockwise);
 /// assignment for which elevations of points and lasers agree best.
 std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
 
-struct LidarSweepPoints {
+struct SweepPoints {
     /// with rings, times and firings, in the frame of the LiDAR at the time of each point
     LidarPoints points;
     SweepFirings sweep;
@@ -38,7 +38,7 @@ struct LidarSweepPoints {
 /// firings without points, for example where the vehicle blocks all beams.
 /// @param world_from_sensor  poses with which the dataset moved the points to the time of
 /// the sweep
-LidarSweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
-                               const PoseTrack& world_from_sensor, double sweep_time_s);
+SweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lidar& lidar,
+                          const PoseTrack& world_from_sensor, double sweep_time_s);
 
 }  // namespace relidar::argoverse2

@@ -68,11 +68,11 @@ constexpr EulerAngleConvention kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-y
                                                  {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                                  {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
 
-PoseTrack make_lidar_track(const std::vector<read::StampedPoseRow>& pose_rows, const read::StampedLog& log,
+PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const read::StampedLog& log,
                            const EulerAngleConvention& angle_convention) {
     const double sign = angle_convention.sign;
     PoseTrack track;
-    for (const read::StampedPoseRow& row : pose_rows) {
+    for (const read::PoseRow& row : pose_rows) {
         const std::vector<double>& v = row.values;
         const double *position = v.data(), *angle = v.data() + kFirstAngle;
         const double roll_rad = angle[0], pitch_rad = angle[1], yaw_rad = angle[2];
@@ -94,7 +94,7 @@ double score_motion(const read::DrivingDirection& driving, const ForwardDirectio
 /// exactly forward or moves less up and down.
 PoseTrack read_boreas_poses(const fs::path& file, const read::StampedLog& log,
                             const ForwardDirection& forward_direction, Notes& notes) {
-    const std::vector<read::StampedPoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
+    const std::vector<read::PoseRow> rows = read::read_stamped_rows(file, kPoseNumbers);
     const EulerAngleConvention* best_order = nullptr;
     PoseTrack best;
     read::DrivingDirection of_best;

@@ -141,7 +141,7 @@ PoseTrack make_row_track(const PoseRows& pose_rows, const RotationOf& rotation_o
 }
 
 /// A pose file may contain sensor-from-world poses.
-std::vector<PoseInterpretation> add_inverses(std::vector<PoseInterpretation> interpretations) {
+std::vector<PoseReading> add_inverses(std::vector<PoseReading> interpretations) {
     const std::size_t n = interpretations.size();
     for (std::size_t k = 0; k < n; ++k) {
         PoseTrack track = interpretations[k].world_from_vehicle;
@@ -154,12 +154,12 @@ std::vector<PoseInterpretation> add_inverses(std::vector<PoseInterpretation> int
 
 /// Returns all meanings of the numbers, such as another order of the quaternion. The
 /// documented one is first.
-std::vector<PoseInterpretation> list_conventions(const PoseRows& pose_rows) {
+std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
     using Row = std::vector<double>;
     const auto angles = [](const Row& row, double unit) {
         return make_rotation(unit * row[6], unit * row[5], unit * row[4]);
     };
-    std::vector<PoseInterpretation> readings;
+    std::vector<PoseReading> readings;
     if (pose_rows.rows[0].size() == 8) {
         const std::string named = "columns in the order of the header line";
         readings.push_back(
@@ -283,7 +283,7 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<HeaderFrame>& 
 }  // namespace
 
 std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<HeaderFrame>& frames,
-                                            const OverlapScanPairReader& read_scan_pairs_for_pose_check,
+                                            const ScanPairReader& read_scan_pairs_for_pose_check,
                                             Notes& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
     std::vector<std::string> lines = split_lines(read_text_file(pose_file));
@@ -296,7 +296,7 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
         const PoseRows rows = parse_pose_rows(lines, pose_file.string());
         if (rows.rows.empty())
             fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
-        const std::vector<PoseInterpretation> readings = list_conventions(rows);
+        const std::vector<PoseReading> readings = list_conventions(rows);
         // Only relidar writes these names, so the meaning is certain.
         const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
         const std::size_t k =
@@ -314,7 +314,7 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
     for (std::size_t i = 0; i < frames.size(); ++i)
         if (track.time_s.empty() || frames[i].time_s != track.time_s.back())
             track.append(frames[i].time_s, poses[i]);
-    const std::vector<PoseInterpretation> readings = add_inverses({{"matrices", std::move(track)}});
+    const std::vector<PoseReading> readings = add_inverses({{"matrices", std::move(track)}});
     if (choose_poses(readings, read_scan_pairs_for_pose_check, pose_file.string(), notes) > 0)
         for (Pose& pose : poses) pose = inverse(pose);
     return poses;

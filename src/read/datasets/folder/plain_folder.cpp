@@ -46,7 +46,7 @@ std::vector<HeaderFrame> select_frames(const read::SequenceHeader& header, const
 std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, const HeaderFrame& frame) {
     read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
-    const read::SequenceHeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
+    const read::HeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
     const Scan scan = read::read_scan_image(
         frame.scan, {units, header.motion_compensated, lidar.lowest_first, lidar.lidar, frame.time_s});
     std::vector<glm::vec3> points;
@@ -57,10 +57,9 @@ std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, con
 
 /// Reads consecutive scans of the first LiDAR, evenly spread over the log. Skips
 /// unreadable files.
-read::OverlapScanPairs read_scan_pairs(const read::SequenceHeader& header,
-                                       const std::vector<HeaderFrame>& frames) {
+read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<HeaderFrame>& frames) {
     constexpr std::size_t kScanPairs = 4;
-    read::OverlapScanPairs pairs;
+    read::ScanPairs pairs;
     std::vector<const HeaderFrame*> of_first;
     for (const HeaderFrame& frame : frames)
         if (frame.lidar == 0) of_first.push_back(&frame);
@@ -147,7 +146,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.start_unix_ns = head.start_unix_ns;
     sequence.notes = head.notes;
     sequence.lidars.clear();
-    for (const read::SequenceHeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
+    for (const read::HeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
     const std::vector<HeaderFrame> frames = select_frames(head, options, sequence.notes);
     const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;

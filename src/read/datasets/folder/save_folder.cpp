@@ -128,22 +128,21 @@ void require_target(const fs::path& folder, bool overwrite) {
 
 }  // namespace
 
-void save_folder(const Log& sequence, const fs::path& target_folder, const LogFolderOptions& options) {
+void save_folder(const Log& log, const fs::path& target_folder, const LogFolderOptions& options) {
     const fs::path normalized_target = (fs::absolute(target_folder) / "").lexically_normal().parent_path();
     require_target(normalized_target, options.overwrite);
     const StagedFolder staged(normalized_target);
     fs::create_directory(staged.path() / "scans");
-    progress_for(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
-        const Frame& frame = sequence.frames[index];
-        read::write_scan_npz(staged.path() / scan_file_name(sequence, frame), frame.scan,
-                             !sequence.rolling_shutter);
+    progress_for(log.frames.size(), options.progress, "writing scans", [&](std::size_t index) {
+        const Frame& frame = log.frames[index];
+        read::write_scan_npz(staged.path() / scan_file_name(log, frame), frame.scan, !log.rolling_shutter);
     });
-    for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
-        if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
+    for (std::size_t l = 0; l < log.lidars.size(); ++l)
+        if (const Lidar& lidar = log.lidars[l]; lidar.pattern)
             write_text_file(staged.path() / sensor_file_name(l), format_sensor_json(sensor_of(lidar)) + "\n");
-    if (options.poses) write_text_file(staged.path() / read::kPosesFile, poses_text(sequence));
-    if (!sequence.boxes.empty()) write_text_file(staged.path() / read::kBoxesFile, boxes_json(sequence));
-    write_text_file(staged.path() / read::kHeadFile, sequence_json(sequence));
+    if (options.poses) write_text_file(staged.path() / read::kPosesFile, poses_text(log));
+    if (!log.boxes.empty()) write_text_file(staged.path() / read::kBoxesFile, boxes_json(log));
+    write_text_file(staged.path() / read::kHeadFile, sequence_json(log));
     staged.replace_folder();
 }
 

@@ -28,12 +28,12 @@ constexpr double kMaxOffset_rad = 0.35;
 // A firing has returns of at least this many beams. Fewer can be stray points.
 constexpr int kMinLasers = 4;
 
-struct BeamPolarPoints {
+struct PolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<BeamPolarPoints, kRings> collect_polar(const std::vector<const ScanWithRings*>& scans) {
-    std::array<BeamPolarPoints, kRings> polar;
+std::array<PolarPoints, kRings> collect_polar(const std::vector<const ScanWithRings*>& scans) {
+    std::array<PolarPoints, kRings> polar;
     for (const ScanWithRings* scan : scans)
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
@@ -50,7 +50,7 @@ std::array<BeamPolarPoints, kRings> collect_polar(const std::vector<const ScanWi
 /// Returns the mean of exp(2 pi i (azimuth - lateral_offset_m / distance) / tick) over
 /// every `point_stride`-th point. Its argument is the phase of the azimuths; its absolute
 /// value is 1 if all points fit the ticks.
-std::complex<double> mean_tick_phase(const BeamPolarPoints& beam_points, double encoder_tick_rad,
+std::complex<double> mean_tick_phase(const PolarPoints& beam_points, double encoder_tick_rad,
                                      double lateral_offset_m, std::size_t point_stride) {
     std::complex<double> sum = 0.0;
     std::size_t n = 0;
@@ -69,7 +69,7 @@ struct TickGridPhase {
 
 /// Least squares of azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n
 /// integer.
-void refine_phase(TickGridPhase& phase, const BeamPolarPoints& polar, double encoder_tick_rad) {
+void refine_phase(TickGridPhase& phase, const PolarPoints& polar, double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
         const double u = polar.inverse_rho[i];
@@ -91,7 +91,7 @@ void refine_phase(TickGridPhase& phase, const BeamPolarPoints& polar, double enc
     phase.phase_rad += (se - left * su) / n;
 }
 
-TickGridPhase fit_beam_phase(const BeamPolarPoints& polar, double encoder_tick_rad) {
+TickGridPhase fit_beam_phase(const PolarPoints& polar, double encoder_tick_rad) {
     TickGridPhase best;
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
@@ -108,14 +108,13 @@ TickGridPhase fit_beam_phase(const BeamPolarPoints& polar, double encoder_tick_r
     return best;
 }
 
-struct TickGridPhasesByRing {
+struct RingPhases {
     std::array<TickGridPhase, kRings> ring;
     double concentration = 0.0;  ///< mean over the points
 };
 
-TickGridPhasesByRing fit_phases(const std::array<BeamPolarPoints, kRings>& polar_rings,
-                                double encoder_tick_rad) {
-    TickGridPhasesByRing phases;
+RingPhases fit_phases(const std::array<PolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
+    RingPhases phases;
     parallel_for(kRings, [&](int k) {
         const std::size_t at = std::size_t(k);
         phases.ring[at] = fit_beam_phase(polar_rings[at], encoder_tick_rad);
@@ -150,11 +149,11 @@ int estimate_firings(const std::vector<const ScanWithRings*>& scans) {
     return std::max(int(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-using EncoderTicksByBeam = std::vector<std::vector<int>>;
+using BeamTicks = std::vector<std::vector<int>>;
 
-EncoderTicksByBeam compute_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
-    EncoderTicksByBeam ticks(kRings);
-    std::vector<BeamRayGenerator> beams;
+BeamTicks compute_ticks(const ScanWithRings& scan, const FiringGrid& firing_grid) {
+    BeamTicks ticks(kRings);
+    std::vector<BeamRays> beams;
     for (std::size_t k = 0; k < kRings; ++k)
         beams.emplace_back(
             Beam{.azimuth_offset_rad = firing_grid.offset_rad[k], .origin_left_m = firing_grid.left_m[k]});
@@ -168,11 +167,11 @@ EncoderTicksByBeam compute_ticks(const ScanWithRings& scan, const BeamFiringGrid
 
 /// Returns [scans][ticks] flags of ticks with returns of at least `min_beams` beams.
 /// @param tick_shift_of_each_beam  subtracted from the ticks of the beam
-std::vector<std::vector<char>> flag_fired_ticks(const std::vector<EncoderTicksByBeam>& ticks_of_scans,
+std::vector<std::vector<char>> flag_fired_ticks(const std::vector<BeamTicks>& ticks_of_scans,
                                                 const std::vector<int>& tick_shift_of_each_beam, int n_ticks,
                                                 int min_beams) {
     std::vector<std::vector<char>> pattern;
-    for (const EncoderTicksByBeam& scan : ticks_of_scans) {
+    for (const BeamTicks& scan : ticks_of_scans) {
         std::vector<int> count(static_cast<std::size_t>(n_ticks));
         for (std::size_t k = 0; k < kRings; ++k)
             for (const int t : scan[k])
@@ -192,10 +191,10 @@ int wrap_tick(int tick, int n_ticks) {
 /// Returns the offset of a beam that moves most returns to ticks with returns of other
 /// beams, or 0 if no offset is clearly better.
 /// @param is_tick_fired  [scans][ticks]
-int find_tick_offset(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std::size_t ring,
+int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t ring,
                      const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
     std::size_t n = 0;
-    for (const EncoderTicksByBeam& scan : ticks_of_scans) n += scan[ring].size();
+    for (const BeamTicks& scan : ticks_of_scans) n += scan[ring].size();
     std::size_t most = 0, at_zero = 0;
     int best = 0;
     for (int i = 0; i <= 2 * max_shift; ++i) {
@@ -215,13 +214,13 @@ int find_tick_offset(const std::vector<EncoderTicksByBeam>& ticks_of_scans, std:
     return most > at_zero + n / 100 ? best : 0;
 }
 
-std::vector<int> find_tick_shifts(const std::vector<EncoderTicksByBeam>& ticks_of_scans, int n_ticks) {
+std::vector<int> find_tick_shifts(const std::vector<BeamTicks>& ticks_of_scans, int n_ticks) {
     const int reach = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
     for (std::size_t k = 1; k < kRings; ++k)
         if (ticks_of_scans[0][k].size() > ticks_of_scans[0][fullest].size()) fullest = k;
-    std::vector<EncoderTicksByBeam> reference = ticks_of_scans;
-    for (EncoderTicksByBeam& scan : reference)
+    std::vector<BeamTicks> reference = ticks_of_scans;
+    for (BeamTicks& scan : reference)
         for (std::size_t k = 0; k < kRings; ++k)
             if (k != fullest) scan[k].clear();
     std::vector<int> shift(kRings, 0);
@@ -239,7 +238,7 @@ std::vector<int> find_tick_shifts(const std::vector<EncoderTicksByBeam>& ticks_o
 
 }  // namespace
 
-std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
+std::vector<Beam> FiringGrid::make_beams(const BeamCones& cones) const {
     std::vector<Beam> beams(kRings);
     for (std::size_t k = 0; k < kRings; ++k) {
         const double elevation = std::atan(cones[k].tan_el);
@@ -248,13 +247,13 @@ std::vector<Beam> BeamFiringGrid::make_beams(const BeamCones& cones) const {
     return beams;
 }
 
-BeamFiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
+FiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
     // minimum concentration of azimuths at encoder ticks
     constexpr double kMinConcentration = 0.8;
-    const std::array<BeamPolarPoints, kRings> polar = collect_polar(scans);
-    BeamFiringGrid lattice;
+    const std::array<PolarPoints, kRings> polar = collect_polar(scans);
+    FiringGrid lattice;
     lattice.head.n_ticks = kEncoderTicks;
-    TickGridPhasesByRing phases = fit_phases(polar, 2.0 * kPi / kEncoderTicks);
+    RingPhases phases = fit_phases(polar, 2.0 * kPi / kEncoderTicks);
     if (phases.concentration < kMinConcentration) {
         lattice.head.n_ticks = estimate_firings(scans);
         lattice.every_tick = true;
@@ -267,7 +266,7 @@ BeamFiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
         lattice.offset_rad[k] = phases.ring[k].phase_rad;
     }
     if (!lattice.every_tick) {
-        std::vector<EncoderTicksByBeam> ticks;
+        std::vector<BeamTicks> ticks;
         for (const ScanWithRings* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
         const std::vector<int> shift = find_tick_shifts(ticks, lattice.head.n_ticks);
         for (std::size_t k = 0; k < kRings; ++k)
@@ -281,7 +280,7 @@ BeamFiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
     return lattice;
 }
 
-std::vector<int> find_fired_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid) {
+std::vector<int> find_fired_ticks(const ScanWithRings& scan, const FiringGrid& firing_grid) {
     const auto pattern = flag_fired_ticks({compute_ticks(scan, firing_grid)}, std::vector<int>(kRings, 0),
                                           firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;

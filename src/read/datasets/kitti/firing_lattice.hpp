@@ -19,7 +19,7 @@ namespace relidar::kitti {
 
 /// Azimuths at which the head can fire, and for each beam its azimuth relative to the
 /// head and its distance from the spin axis.
-struct BeamFiringGrid {
+struct FiringGrid {
     EncoderTickGrid head;
     /// True if the points fit no encoder ticks. `head` then has estimated equal steps,
     /// and the LiDAR fires at every tick.
@@ -34,10 +34,10 @@ struct BeamFiringGrid {
 };
 
 /// If the azimuths fit no grid, returns equal steps and zero offsets.
-BeamFiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans);
+FiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans);
 
 /// Returns the ticks at which the head fired, in order of time: clockwise from azimuth
 /// +pi.
-std::vector<int> find_fired_ticks(const ScanWithRings& scan, const BeamFiringGrid& firing_grid);
+std::vector<int> find_fired_ticks(const ScanWithRings& scan, const FiringGrid& firing_grid);
 
 }  // namespace relidar::kitti

@@ -19,21 +19,20 @@
 namespace relidar::kitti {
 namespace {
 
-struct RhoHeightSample {
+struct ConeSample {
     double rho_m, z_m;
 };
 
-double height_residual_m(const BeamCone& cone, const RhoHeightSample& sample) {
+double height_residual_m(const BeamCone& cone, const ConeSample& sample) {
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
 /// Least squares of z = z0 + rho tan(elevation) with the horizontal distance rho. Ignores
-/// points more than max_residual_m above or below `previous_line`.
-BeamCone fit_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone& previous_line,
-                     double max_residual_m) {
+/// points more than max_m above or below `previous_line`.
+BeamCone fit_inliers(const std::vector<ConeSample>& samples, const BeamCone& previous_line, double max_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
-    for (const RhoHeightSample& s : samples) {
-        if (std::abs(height_residual_m(previous_line, s)) > max_residual_m) continue;
+    for (const ConeSample& s : samples) {
+        if (std::abs(height_residual_m(previous_line, s)) > max_m) continue;
         n += 1;
         sr += s.rho_m;
         sz += s.z_m;
@@ -48,11 +47,11 @@ BeamCone fit_inliers(const std::vector<RhoHeightSample>& samples, const BeamCone
     return {(sz - slope * sr) / n, slope, std::size_t(n)};
 }
 
-BeamCone fit_cone(const std::vector<RhoHeightSample>& samples) {
+BeamCone fit_cone(const std::vector<ConeSample>& samples) {
     BeamCone cone = fit_inliers(samples, {}, INFINITY);
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
-        for (const RhoHeightSample& s : samples) error.push_back(std::abs(height_residual_m(cone, s)));
+        for (const ConeSample& s : samples) error.push_back(std::abs(height_residual_m(cone, s)));
         // Standard deviation of a normal distribution from the median absolute error.
         const double sigma = 1.4826 * compute_median(std::move(error));
         cone = fit_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
@@ -62,13 +61,13 @@ BeamCone fit_cone(const std::vector<RhoHeightSample>& samples) {
 
 /// Heights at which the 32 beams of a laser block cross the spin axis: z0 = mean_z0 +
 /// slope * (tan_elevation - mean_tan). The means are over the fitted beams.
-struct LaserHeightFit {
+struct HeightFit {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double height_at_m(double tan_elevation) const { return mean_z0 + slope * (tan_elevation - mean_tan); }
 };
 
-LaserHeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
-    LaserHeightFit line;
+HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
+    HeightFit line;
     double tt = 0.0, tz = 0.0;
     for (const std::size_t k : fitted_rings) {
         line.mean_tan += cones[k].tan_el / double(fitted_rings.size());
@@ -85,21 +84,18 @@ LaserHeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t
 
 /// Median of tan(elevation) over the points of a beam whose distances are too similar for
 /// a line. Its height is that of the block.
-double tan_elevation_at(const std::vector<RhoHeightSample>& samples, const LaserHeightFit& block_height_fit,
-                        double initial_tan_elevation) {
+double tan_elevation_at(const std::vector<ConeSample>& samples, const HeightFit& fit, double initial) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
         for (std::size_t i = 0; i < samples.size(); ++i)
-            slope[i] = (samples[i].z_m - block_height_fit.height_at_m(initial_tan_elevation)) /
-                       std::max(samples[i].rho_m, 0.1);
-        initial_tan_elevation = compute_median(slope);
+            slope[i] = (samples[i].z_m - fit.height_at_m(initial)) / std::max(samples[i].rho_m, 0.1);
+        initial = compute_median(slope);
     }
-    return initial_tan_elevation;
+    return initial;
 }
 
 /// Uses the fitted beams in the same half of the 64 beams.
-void fill_missing_cones(BeamCones& cones,
-                        const std::array<std::vector<RhoHeightSample>, kRings>& samples_of_rings,
+void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSample>, kRings>& samples_of_rings,
                         const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
         std::vector<std::size_t> good;
@@ -109,7 +105,7 @@ void fill_missing_cones(BeamCones& cones,
             throw DataError(where +
                             ": fewer than two beams of a block of 32 beams have enough returns, expected a "
                             "log of an HDL-64E");
-        const LaserHeightFit line = fit_heights(cones, good);
+        const HeightFit line = fit_heights(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
@@ -124,14 +120,13 @@ void fill_missing_cones(BeamCones& cones,
 }
 
 /// Returns the ring whose cone has the smallest median distance from consecutive points.
-int find_nearest_ring(const ScanWithRings& scan, std::size_t begin_point, std::size_t end_point,
-                      const BeamCones& cones) {
-    const std::size_t step = std::max<std::size_t>((end_point - begin_point) / 32, 1);
+int find_nearest_ring(const ScanWithRings& scan, std::size_t begin, std::size_t end, const BeamCones& cones) {
+    const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
     double least = INFINITY;
     for (int k = 0; k < kRings; ++k) {
         std::vector<double> error;
-        for (std::size_t i = begin_point; i < end_point; i += step) {
+        for (std::size_t i = begin; i < end; i += step) {
             const glm::dvec4 p(scan.points[i]);
             error.push_back(std::abs(height_residual_m(cones[std::size_t(k)], {std::hypot(p.x, p.y), p.z})));
         }
@@ -162,7 +157,7 @@ ScanWithRings split_rings(std::vector<glm::vec4> points) {
 }
 
 BeamCones fit_ring_cones(const std::vector<const ScanWithRings*>& scans, const std::string& where) {
-    std::array<std::vector<RhoHeightSample>, kRings> samples;
+    std::array<std::vector<ConeSample>, kRings> samples;
     int most = 0;
     for (const ScanWithRings* scan : scans) {
         most = std::max(most, scan->n_rings);
@@ -198,7 +193,7 @@ void correct_rings(ScanWithRings& scan, const BeamCones& cones) {
     for (std::size_t i = 1; i < n; ++i) {
         const glm::dvec4 p(scan.points[i]);
         if (p.y != 0.0 || scan.ring[i] == scan.ring[i - 1]) continue;
-        const RhoHeightSample s{std::hypot(p.x, p.y), p.z};
+        const ConeSample s{std::hypot(p.x, p.y), p.z};
         if (std::abs(height_residual_m(cones[scan.ring[i - 1]], s)) <
             std::abs(height_residual_m(cones[scan.ring[i]], s)))
             scan.ring[i] = scan.ring[i - 1];

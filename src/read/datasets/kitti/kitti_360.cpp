@@ -32,7 +32,7 @@ using namespace kitti;
 struct RequestedDrive {
     std::string name;  ///< name of its folders
     FrameRange frames;
-    std::vector<int> test_frames = {};  ///< see RequestedDriveFrames
+    std::vector<int> test_frames = {};  ///< see DriveFrames
     Notes notes = {};
 };
 
@@ -47,7 +47,7 @@ std::vector<std::string> list_drives(const fs::path& folder) {
 
 RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    const RequestedDriveFrames part = find_drive(options, kKitti360Benchmark);
+    const DriveFrames part = find_drive(options, kKitti360Benchmark);
     if (part.drive.empty()) {
         RequestedDrive drive{drives.front(), part.frames};
         if (drives.size() > 1)

@@ -150,7 +150,7 @@ std::string scale_intensities(std::vector<ScanWithRings>& raw_scans, const std::
 }
 
 /// Prevents allocating too much memory for rays.
-void check_ray_counts(const std::vector<ScanWithRings>& raw_scans, const BeamFiringGrid& firing_grid,
+void check_ray_counts(const std::vector<ScanWithRings>& raw_scans, const FiringGrid& firing_grid,
                       const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
@@ -198,7 +198,7 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
 
     const BeamCones cones = fit_ring_cones(pick_even_scans(raw, kFitScans), scan_folder.string());
     parallel_for(int(raw.size()), [&](int index) { correct_rings(raw[std::size_t(index)], cones); });
-    const BeamFiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
+    const FiringGrid lattice = fit_firing_grid(pick_even_scans(raw, kLatticeScans));
     check_ray_counts(raw, lattice, scan_folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());

@@ -117,7 +117,7 @@ void add_ring_times(read::PointTable& table, MulranPointOrder point_order, const
 
 PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& log, Notes& notes) {
     PoseTrack track;
-    for (const read::StampedPoseRow& row : read::read_stamped_rows(pose_file, 12))
+    for (const read::PoseRow& row : read::read_stamped_rows(pose_file, 12))
         track.append(log.seconds_of(row.stamp), make_pose(row.values, row.where));
     const glm::dvec3 driven = read::driving_direction(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kMinForwardMotion)

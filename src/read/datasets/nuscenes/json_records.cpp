@@ -132,8 +132,7 @@ glm::dquat JsonRecord::unit_quaternion(std::string_view key) const {
     return glm::normalize(rotation);
 }
 
-void for_each_record(const std::filesystem::path& file,
-                     const std::function<void(const JsonRecord&)>& callback) {
+void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& visit) {
     RecordSplitter splitter(file);
     simdjson::dom::parser parser;
     std::string record;
@@ -142,7 +141,7 @@ void for_each_record(const std::filesystem::path& file,
         simdjson::dom::object object;
         if (const auto failed = parser.parse(record).get(object); failed != simdjson::SUCCESS)
             fail("{}: {}", where, simdjson::error_message(failed));
-        callback(JsonRecord(where, object));
+        visit(JsonRecord(where, object));
     }
 }
 

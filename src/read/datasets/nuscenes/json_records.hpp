@@ -42,7 +42,6 @@ private:
 
 /// @throws DataError if the file is not an array of objects, or if an object has more
 /// than 1 MB
-void for_each_record(const std::filesystem::path& file,
-                     const std::function<void(const JsonRecord&)>& callback);
+void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& visit);
 
 }  // namespace relidar

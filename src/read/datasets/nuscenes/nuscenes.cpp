@@ -76,12 +76,12 @@ constexpr NuscenesVariant kT4Variant = {
     false, false};
 constexpr const char* kTablesOfT4 = "annotation";  // name of the folder that contains the tables
 
-struct SceneTablesLocation {
+struct SceneLocation {
     std::string name;
     fs::path tables;
 };
-std::vector<SceneTablesLocation> list_dataset_scenes(const fs::path& dataset_folder) {
-    std::vector<SceneTablesLocation> scenes;
+std::vector<SceneLocation> list_dataset_scenes(const fs::path& dataset_folder) {
+    std::vector<SceneLocation> scenes;
     for (const fs::path& tables : list_folder(dataset_folder)) {
         if (!does_path_exist(tables / "scene.json")) continue;
         for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
@@ -92,14 +92,13 @@ std::vector<SceneTablesLocation> list_dataset_scenes(const fs::path& dataset_fol
 }
 
 /// Accepts the name, the nuScenes number, or the first characters of one name only.
-SceneTablesLocation choose_scene(const std::vector<SceneTablesLocation>& scenes,
-                                 const std::string& requested_name) {
+SceneLocation choose_scene(const std::vector<SceneLocation>& scenes, const std::string& requested_name) {
     if (requested_name.empty()) return scenes[0];
     const std::optional<int> number = parse_stem(requested_name);
     const std::string named = number ? fmt::format("scene-{:04}", *number) : requested_name;
     std::string names;
-    std::vector<const SceneTablesLocation*> begin_so;
-    for (const SceneTablesLocation& scene : scenes) {
+    std::vector<const SceneLocation*> begin_so;
+    for (const SceneLocation& scene : scenes) {
         if (scene.name == named) return scene;
         if (scene.name.starts_with(requested_name) || scene.name.starts_with("scene-" + requested_name))
             begin_so.push_back(&scene);
@@ -180,7 +179,7 @@ public:
 private:
     const fs::path& folder_;
     const DatasetOptions& options_;
-    const SceneTablesLocation chosen_;
+    const SceneLocation chosen_;
     const SceneTables scene_;
     const NuscenesVariant& format_;
     /// "train_" if tables are in train_data and points in train_lidar (Lyft)

@@ -90,16 +90,15 @@ SweepsByChannel list_lidar_files(const fs::path& table_folder,
 
 /// Sorts the files of a LiDAR by time, from its first keyframe.
 /// @return empty without a keyframe
-std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder,
-                                     const TokenMap<SweepRecord>& files_by_token) {
+std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMap<SweepRecord>& files) {
     const std::string where = (table_folder / "sample_data.json").string();
     const SweepRecord* first = nullptr;
-    for (const auto& [name, file] : files_by_token)
+    for (const auto& [name, file] : files)
         if (file.is_keyframe && (!first || file.time_us < first->time_us)) first = &file;
     std::vector<SweepRecord> sweeps;
     for (std::string token = first ? first->token : ""; !token.empty(); token = sweeps.back().next) {
-        const auto file = files_by_token.find(token);
-        if (file == files_by_token.end() || sweeps.size() == files_by_token.size())
+        const auto file = files.find(token);
+        if (file == files.end() || sweeps.size() == files.size())
             fail(
                 "{}, key 'next': found '{}' after {} files of a LiDAR, expected the token of the LiDAR's "
                 "next file in the scene, or an empty text after the last file",
@@ -112,12 +111,11 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder,
     return sweeps;
 }
 
-std::vector<SceneLidar> read_scene_lidars(const fs::path& table_folder,
-                                          const TokenMap<std::int64_t>& keyframe_times_us) {
-    const TokenMap<LidarMount> mounted = read_lidar_mounts(table_folder);
+std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap<std::int64_t>& times_us) {
+    const TokenMap<LidarMount> mounted = read_lidar_mounts(folder);
     std::vector<SceneLidar> lidars;
-    for (const auto& [channel, files] : list_lidar_files(table_folder, keyframe_times_us, mounted)) {
-        SceneLidar lidar{channel, {}, sort_sweeps(table_folder, files)};
+    for (const auto& [channel, files] : list_lidar_files(folder, times_us, mounted)) {
+        SceneLidar lidar{channel, {}, sort_sweeps(folder, files)};
         if (lidar.sweeps.empty()) continue;
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
@@ -126,12 +124,12 @@ std::vector<SceneLidar> read_scene_lidars(const fs::path& table_folder,
                     "{}, key 'calibrated_sensor_token': the file {} and the first file of the LiDAR {} in "
                     "the scene have different values, expected the same value, because the LiDAR must keep "
                     "its position on the vehicle",
-                    (table_folder / "sample_data.json").string(), quote(sweep.file), channel);
+                    (folder / "sample_data.json").string(), quote(sweep.file), channel);
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
         fail("{}: found no LiDAR file of the scene with \"is_key_frame\": true, expected at least one",
-             (table_folder / "sample_data.json").string());
+             (folder / "sample_data.json").string());
     std::stable_partition(lidars.begin(), lidars.end(),
                           [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
     return lidars;
@@ -176,13 +174,12 @@ std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector
 }
 
 /// Returns a text of each record by its token.
-/// @param tokens_or_null  records to read; null: all
-TokenMap<std::string> read_text_column(const fs::path& table_file, const char* key,
-                                       const Tokens* tokens_or_null) {
+/// @param tokens  records to read; null: all
+TokenMap<std::string> read_text_column(const fs::path& table_file, const char* key, const Tokens* tokens) {
     TokenMap<std::string> values;
     for_each_record(table_file, [&](const JsonRecord& record) {
         const std::string token = record.read_text("token");
-        if (!tokens_or_null || tokens_or_null->contains(token)) values[token] = record.read_text(key);
+        if (!tokens || tokens->contains(token)) values[token] = record.read_text(key);
     });
     return values;
 }

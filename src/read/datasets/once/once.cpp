@@ -88,13 +88,12 @@ OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, 
     return content;
 }
 
-PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::StampedLog& log,
-                             bool is_quaternion_w_first) {
+PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::StampedLog& log, bool w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
         const auto& n = pose.numbers;
         const glm::dquat q =
-            is_quaternion_w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
+            w_first ? glm::dquat(n[0], n[1], n[2], n[3]) : glm::dquat(n[3], n[0], n[1], n[2]);
         track.append(log.seconds_of(pose.stamp), {glm::normalize(q), {n[4], n[5], n[6]}});
     }
     return track;

@@ -20,18 +20,16 @@ struct ShapeHit {
     glm::dvec3 normal{0.0};
 };
 
-ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& ray_origin,
-                       const glm::dvec3& ray_direction) {
+ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& origin, const glm::dvec3& direction) {
     double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
     int axis = 0;
     for (int a = 0; a < 3; ++a) {
-        if (ray_direction[a] == 0.0) {
-            if (std::abs(ray_origin[a]) > half_size[a]) return {};
+        if (direction[a] == 0.0) {
+            if (std::abs(origin[a]) > half_size[a]) return {};
             continue;
         }
-        const double side = std::copysign(half_size[a], ray_direction[a]);
-        const double near = (-side - ray_origin[a]) / ray_direction[a],
-                     far = (side - ray_origin[a]) / ray_direction[a];
+        const double side = std::copysign(half_size[a], direction[a]);
+        const double near = (-side - origin[a]) / direction[a], far = (side - origin[a]) / direction[a];
         if (near > enter) {
             enter = near;
             axis = a;
@@ -40,7 +38,7 @@ ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& ray_origin
     }
     if (!(enter > 0.0) || enter > leave) return {};
     ShapeHit meeting{enter, glm::dvec3(0.0)};
-    meeting.normal[axis] = -std::copysign(1.0, ray_direction[axis]);
+    meeting.normal[axis] = -std::copysign(1.0, direction[axis]);
     return meeting;
 }
 
@@ -101,18 +99,18 @@ bool is_window(const StreetShape& wall, const glm::dvec3& local_point, const glm
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-BoundingSphere bounding_sphere(const StreetShape& shape) { return {shape.centre, glm::length(shape.half)}; }
+Sphere bounding_sphere(const StreetShape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
 /// The centre is the centre of the box around the centres of the shapes.
-BoundingSphere bounding_sphere(std::span<const StreetShape> shapes) {
+Sphere bounding_sphere(std::span<const StreetShape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const StreetShape& shape : shapes) {
         low = glm::min(low, shape.centre);
         high = glm::max(high, shape.centre);
     }
-    BoundingSphere around{0.5 * (low + high)};
+    Sphere around{0.5 * (low + high)};
     for (const StreetShape& shape : shapes) {
-        const BoundingSphere s = bounding_sphere(shape);
+        const Sphere s = bounding_sphere(shape);
         around.radius_m = std::max(around.radius_m, glm::distance(around.centre, s.centre) + s.radius_m);
     }
     return around;
@@ -126,10 +124,9 @@ public:
     NearestSurfaceSearch(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
     /// The ray misses the sphere or has already hit a nearer surface.
-    bool can_skip_sphere(const BoundingSphere& sphere, const glm::dvec3& ray_origin,
-                         const glm::dvec3& ray_direction) const {
-        const glm::dvec3 to = sphere.centre - ray_origin;
-        const double along = glm::dot(to, ray_direction), radius2 = sphere.radius_m * sphere.radius_m;
+    bool can_skip_sphere(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
+        const glm::dvec3 to = sphere.centre - origin;
+        const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
         if (glm::dot(to, to) - along * along > radius2) return true;
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
     }
@@ -239,7 +236,7 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(stre
     }
 }
 
-void StreetCaster::place_cars(double time_s, MovingActorPoses& car_pose_cache) const {
+void StreetCaster::place_cars(double time_s, ActorPoses& car_pose_cache) const {
     if (car_pose_cache.time_s == time_s) return;
     car_pose_cache.time_s = time_s;
     car_pose_cache.centre_m.clear();
@@ -252,7 +249,7 @@ void StreetCaster::place_cars(double time_s, MovingActorPoses& car_pose_cache) c
 }
 
 std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
-                                                      MovingActorPoses& car_pose_cache) const {
+                                                      ActorPoses& car_pose_cache) const {
     NearestSurfaceSearch search(ray, max_range_m);
     search.hit_ground();
     std::size_t solid = 0;
@@ -281,7 +278,7 @@ std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, doubl
 
 std::optional<StreetHit> StreetCaster::find_first_hit(const WorldRay& ray, double time_s,
                                                       double max_range_m) const {
-    MovingActorPoses actor_poses;
+    ActorPoses actor_poses;
     return find_first_hit(ray, time_s, max_range_m, actor_poses);
 }
 

@@ -69,7 +69,7 @@ Pose sensor_pose_at(const StreetOptions& options, double time_s);
 /// 0.1 s apart; frame 0 has the time 0
 inline double frame_time_of_s(int frame_number) { return 0.1 * frame_number; }
 
-struct BoundingSphere {
+struct Sphere {
     glm::dvec3 centre{0.0};
     double radius_m = 0.0;
 };
@@ -82,7 +82,7 @@ struct StreetHit {
 };
 
 /// poses of all moving cars at one time, reused for consecutive rays
-struct MovingActorPoses {
+struct ActorPoses {
     std::optional<double> time_s;
     std::vector<glm::dvec3> centre_m;  ///< [cars] centre of the box of each car
     std::vector<Pose> box_from_world;  ///< [cars] transform from the street frame to the box of each car
@@ -94,14 +94,14 @@ public:
     /// Returns nothing beyond max_range_m.
     /// @param car_pose_cache  recomputed if its time differs from time_s
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
-                                            MovingActorPoses& car_pose_cache) const;
+                                            ActorPoses& car_pose_cache) const;
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m) const;
 
 private:
     /// with precomputed values
     struct RayCastShape {
         StreetShape shape;
-        BoundingSphere around;
+        Sphere around;
         double cos_yaw, sin_yaw;
     };
     struct RayCastActor {
@@ -113,7 +113,7 @@ private:
     /// Shapes that are close together. A ray that misses their bounding sphere skips
     /// them.
     struct Cluster {
-        BoundingSphere around;
+        Sphere around;
         /// index after the last shape; groups are consecutive
         std::size_t end;
     };
@@ -123,7 +123,7 @@ private:
     std::vector<RayCastActor> cars_;
 
     static std::vector<RayCastShape> prepare_shapes(const std::vector<StreetShape>& shapes);
-    void place_cars(double time_s, MovingActorPoses& car_pose_cache) const;
+    void place_cars(double time_s, ActorPoses& car_pose_cache) const;
 };
 
 }  // namespace relidar::street

@@ -57,8 +57,7 @@ struct StreetSide {
     double half_m;  ///< half of the length of the street
 };
 
-void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side,
-                 bool leave_yard_gap) {
+void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side, bool yard_gap) {
     const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m; x < half_m;) {
         const double width = random.sample_uniform(8.0, 18.0), height = random.sample_uniform(5.0, 14.0),
@@ -66,7 +65,7 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
         const double setback = random.sample_uniform(2.5, 4.5);
         const double y = kerb_m + side * (setback + 0.5 * depth);
         const double reflectance = random.sample_uniform(0.3, 0.8);
-        if (!leave_yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
+        if (!yard_gap || x + width < kYardBegin_m || x > kYardEnd_m)
             street.shapes.push_back(make_box({x + 0.5 * width, y, 0.5 * height},
                                              0.5 * glm::dvec3(width, depth, height), Material::wall,
                                              reflectance));
@@ -127,15 +126,13 @@ void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_
     }
 }
 
-void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& street_side,
-                     bool have_glass_windows) {
-    for (double x = -street_side.half_m + random.sample_uniform(2.0, 10.0); x < street_side.half_m - 5.0;
+void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& side, bool glass_windows) {
+    for (double x = -side.half_m + random.sample_uniform(2.0, 10.0); x < side.half_m - 5.0;
          x += random.sample_uniform(6.0, 20.0)) {
         const double yaw = random.sample_uniform(-0.04, 0.04),
-                     y = street_side.kerb_m - 1.1 * street_side.left + random.sample_uniform(-0.15, 0.15);
+                     y = side.kerb_m - 1.1 * side.left + random.sample_uniform(-0.15, 0.15);
         const double paint = random.sample_uniform(0.15, 0.8);
-        add_parked_car(street, x, y, yaw,
-                       have_glass_windows ? make_glazed_car(paint) : make_car_shapes(paint));
+        add_parked_car(street, x, y, yaw, glass_windows ? make_glazed_car(paint) : make_car_shapes(paint));
     }
 }
 
@@ -232,9 +229,8 @@ void add_swinging_limbs(MovingStreetActor& pedestrian) {
     pedestrian.size_m.x = 2.0 * (kLeg_m * std::sin(kSwing_rad) + kLegRadius_m) + 0.04;
 }
 
-MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
-                               double speed_mps) {
-    MovingStreetActor rider = make_pedestrian(options, position_at_middle_time_m, 0.0, speed_mps);
+MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& middle_m, double speed_mps) {
+    MovingStreetActor rider = make_pedestrian(options, middle_m, 0.0, speed_mps);
     rider.category = "Cyclist";
     rider.size_m.x = 1.8;
     for (StreetShape& shape : rider.shapes) shape.centre.x -= 0.2;

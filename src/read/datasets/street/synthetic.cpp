@@ -95,7 +95,7 @@ void cast_rays(const street::SyntheticStreet& full_street, const glm::dvec3& wor
         full_street, sensor_track.pose_at(scan_time_s).translation + world_origin_in_street_m, scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
     // Rays of a column usually have the same time.
-    std::vector<street::MovingActorPoses> actor_poses_by_column(columns);
+    std::vector<street::ActorPoses> actor_poses_by_column(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
         in_street.origin_m += world_origin_in_street_m;

@@ -47,7 +47,7 @@ struct RequestedSegment {
     fs::path file;
     FrameRange frames;
     bool top_alone = false;
-    std::vector<int> test_frames = {};  ///< see RequestedDriveFrames
+    std::vector<int> test_frames = {};  ///< see DriveFrames
     Notes notes = {};
 };
 
@@ -63,7 +63,7 @@ std::vector<fs::path> list_segments(const fs::path& file_or_folder) {
 
 RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
     const std::vector<fs::path> files = list_segments(file_or_folder);
-    const RequestedDriveFrames part = find_drive(options, kWaymoBenchmark);
+    const DriveFrames part = find_drive(options, kWaymoBenchmark);
     if (part.drive.empty()) {
         RequestedSegment segment{files.front(), part.frames};
         if (files.size() > 1)
@@ -100,7 +100,7 @@ std::string record_location(const TfRecordReader& records, int record_index) {
 }
 
 /// The pose image stores roll, pitch, yaw, x, y, z.
-Pose read_pixel_pose(const DecompressedImage& pose_image, std::size_t pixel_index, const std::string& place) {
+Pose read_pixel_pose(const InflatedImage& pose_image, std::size_t pixel_index, const std::string& place) {
     const float* v = pose_image.pixel_values(pixel_index);
     if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
         fail("{}: the pose of pixel {} is ({}), expected finite numbers", place, pixel_index,
@@ -112,20 +112,18 @@ Pose read_pixel_pose(const DecompressedImage& pose_image, std::size_t pixel_inde
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
 /// Returns nothing if the LiDAR has no image of poses.
-std::optional<DecompressedImage> read_pose_image(const CompressedLidarImages& laser_images,
-                                                 const DecompressedImage& range_image,
-                                                 const std::string& place) {
+std::optional<InflatedImage> read_pose_image(const LaserImages& laser_images,
+                                             const InflatedImage& range_image, const std::string& place) {
     if (laser_images.pixel_pose.empty()) return std::nullopt;
-    DecompressedImage poses = inflate_image(laser_images.pixel_pose, kPoseChannels, place + ", pixel poses");
+    InflatedImage poses = inflate_image(laser_images.pixel_pose, kPoseChannels, place + ", pixel poses");
     if (poses.rows != range_image.rows || poses.columns != range_image.columns)
         fail("{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size", place,
              poses.rows, poses.columns, range_image.rows, range_image.columns);
     return poses;
 }
 
-const CompressedLidarImages& find_laser_images(const WaymoFrameRecord& frame_record, int laser_id,
-                                               const std::string& place) {
-    for (const CompressedLidarImages& images : frame_record.images)
+const LaserImages& find_laser_images(const WaymoFrameRecord& record, int laser_id, const std::string& place) {
+    for (const LaserImages& images : record.images)
         if (images.laser == laser_id && !images.first.empty()) return images;
     fail("{}: the range image of the LiDAR {} is missing, but the first frame has one", place,
          kLaserNames[laser_id]);
@@ -137,9 +135,8 @@ Pose forward_pose(const WaymoFrameRecord& frame_record, const std::string& place
     if (frame_record.images.empty() || frame_record.images.front().laser != kTopLaser)
         return frame_record.world_from_vehicle;
     const std::string in_top = place + ": TOP";
-    const DecompressedImage image = inflate_image(frame_record.images.front().first, kImageChannels, in_top);
-    const std::optional<DecompressedImage> poses =
-        read_pose_image(frame_record.images.front(), image, in_top);
+    const InflatedImage image = inflate_image(frame_record.images.front().first, kImageChannels, in_top);
+    const std::optional<InflatedImage> poses = read_pose_image(frame_record.images.front(), image, in_top);
     std::optional<std::size_t> nearest;
     int away = image.columns;
     for (std::size_t at = 0; poses && at < std::size_t(image.rows) * std::size_t(image.columns); ++at) {
@@ -179,8 +176,8 @@ double frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers, const 
     return period_s;
 }
 
-Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLidarImages& laser_images,
-                       double period_s, const std::string& place) {
+Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const LaserImages& laser_images, double period_s,
+                       const std::string& place) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
         fail("{}: found the laser number {}, expected 1 to {}", place, laser_images.laser,
              std::size(kLaserNames) - 1);
@@ -189,8 +186,8 @@ Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const CompressedLid
     if (calibration == frame_record.lasers.end())
         fail("{}: laser_calibrations has no entry for the LiDAR {}, although its range image exists", place,
              kLaserNames[laser_images.laser]);
-    const DecompressedImage image = inflate_image(
-        laser_images.first, kImageChannels, fmt::format("{}: {}", place, kLaserNames[laser_images.laser]));
+    const InflatedImage image = inflate_image(laser_images.first, kImageChannels,
+                                              fmt::format("{}: {}", place, kLaserNames[laser_images.laser]));
     Lidar lidar{kLaserNames[laser_images.laser], {}, {}};
     lidar.sensor.name = fmt::format("Waymo {}", lidar.name);
     lidar.sensor.columns = image.columns;
@@ -221,16 +218,16 @@ public:
 
     Scan scan;
 
-    void to_scan(const CompressedLidarImages& lidar_images, const Pose& world_from_vehicle) {
-        const DecompressedImage image = inflate_scan_image(lidar_images.first);
-        const std::optional<DecompressedImage> poses = read_pose_image(lidar_images, image, where_);
+    void to_scan(const LaserImages& lidar_images, const Pose& world_from_vehicle) {
+        const InflatedImage image = inflate_scan_image(lidar_images.first);
+        const std::optional<InflatedImage> poses = read_pose_image(lidar_images, image, where_);
         copy_returns(image, scan.range_m, scan.intensity);
         for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
             if (!poses) correct_ray(ray, world_from_vehicle);
             else if (scan.range_m[ray] > 0.0f) correct_ray(ray, read_pixel_pose(*poses, ray, where_));
         if (!lidar_images.labels.empty()) {
             // two values: object instance and class
-            const DecompressedImage labels = inflate_scan_image(lidar_images.labels, 2, PixelType::integer);
+            const InflatedImage labels = inflate_scan_image(lidar_images.labels, 2, PixelType::integer);
             scan.classes.assign(scan.rays.size(), SurfaceClass::unknown);
             for (std::size_t ray = 0; ray < scan.rays.size(); ++ray)
                 if (scan.range_m[ray] > 0.0f)
@@ -252,9 +249,9 @@ private:
     /// [columns] when the column fires
     std::vector<Pose> sensor_from_world_;
 
-    DecompressedImage inflate_scan_image(std::string_view compressed_image, int n_channels = kImageChannels,
-                                         PixelType pixel_type = PixelType::real) const {
-        DecompressedImage image = inflate_image(compressed_image, n_channels, where_, pixel_type);
+    InflatedImage inflate_scan_image(std::string_view compressed_image, int n_channels = kImageChannels,
+                                     PixelType pixel_type = PixelType::real) const {
+        InflatedImage image = inflate_image(compressed_image, n_channels, where_, pixel_type);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
         fail("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame", where_,
              image.rows, image.columns, scan.rays.rows, scan.rays.columns);
@@ -265,7 +262,7 @@ private:
                        : std::tanh(std::max(stored_intensity, 0.0f));
     }
 
-    void copy_returns(const DecompressedImage& range_image, std::span<float> range_m,
+    void copy_returns(const InflatedImage& range_image, std::span<float> range_m,
                       std::span<float> intensity) const {
         constexpr float kMaxPlausibleRange_m = 1e4f;
         for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
@@ -300,7 +297,7 @@ void add_segment_frames(Log& sequence, const TfRecordReader& records,
                       where = record_location(records, first_record);
     const WaymoFrameRecord frame = parse_frame(first, where);
     sequence.lidars.clear();
-    for (const CompressedLidarImages& images : frame.images)
+    for (const LaserImages& images : frame.images)
         if (!images.first.empty() && (!only_top_lidar || images.laser == kTopLaser))
             sequence.lidars.push_back(make_waymo_lidar(frame, images, period_s, where));
     if (sequence.lidars.empty())

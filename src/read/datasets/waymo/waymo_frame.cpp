@@ -68,8 +68,8 @@ Pose parse_transform(pbf_reader reader, const std::string& where) {
     return make_pose(m, where);
 }
 
-WaymoLidarCalibration parse_calibration(pbf_reader reader, const std::string& where) {
-    WaymoLidarCalibration calibration;
+LaserCalibration parse_calibration(pbf_reader reader, const std::string& where) {
+    LaserCalibration calibration;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == make_varint_tag(1)) calibration.laser = reader.get_enum();
@@ -93,7 +93,7 @@ void parse_calibrations(pbf_reader reader, WaymoFrameRecord& frame_record, const
 }
 
 /// Parses the image of returns, the poses of its pixels, and their labels.
-void parse_return_images(pbf_reader reader, CompressedLidarImages& laser) {
+void parse_return_images(pbf_reader reader, LaserImages& laser) {
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == message_tag(2)) laser.first = read_bytes(reader);
@@ -103,8 +103,8 @@ void parse_return_images(pbf_reader reader, CompressedLidarImages& laser) {
     }
 }
 
-CompressedLidarImages parse_laser(pbf_reader reader) {
-    CompressedLidarImages laser, second;
+LaserImages parse_laser(pbf_reader reader) {
+    LaserImages laser, second;
     while (reader.next()) {
         const std::uint32_t tag = reader.tag_and_type();
         if (tag == make_varint_tag(1)) laser.laser = reader.get_enum();
@@ -238,10 +238,10 @@ WaymoFrameRecord parse_frame(std::string_view record_bytes, const std::string& w
     return frame;
 }
 
-DecompressedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
-                                PixelType pixel_type) {
+InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
+                            PixelType pixel_type) {
     constexpr int kMostRows = 1024, kMostColumns = 8192;
-    DecompressedImage image;
+    InflatedImage image;
     std::vector<std::int32_t> dims;
     const std::string bytes = inflate_zlib(compressed_image, where);
     guard_parse(
@@ -263,7 +263,7 @@ DecompressedImage inflate_image(std::string_view compressed_image, int n_channel
     return image;
 }
 
-std::vector<double> row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int n_rows,
                                        const std::string& where) {
     std::vector<double> elevations = calibration.inclination_rad;
     const double low = calibration.min_inclination_rad, high = calibration.max_inclination_rad;

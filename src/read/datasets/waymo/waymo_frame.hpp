@@ -15,7 +15,7 @@ namespace relidar::waymo {
 inline constexpr int kTopLaser = 1;  ///< LaserName of TOP, the long-range LiDAR on the roof
 
 /// x forward, y left, z up
-struct WaymoLidarCalibration {
+struct LaserCalibration {
     int laser = 0;  ///< number of the LiDAR in Waymo's enum LaserName
     /// ascending; empty: evenly spaced between minimum and maximum
     std::vector<double> inclination_rad;
@@ -24,7 +24,7 @@ struct WaymoLidarCalibration {
 };
 
 /// Compressed images of a LiDAR in one frame: views of the record.
-struct CompressedLidarImages {
+struct LaserImages {
     int laser = 0;
     /// first and second returns; `second` may be empty
     std::string_view first, second;
@@ -35,17 +35,17 @@ struct CompressedLidarImages {
 };
 
 struct WaymoFrameRecord {
-    std::int64_t timestamp_us = 0;              ///< time of TOP's first firing
-    Pose world_from_vehicle;                    ///< vehicle pose at about the middle of the sweep
-    std::vector<WaymoLidarCalibration> lasers;  ///< sorted by LaserName
-    std::vector<CompressedLidarImages> images;  ///< sorted by LaserName
+    std::int64_t timestamp_us = 0;         ///< time of TOP's first firing
+    Pose world_from_vehicle;               ///< vehicle pose at about the middle of the sweep
+    std::vector<LaserCalibration> lasers;  ///< sorted by LaserName
+    std::vector<LaserImages> images;       ///< sorted by LaserName
     /// Despite its name, `world_from_box` is in the vehicle frame here. `time_s` is not
     /// set.
     std::vector<BoxLabel> labels;
 };
 WaymoFrameRecord parse_frame(std::string_view record_bytes, const std::string& where);
 
-struct DecompressedImage {
+struct InflatedImage {
     int rows = 0, columns = 0, channels = 0;
     std::vector<float> values;
 
@@ -57,11 +57,11 @@ enum class PixelType { real, integer };
 /// @param compressed_image  zlib stream
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
-DecompressedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
-                                PixelType pixel_type = PixelType::real);
+InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
+                            PixelType pixel_type = PixelType::real);
 
 /// from the top row to the bottom row
-std::vector<double> row_elevations_rad(const WaymoLidarCalibration& calibration, int n_rows,
+std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int n_rows,
                                        const std::string& where);
 
 }  // namespace relidar::waymo
