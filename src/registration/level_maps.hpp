@@ -16,16 +16,14 @@ public:
 
     /// @param first, last  cell size and scale of the robust kernel at the coarsest and
     /// at the finest level
-    PlaneMaps(const RegistrationRound& first, const RegistrationRound& last) : first_(first), last_(last) {
-        clear();
-    }
+    PlaneMaps(const FitRound& first, const FitRound& last) : first_(first), last_(last) { clear(); }
 
     void clear() {
         maps_.clear();
         for (int level = 0; level < kLevels; ++level) maps_.emplace_back(settings_of_level(level).cell_m);
     }
     bool empty() const { return maps_.front().empty(); }
-    RegistrationRound settings_of_level(int level) const {
+    FitRound settings_of_level(int level) const {
         return blend_rounds(first_, last_, level / double(kLevels - 1));
     }
     /// Adds points that the vehicle measured after driving `travelled_distance_m`.
@@ -49,7 +47,7 @@ public:
     }
 
 private:
-    RegistrationRound first_, last_;
+    FitRound first_, last_;
     std::vector<VoxelPlaneMap> maps_;  // [kLevels]
 };
 

@@ -53,8 +53,8 @@ struct LoopClosure {
 
 class LoopCloser {
 public:
-    LoopCloser(const PoseTrack& track, const SubsampledScans& scans, const RegistrationRound& first,
-               const RegistrationRound& last)
+    LoopCloser(const PoseTrack& track, const SubsampledScans& scans, const FitRound& first,
+               const FitRound& last)
         : track_(track), scans_(scans), first_(first), maps_(first, last) {
         double driven_m = 0.0;
         for (std::size_t k = 0; k < track.pose.size(); ++k) {
@@ -87,7 +87,7 @@ public:
 private:
     const PoseTrack& track_;
     const SubsampledScans& scans_;
-    const RegistrationRound first_;
+    const FitRound first_;
     std::vector<double> path_length_m_;   // [poses] length of the path up to each pose
     std::vector<std::size_t> keyframes_;  // indices of the keyframes
     std::vector<LoopClosure> closures_;
@@ -327,7 +327,7 @@ private:
 }  // namespace
 
 LoopClosureResult close_loops(const PoseTrack& odometry_track, const SubsampledScans& scans,
-                              const RegistrationRound& first, const RegistrationRound& last,
+                              const FitRound& first, const FitRound& last,
                               const std::function<bool(double done)>& proceed) {
     return LoopCloser(odometry_track, scans, first, last).run_closures(proceed);
 }

@@ -30,7 +30,7 @@ struct LoopClosureResult {
 /// @return the unchanged track if fewer than two loop closures exist or `proceed`
 /// returned false
 LoopClosureResult close_loops(const PoseTrack& odometry_track, const SubsampledScans& scans,
-                              const RegistrationRound& first, const RegistrationRound& last,
+                              const FitRound& first, const FitRound& last,
                               const std::function<bool(double done)>& proceed);
 
 }  // namespace relidar

@@ -45,8 +45,8 @@ constexpr std::size_t kPosesPerSection = 200;  // number of poses in a section o
 constexpr std::size_t kSectionOverlap = 20;
 // Without given poses, several initial speeds are tried on this number of scans.
 constexpr int kTrialScans = 4;
-// Forward motions per scan that are tried: from -kMaxTrialReverse_m to kMaxTrialMotion_m, which is 40
-// m/s at 10 Hz.
+// Forward motions per scan that are tried: from -kMaxTrialReverse_m to kMaxTrialMotion_m,
+// which is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kMaxTrialMotion_m = 4.0, kMaxTrialReverse_m = 1.0;
 
 /// Section of a log. Poses within a section are estimated one after the other.

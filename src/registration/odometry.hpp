@@ -14,7 +14,7 @@
 namespace relidar {
 
 struct OdometryOptions {
-    RegistrationRound first, last;  ///< coarsest and finest plane map (PlaneMaps)
+    FitRound first, last;  ///< coarsest and finest plane map (PlaneMaps)
     /// The motion between scans is predicted from the given poses. False: from the
     /// previous velocity.
     bool use_pose_motion = true;

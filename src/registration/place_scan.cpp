@@ -44,7 +44,7 @@ std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const Regi
 
 }  // namespace
 
-ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const SceneRayCaster& scene_view,
+ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const SceneCaster& scene_view,
                          const RegistrationOptions& options) {
     PoseTrack track = sequence.world_from_vehicle;
     const Pose before = track.pose[pose_index];

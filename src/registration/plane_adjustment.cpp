@@ -51,7 +51,7 @@ Eigen::VectorXd stack_twists(const PoseTrack& first_track, const PoseTrack& seco
 std::vector<std::optional<LocalPlane>> fit_cell_planes(const PointCellGrid& cells,
                                                        const std::vector<SubsampledPoint>& points,
                                                        const std::vector<WorldPointWithOrigin>& world_points,
-                                                       const RegistrationRound& round) {
+                                                       const FitRound& round) {
     std::vector<std::optional<LocalPlane>> planes(cells.size());
     parallel_blocks(cells.size(), [&](std::size_t c) {
         const std::span<const std::uint32_t> members = cells.points_in_cell(c);
@@ -75,11 +75,11 @@ PoseAdjustment::PoseAdjustment(const PoseTrack& initial_track, const PoseTrack& 
     start_ = track_;
 }
 
-std::vector<RegistrationRound> PoseAdjustment::adjust_poses(
-    const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
+std::vector<FitRound> PoseAdjustment::adjust_poses(
+    const FitRound& first_round_settings, const FitRound& last_round_settings,
     const std::function<bool(double finished_fraction)>& should_continue) {
     constexpr int kRounds = kShrinkingRounds + kLastRounds;
-    std::vector<RegistrationRound> rounds;
+    std::vector<FitRound> rounds;
     for (int i = 0; i < kRounds && should_continue(i / double(kRounds)); ++i)
         rounds.push_back(run_round(blend_rounds(first_round_settings, last_round_settings,
                                                 std::min(1.0, i / double(kShrinkingRounds - 1))),
@@ -87,14 +87,14 @@ std::vector<RegistrationRound> PoseAdjustment::adjust_poses(
     return rounds;
 }
 
-PlaneMap PoseAdjustment::fit_planes(const RegistrationRound& round_settings) const {
+PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     PlaneMap map{PointCellGrid(placed, round_settings.cell_m, 0.0), {}};
     map.planes = fit_cell_planes(map.cells, points_, placed, round_settings);
     return map;
 }
 
-RegistrationRound PoseAdjustment::run_round(RegistrationRound round_settings, double grid_shift_cells) {
+FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PointCellGrid cells(placed, round_settings.cell_m, grid_shift_cells);
     const std::vector<std::optional<LocalPlane>> planes =

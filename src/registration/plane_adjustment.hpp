@@ -44,11 +44,11 @@ public:
     /// kernel decrease from `first_round_settings` to `last_round_settings`.
     /// @return statistics of each round; fewer rounds if the callback `should_continue`
     /// returned false
-    std::vector<RegistrationRound> adjust_poses(
-        const RegistrationRound& first_round_settings, const RegistrationRound& last_round_settings,
-        const std::function<bool(double finished_fraction)>& should_continue);
+    std::vector<FitRound> adjust_poses(const FitRound& first_round_settings,
+                                       const FitRound& last_round_settings,
+                                       const std::function<bool(double finished_fraction)>& should_continue);
     void set_prior(const PoseCorrectionPrior& prior) { prior_ = prior; }
-    PlaneMap fit_planes(const RegistrationRound& round_settings) const;
+    PlaneMap fit_planes(const FitRound& round_settings) const;
     const PoseTrack& track() const { return track_; }
 
     /// Replaces poses without points and poses whose registration failed by
@@ -79,7 +79,7 @@ private:
     std::vector<bool> gauge_;
     std::optional<PoseCorrectionPrior> prior_;
 
-    RegistrationRound run_round(RegistrationRound round_settings, double grid_shift_cells);
+    FitRound run_round(FitRound round_settings, double grid_shift_cells);
     void add_prior(PoseEquations& equations) const;
     void centre_poses();
     void fill_corrections(const std::vector<bool>& is_correction_known);

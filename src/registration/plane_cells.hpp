@@ -16,12 +16,9 @@ namespace relidar {
 
 /// Interpolates cell size and scale geometrically between the first round (0) and the
 /// last.
-inline RegistrationRound blend_rounds(const RegistrationRound& first_round_settings,
-                                      const RegistrationRound& last_round_settings, double fraction) {
-    return {first_round_settings.cell_m *
-                std::pow(last_round_settings.cell_m / first_round_settings.cell_m, fraction),
-            first_round_settings.scale_m *
-                std::pow(last_round_settings.scale_m / first_round_settings.scale_m, fraction)};
+inline FitRound blend_rounds(const FitRound& first_round_settings, const FitRound& last, double fraction) {
+    return {first_round_settings.cell_m * std::pow(last.cell_m / first_round_settings.cell_m, fraction),
+            first_round_settings.scale_m * std::pow(last.scale_m / first_round_settings.scale_m, fraction)};
 }
 
 /// Plane n . (p - point) = 0. u and v are two directions in the plane.

@@ -17,8 +17,8 @@ namespace {
 
 // Usually 20 to 30 are enough, even for long logs.
 constexpr int kMaxIterations = 100;
-// Sums over planes run in parallel: at most kMaxPlaneParts sums over at least kMinPlanesPerPart
-// planes.
+// Sums over planes run in parallel: at most kMaxPlaneParts sums over at least
+// kMinPlanesPerPart planes.
 constexpr std::size_t kMaxPlaneParts = 64, kMinPlanesPerPart = 256;
 // The conjugate-gradient solver stops if the residual norm has fallen to this fraction of
 // its initial value. Later Gauss-Newton steps correct the remaining error.

@@ -20,7 +20,7 @@ constexpr double kMinObjectSize_m = 1.2;
 // Lower points of a box can belong to the ground.
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
-constexpr RegistrationRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
+constexpr FitRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
 // The corrected track replaces the labelled track only if the share of the points on
 // planes grows by at least this value.
 constexpr double kMinShareGain = 0.02;

@@ -22,24 +22,23 @@ constexpr double kMaxThinningCell_m = 0.5, kMinThinningCell_m = 0.1;
 // The points of a plane usually come from about this many scans. If the log has fewer
 // scans, each scan keeps more points (smaller thinning cells).
 constexpr double kScansPerCell = 24.0;
-constexpr RegistrationRound kFinalRound{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
+constexpr FitRound kFinalRound{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
 // The same of the finest map of odometry, which is less accurate than the optimisation of
 // all poses together. So the scale is larger.
-constexpr RegistrationRound kFinalOdometryRound{0.5, 0.1};
+constexpr FitRound kFinalOdometryRound{0.5, 0.1};
 constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and steps per level for held-out scans
 
 /// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
 /// @return indices of the scans that could not be aligned
 std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
                                            const std::vector<bool>& is_training_sweep,
-                                           const SubsampledScans& test_scans,
-                                           const RegistrationRound& first_round, double max_deviation_m) {
+                                           const SubsampledScans& test_scans, const FitRound& first_round,
+                                           double max_deviation_m) {
     std::vector<std::size_t> lost;
     const std::vector<Pose> as_neighbours = adjustment.track().pose;
     if (std::ranges::count(is_test_sweep, true) == 0) return lost;
     for (int level = 0; level < kTestLevels; ++level) {
-        const RegistrationRound round =
-            blend_rounds(first_round, kFinalRound, level / double(kTestLevels - 1));
+        const FitRound round = blend_rounds(first_round, kFinalRound, level / double(kTestLevels - 1));
         const double scale_m = round.scale_m;
         const PlaneMap map = adjustment.fit_planes({round.cell_m, kFinalRound.scale_m});
         for (std::size_t k = 0; k < test_scans.size(); ++k) {
@@ -109,8 +108,8 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
             return !(result.stopped = options.stop && options.stop());
         };
     };
-    const RegistrationRound first{std::max(2.0 * options.largest_m, kFinalRound.cell_m),
-                                  std::max(0.5 * options.largest_m, kFinalRound.scale_m)};
+    const FitRound first{std::max(2.0 * options.largest_m, kFinalRound.cell_m),
+                         std::max(0.5 * options.largest_m, kFinalRound.scale_m)};
 
     const SubsampledScans scans = thin_sweeps(log, sweeps, is_train, options, thin_m);
     const PoseTrack followed = run_odometry(

@@ -124,8 +124,7 @@ T empty_value(const ChannelInfo& channel) {
 /// the value in `ScanChannel::second`. If that array is empty, it is the value of the
 /// first return for a channel with `ChannelInfo::of_ray`, otherwise `ChannelInfo::none`.
 /// @param return_number_from_1  number of the return, starting at 1
-void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t index_of_ray,
-                   int return_number_from_1);
+void append_return(ScanChannel& points, const ScanChannel& rays, std::size_t ray, int return_number_from_1);
 
 /// Checks names and sizes of channels before the channels are written to a file.
 /// @param size  expected number of values

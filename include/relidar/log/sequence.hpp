@@ -154,11 +154,10 @@ RayTable make_lidar_rays(const Lidar& lidar, double time_s);
 /// at each firing of a sweep, positive to the left. The value is the median over all
 /// returned rays of the firing, so it does not reveal which rays were dropped. Firings
 /// with less than three returns are interpolated.
-/// @param nominal_rays  make_lidar_rays() of the LiDAR
+/// @param table  make_lidar_rays() of the LiDAR
 /// @return [columns] radians, by firing (offset_columns()). Empty if
 /// the rays are not in nominal order, the beams do not rotate together, or none deviates.
-std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
-                                      const RayTable& nominal_rays);
+std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor, const RayTable& table);
 /// Rotates the nominal rays of each firing about the z axis to the measured azimuth.
 /// @param shifts_rad  result of measure_shifts_rad(). Empty: no rotation
 RayTable rotate_firings(RayTable nominal, const SpinningSensor& sensor, const std::vector<float>& shifts_rad);
@@ -335,8 +334,7 @@ WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t r
 /// Returns true if a point in the world frame is in any moving box at time t_s. The boxes
 /// are interpolated, enlarged by margin_m, and exist as in
 /// BoxTrack::is_observed().
-bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
-                      double margin_m);
+bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& p, double t_s, double margin_m);
 
 /// Distances of the points from common planes, before and after the calibration.
 struct RangeCalibrationResult {

@@ -30,7 +30,7 @@ struct RegistrationOptions {
 
 /// Statistics of one round of the adjustment of all poses. A round fits planes to the
 /// points in the cells of a grid, and moves all poses by a step towards these planes.
-struct RegistrationRound {
+struct FitRound {
     double cell_m = 0.0;
     double scale_m = 0.0;    ///< Distance from the plane at which a point has a quarter of its full weight.
     std::size_t planes = 0;  ///< number of planes that at least two scans observe
@@ -42,7 +42,7 @@ struct RegistrationRound {
 struct RegistrationResult {
     /// Corrected poses of the vehicle, or those of the log if `done` is false.
     PoseTrack world_from_vehicle;
-    std::vector<RegistrationRound> rounds;
+    std::vector<FitRound> rounds;
     /// Scans that could not be registered, as indices into world_from_vehicle. They get
     /// the same correction as the neighbouring poses.
     std::vector<std::size_t> lost;
@@ -90,8 +90,8 @@ struct SurfaceHit {
 /// @param rays  indices of the rays in the frame's scan
 /// @param world_from_vehicle  poses from which the rays are cast
 /// @return [rays] one surface for each ray
-using SceneRayCaster = std::function<std::vector<SurfaceHit>(
-    int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle)>;
+using SceneCaster = std::function<std::vector<SurfaceHit>(int position, const std::vector<std::size_t>& rays,
+                                                          const PoseTrack& world_from_vehicle)>;
 
 /// Pose of a scan that was aligned with a scene.
 struct ScanAlignment {
@@ -109,7 +109,7 @@ struct ScanAlignment {
 /// q and n are point and normal of the surface that the scene shows along the ray of p,
 /// rendered again after each Gauss-Newton step. Uses all LiDARs that swept at that time.
 /// @param pose  index into Log::world_from_vehicle
-ScanAlignment align_scan(const Log& sequence, std::size_t pose, const SceneRayCaster& scene_view,
+ScanAlignment align_scan(const Log& sequence, std::size_t pose, const SceneCaster& scene_view,
                          const RegistrationOptions& options);
 
 struct ActorRegistrationResult {

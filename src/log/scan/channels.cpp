@@ -132,19 +132,18 @@ void append_values(std::string& output_bytes, const std::vector<ScanChannel>& ch
         std::visit([&](const auto& values) { append_raw(output_bytes, values[index]); }, channel.values);
 }
 
-void append_return(ScanChannel& point_channel, const ScanChannel& ray_channel, std::size_t index_of_ray,
-                   int return_number_from_1) {
-    const ChannelInfo& channel = ray_channel.info;
+void append_return(ScanChannel& points, const ScanChannel& rays, std::size_t ray, int return_number_from_1) {
+    const ChannelInfo& channel = rays.info;
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
-        const auto* second = return_number_from_1 == 2 && count_values(ray_channel.second) > 0
-                                 ? std::get_if<std::vector<T>>(&ray_channel.second)
+        const auto* second = return_number_from_1 == 2 && count_values(rays.second) > 0
+                                 ? std::get_if<std::vector<T>>(&rays.second)
                                  : nullptr;
-        auto& point_values = std::get<std::vector<T>>(point_channel.values);
-        if (second) point_values.push_back((*second)[index_of_ray]);
-        else if (return_number_from_1 == 1 || channel.of_ray) point_values.push_back(values[index_of_ray]);
+        auto& point_values = std::get<std::vector<T>>(points.values);
+        if (second) point_values.push_back((*second)[ray]);
+        else if (return_number_from_1 == 1 || channel.of_ray) point_values.push_back(values[ray]);
         else point_values.push_back(empty_value<T>(channel));
     };
-    std::visit(append_one, ray_channel.values);
+    std::visit(append_one, rays.values);
 }
 
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t size, const std::string& element) {

@@ -48,16 +48,14 @@ void fill_nan_shifts(std::vector<float>& azimuth_shifts_rad) {
 
 }  // namespace
 
-std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor,
-                                      const RayTable& nominal_rays) {
+std::vector<float> measure_shifts_rad(const Scan& scan, const SpinningSensor& sensor, const RayTable& table) {
     const RayTable& rays = scan.rays;
-    if (nominal_rays.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() ||
-        rays.columns != sensor.columns)
+    if (table.size() == 0 || std::size_t(rays.rows) != sensor.beams.size() || rays.columns != sensor.columns)
         return {};
     std::vector<std::vector<float>> shifts_by_firing(std::size_t(sensor.columns));
     visit_firings(sensor, [&](std::size_t ray, std::size_t firing) {
         if (!(scan.range_m[ray] > 0.0f)) return;
-        const glm::vec3 &nominal = nominal_rays.direction[ray], &measured = rays.direction[ray];
+        const glm::vec3 &nominal = table.direction[ray], &measured = rays.direction[ray];
         // measured azimuth minus nominal azimuth, positive to the left
         const double difference_rad =
             std::atan2(double(nominal.x) * measured.y - double(nominal.y) * measured.x,

@@ -28,20 +28,16 @@ inline std::vector<Beam*> list_beams(Log& sequence) {
     return beams;
 }
 
-/// Calls process_frame(frame) for frames and returns the results. If all frames together
+/// Calls process(frame) for frames and returns the results. If all frames together
 /// have more than max_rays rays, processes only every n-th frame.
 template <class Read>
-auto map_frames(const Log& sequence, const std::vector<int>& frame_indices, std::size_t max_rays,
-                const Read& process_frame) {
+auto map_frames(const Log& log, const std::vector<int>& selected, std::size_t max_rays, const Read& process) {
     std::size_t rays = 0;
-    for (const int position : frame_indices)
-        rays += sequence.frames[std::size_t(position)].scan.range_m.size();
+    for (const int position : selected) rays += log.frames[std::size_t(position)].scan.range_m.size();
     const std::size_t stride = rays / max_rays + 1;
-    std::vector<decltype(process_frame(sequence.frames.front()))> frames((frame_indices.size() + stride - 1) /
-                                                                         stride);
+    std::vector<decltype(process(log.frames.front()))> frames((selected.size() + stride - 1) / stride);
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
-        frames[std::size_t(index)] =
-            process_frame(sequence.frames[std::size_t(frame_indices[std::size_t(index) * stride])]);
+        frames[std::size_t(index)] = process(log.frames[std::size_t(selected[std::size_t(index) * stride])]);
     });
     return frames;
 }

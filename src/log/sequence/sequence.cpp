@@ -349,10 +349,9 @@ WorldReturn locate_return(const Log& sequence, const Frame& frame, std::size_t r
             surface.intensity};
 }
 
-bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
-                      double margin_m) {
+bool is_in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& p, double t_s, double margin_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const BoxTrack& box) {
-        return box.is_observed(t_s) && box.contains_point(point_m, t_s, margin_m) && box.is_moving();
+        return box.is_observed(t_s) && box.contains_point(p, t_s, margin_m) && box.is_moving();
     });
 }
 

@@ -24,14 +24,14 @@ read::PointTable read_point_table(const BagRecording& bag, const CloudTopic& clo
 
 }  // namespace
 
-std::string BagScanProvider::frame_name(std::size_t frame) const {
+std::string BagScans::frame_name(std::size_t frame) const {
     const FrameCloud& cloud = clouds_[frame];
     return fmt::format("{}: topic {}, cloud of frame {}",
                        bag_.file_paths().at(cloud.entry.message_position.file).string(),
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
-LidarPoints BagScanProvider::read_points(std::size_t frame) const {
+LidarPoints BagScans::read_points(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     if (at.entry.parts.empty()) return read_points(frame, at.entry, at.cloud_s);
     LidarPoints all;
@@ -64,7 +64,7 @@ LidarPoints BagScanProvider::read_points(std::size_t frame) const {
     return all;
 }
 
-read::PointTable BagScanProvider::read_table(std::size_t frame, const MessagePosition& position) const {
+read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& position) const {
     const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
     if (const auto sample_entry = lidar.samples.find(position); sample_entry != lidar.samples.end())
         return sample_entry->second;
@@ -75,7 +75,7 @@ read::PointTable BagScanProvider::read_table(std::size_t frame, const MessagePos
     }
 }
 
-LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudEntry& cloud, double time_s) const {
+LidarPoints BagScans::read_points(std::size_t frame, const CloudEntry& cloud, double time_s) const {
     const FrameCloud& at = clouds_[frame];
     const read::PointCloudUnits& units = lidars_[at.lidar].units;
     read::PointTable table = read_table(frame, cloud.message_position);
@@ -110,7 +110,7 @@ LidarPoints BagScanProvider::read_points(std::size_t frame, const CloudEntry& cl
     return points;
 }
 
-Scan BagScanProvider::read_rays(std::size_t frame) const {
+Scan BagScans::read_rays(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
     const packets::PacketRevolution& revolution = clouds.revolutions[at.entry.revolution_index];

@@ -39,14 +39,14 @@ LidarTopic estimate_units(const BagRecording& bag, const CloudTopic& cloud_topic
 /// Function that returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPoseFunction = std::function<Pose(std::size_t lidar, double time_s)>;
 
-class BagScanProvider : public read::ScanProvider {
+class BagScans : public read::ScanProvider {
 public:
     /// Creates a source of scans. It reads a cloud only when its scan is requested.
     /// @param clouds  [frames] cloud of each frame
     /// @param deskewed_by  LiDAR poses with which the points of the bag were
     /// motion-compensated. The source undoes this compensation
-    BagScanProvider(const BagRecording& bag, const std::vector<LidarTopic>& lidars,
-                    const std::vector<FrameCloud>& clouds, LogClock clock, LidarPoseFunction deskewed_by = {})
+    BagScans(const BagRecording& bag, const std::vector<LidarTopic>& lidars,
+             const std::vector<FrameCloud>& clouds, LogClock clock, LidarPoseFunction deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}
 
     std::string frame_name(std::size_t frame_index) const override;

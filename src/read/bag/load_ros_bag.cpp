@@ -63,8 +63,8 @@ public:
                 const Pose pose = vehicle_pose(t_s);
                 return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
             };
-        read::read_scans(sequence_, layout,
-                         BagScanProvider(bag_, lidars_, frames_, poses_.clock, deskewed_by), options);
+        read::read_scans(sequence_, layout, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
+                         options);
         if (!has_poses_) return std::move(sequence_);
         const auto vehicle_pose_in_log_world = [&](double t_s) -> std::optional<Pose> {
             if (!poses_.path->covers_time(t_s)) return std::nullopt;
@@ -295,7 +295,7 @@ private:
     /// covers the times of the frames only on that clock.
     std::vector<Pose> read_user_poses() {
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
-            std::vector<read::HeaderFrame> frames;
+            std::vector<read::LogFrame> frames;
             const double zero_s = 1e-9 * double(poses_.zero_ns - clock_offset_ns);
             for (const FrameCloud& frame : frames_)
                 frames.push_back({frame.number, frame.time_s + zero_s, 0, {}});

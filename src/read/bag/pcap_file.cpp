@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads network captures (pcap, pcapng, also compressed with gzip) with libpcap. The
 // packets of each LiDAR become a topic, whose name is the LiDAR's address and the
-// destination port. A message contains up to kMinStreamPackets packets of a topic. The position of a
-// message is the byte offset of its first packet in the file.
+// destination port. A message contains up to kMinStreamPackets packets of a topic. The
+// position of a message is the byte offset of its first packet in the file.
 #include <arpa/inet.h>
 #include <pcap/pcap.h>
 
@@ -126,21 +126,20 @@ struct Datagram {
 class IpReassembler {
 public:
     /// @return UDP header and payload, if all fragments of the datagram have been added
-    std::optional<Datagram> add_fragment(const IpPacket& packet, std::uint64_t file_offset,
-                                         std::int64_t capture_time_ns) {
+    std::optional<Datagram> add_fragment(const IpPacket& packet, std::uint64_t at, std::int64_t time_ns) {
         const std::string_view payload = packet.payload;
-        Datagram datagram{packet.from, file_offset, capture_time_ns, std::string(payload)};
+        Datagram datagram{packet.from, at, time_ns, std::string(payload)};
         if (packet.offset == 0 && !packet.has_more) return datagram;
         if (packet.offset + payload.size() > kMaxDatagramBytes) return std::nullopt;
         std::erase_if(pending_, [&](const auto& keyed) {
-            return std::abs(capture_time_ns - keyed.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
+            return std::abs(time_ns - keyed.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
         });
         // Erases the oldest pending datagram if there are too many.
         if (!pending_.contains(packet.key) && pending_.size() >= kMaxPending)
             pending_.erase(std::ranges::min_element(
                 pending_, {}, [](const auto& keyed) { return keyed.second.datagram.at; }));
         PendingDatagram& pending = pending_[packet.key];
-        if (pending.parts.empty()) pending.datagram = {packet.from, file_offset, capture_time_ns, {}};
+        if (pending.parts.empty()) pending.datagram = {packet.from, at, time_ns, {}};
         std::string& bytes = pending.datagram.bytes;
         bytes.resize(std::max(bytes.size(), packet.offset + payload.size()));
         std::copy(payload.begin(), payload.end(), bytes.begin() + std::ptrdiff_t(packet.offset));

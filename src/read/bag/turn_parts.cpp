@@ -21,7 +21,8 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 // If the clouds together leave a wider azimuth gap, the LiDAR does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
-// exp(i step)| >= kMaxOverlap, and about as wide as a cloud, |mean step - w| <= kMaxAbutGap mean
+// exp(i step)| >= kMaxOverlap, and about as wide as a cloud, |mean step - w| <=
+// kMaxAbutGap mean
 // step. w is the median width of a cloud, or 2 pi minus this width if that is smaller.
 constexpr double kMaxOverlap = 0.8, kMaxAbutGap = 0.4;
 // A part of a revolution is missing if a time step exceeds this multiple of the usual

@@ -87,13 +87,12 @@ std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::stri
 /// Decides which fields with COUNT 0 exist: some programs write COUNT 0 for padding that
 /// the file does not have, others for padding that it has.
 /// @param record  values per point (text) or bytes per point that the file has
-void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool is_text,
-                   const std::string& where) {
+void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool text, const std::string& where) {
     std::size_t known = 0, of_empty = 0, n_empty = 0;
     for (const PointField& field : fields) {
-        known += (is_text ? 1 : field.size) * field.count;
+        known += (text ? 1 : field.size) * field.count;
         n_empty += field.count == 0;
-        of_empty += field.count == 0 ? (is_text ? 1 : field.size) : 0;
+        of_empty += field.count == 0 ? (text ? 1 : field.size) : 0;
     }
     const std::size_t more = record - std::min(known, record), missing = more > kMostPadding ? 0 : more;
     const bool has_one_value_each = missing == of_empty;
@@ -101,7 +100,7 @@ void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool is_
         fail(
             "{}: {} fields have COUNT 0, and a point has {} more {} than the other fields, expected 0 or {} "
             "more",
-            where, n_empty, missing, is_text ? "values" : "bytes", of_empty);
+            where, n_empty, missing, text ? "values" : "bytes", of_empty);
     std::erase_if(fields, [&](PointField& field) {
         if (field.count > 0) return false;
         if (has_one_value_each) field.count = 1;

@@ -69,7 +69,8 @@ std::size_t find_exact_field(std::string_view field_name) {
     return std::size_t(row - std::begin(kFieldNames));
 }
 
-/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from kNamePrefixes.
+/// Returns kNotRead for unknown fields. Ignores upper case, and prefixes from
+/// kNamePrefixes.
 std::size_t find_field_index(std::string_view field_name) {
     std::string name(trim(field_name));
     std::ranges::transform(name, name.begin(),

@@ -34,10 +34,9 @@ std::vector<PointField> default_fields(std::size_t n_values_per_line,
 }
 
 /// Parses the fields of a structured numpy array: [('x', '<f4'), ...].
-class NumpyFieldListParser {
+class NumpyFields {
 public:
-    NumpyFieldListParser(std::string_view text, const std::string& location)
-        : text_(text), where_(location) {}
+    NumpyFields(std::string_view text, const std::string& location) : text_(text), where_(location) {}
 
     std::vector<PointField> parse_fields() {
         std::vector<PointField> fields;
@@ -169,9 +168,8 @@ PointTable parse_npy(const SharedBytes& file, const std::string& where) {
     const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
     if (fields_at == header.npos || shape_at == header.npos)
         fail("{}: the npy header has no descr or no shape, expected both", where);
-    const std::vector<PointField> fields =
-        NumpyFieldListParser(header.substr(fields_at + 8), where).parse_fields();
-    const std::size_t n = NumpyFieldListParser(header.substr(shape_at + 8), where).parse_shape();
+    const std::vector<PointField> fields = NumpyFields(header.substr(fields_at + 8), where).parse_fields();
+    const std::size_t n = NumpyFields(header.substr(shape_at + 8), where).parse_shape();
     return table_of_records(file.share_part(bytes.substr(start + length)), fields, n,
                             PointMemoryLayout::by_point, where);
 }

@@ -164,7 +164,7 @@ std::vector<Pose> read_matrices(const fs::path& pose_file, const std::vector<int
 
 std::vector<Pose> read_user_poses(const fs::path& pose_file, const std::vector<int>& frame_numbers,
                                   const std::vector<double>& times_s, Notes& notes) {
-    std::vector<read::HeaderFrame> heads;
+    std::vector<read::LogFrame> heads;
     for (std::size_t i = 0; i < frame_numbers.size(); ++i)
         heads.push_back({frame_numbers[i], times_s[i], 0, {}});
     const auto poses = read::load_poses(pose_file, heads, nullptr, notes);

@@ -170,9 +170,9 @@ int find_frame_lidar(const JsonField& frame_entry, const std::vector<HeaderLidar
     return int(at - lidars.begin());
 }
 
-std::vector<HeaderFrame> read_frame_list(const JsonField& frame_list, const std::vector<HeaderLidar>& lidars,
-                                         const fs::path& folder) {
-    std::vector<HeaderFrame> frames;
+std::vector<LogFrame> read_frame_list(const JsonField& frame_list, const std::vector<HeaderLidar>& lidars,
+                                      const fs::path& folder) {
+    std::vector<LogFrame> frames;
     for (std::size_t i = 0; i < frame_list.size(); ++i) {
         const JsonField entry = frame_list.at(i);
         entry.check_members({"number", "time_s", "lidar", "scan"});
@@ -191,9 +191,9 @@ bool is_text_file(const fs::path& file) { return file.extension() == ".csv" || f
 bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
 
 /// Lists the scan files of each LiDAR, sorted by name.
-std::vector<HeaderFrame> list_folder_frames(double rate_hz, const std::vector<HeaderLidar>& lidars,
-                                            const fs::path& folder) {
-    std::vector<HeaderFrame> frames;
+std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<HeaderLidar>& lidars,
+                                         const fs::path& folder) {
+    std::vector<LogFrame> frames;
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
         std::map<std::string, fs::path> scan_of_stem;
@@ -227,14 +227,14 @@ std::vector<HeaderFrame> list_folder_frames(double rate_hz, const std::vector<He
 }
 
 /// Scans with regular gaps, such as every fifth scan, are accepted.
-std::vector<std::string> note_missing_scans(const std::vector<HeaderFrame>& frames,
+std::vector<std::string> note_missing_scans(const std::vector<LogFrame>& frames,
                                             const std::vector<HeaderLidar>& lidars) {
     const char* consequence =
         "with \"rate_hz\", the position of a scan in its folder determines its time and its pose; use the "
         "key \"frames\" in sequence.json if scans are missing";
     std::vector<std::string> notes;
     std::vector<std::vector<std::string>> stems(lidars.size());
-    for (const HeaderFrame& frame : frames)
+    for (const LogFrame& frame : frames)
         stems[std::size_t(frame.lidar)].push_back(frame.scan.stem().string());
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         std::vector<int> numbers;
@@ -310,7 +310,7 @@ SequenceHeader read_header(const fs::path& folder, double default_max_range_m) {
     if (root.has_member("rate_hz"))
         std::ranges::copy(note_missing_scans(head.frames, head.lidars), std::back_inserter(head.notes));
     std::stable_sort(head.frames.begin(), head.frames.end(),
-                     [](const HeaderFrame& first, const HeaderFrame& second) {
+                     [](const LogFrame& first, const LogFrame& second) {
                          return std::pair(first.time_s, first.lidar) < std::pair(second.time_s, second.lidar);
                      });
     head.motion_compensated = read_flag_or(root, "motion_compensated", false);

@@ -51,7 +51,7 @@ struct HeaderLidar : LidarScanLayout {
     std::string scans;  ///< folder with the scan files, if sequence.json does not list frames
 };
 
-struct HeaderFrame {
+struct LogFrame {
     int number = 0;
     double time_s = 0.0;
     int lidar = 0;
@@ -63,7 +63,7 @@ struct SequenceHeader {
     std::int64_t start_unix_ns = 0;
     Notes notes;
     std::vector<HeaderLidar> lidars;
-    std::vector<HeaderFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
+    std::vector<LogFrame> frames;  ///< all frames of the log, sorted by time and LiDAR
     bool motion_compensated = false;
     PointFileUnits units;
     std::optional<glm::dvec3> world_offset_m;
@@ -83,15 +83,15 @@ SequenceHeader read_header(const std::filesystem::path& folder, double default_m
 /// @param read_scan_pairs_for_pose_check  reads pairs of scans that confirm a meaning;
 /// may be null
 std::optional<std::vector<Pose>> load_poses(const std::filesystem::path& file,
-                                            const std::vector<HeaderFrame>& frames,
+                                            const std::vector<LogFrame>& frames,
                                             const ScanPairReader& read_scan_pairs_for_pose_check,
                                             Notes& notes);
 
 /// Reads boxes.json, if it exists. Ignores labels outside the time of the loaded frames.
 /// @param all_frames  all frames of the log, because labels can refer to frames by number
 std::vector<BoxTrack> read_box_tracks(const std::filesystem::path& box_file,
-                                      const std::vector<HeaderFrame>& loaded_frames,
-                                      const std::vector<HeaderFrame>& all_frames);
+                                      const std::vector<LogFrame>& loaded_frames,
+                                      const std::vector<LogFrame>& all_frames);
 
 /// Reads the scans of all frames from files, as the other read_scans() does. Estimates
 /// missing units.

@@ -31,10 +31,10 @@ std::size_t count_firsts(const LidarPoints& points) {
 }
 
 /// Reads the scans of a folder from their files.
-class FolderScanProvider : public ScanProvider {
+class FolderScans : public ScanProvider {
 public:
-    FolderScanProvider(const Log& sequence, const ScanLayout& layout, const PointFileUnits& units,
-                       const std::vector<fs::path>& files)
+    FolderScans(const Log& sequence, const ScanLayout& layout, const PointFileUnits& units,
+                const std::vector<fs::path>& files)
         : sequence_(sequence),
           layout_(layout),
           units_(units),
@@ -284,7 +284,7 @@ void read_scans(Log& sequence, const ScanLayout& layout, const ScanProvider& sca
 void read_scans(Log& sequence, const ScanLayout& layout, PointFileUnits units,
                 const std::vector<fs::path>& scan_files, const DatasetOptions& options) {
     fill_units(units, scan_files, sequence.notes);
-    read_scans(sequence, layout, FolderScanProvider(sequence, layout, units, scan_files), options);
+    read_scans(sequence, layout, FolderScans(sequence, layout, units, scan_files), options);
 }
 
 }  // namespace relidar::read

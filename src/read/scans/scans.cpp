@@ -20,7 +20,8 @@ constexpr std::size_t kMostReturns = 8;
 constexpr int kMostTicks = 1 << 16;     // maximum number of azimuth steps per sweep (0.005 degrees per step)
 constexpr double kLeastRange_m = 1e-3;  // A point nearer to the origin has no defined direction.
 
-/// [rings x firings] index of the point that is assigned to each ray; kNoPointIndex: no return
+/// [rings x firings] index of the point that is assigned to each ray; kNoPointIndex: no
+/// return
 struct RayPointIndices {
     std::size_t n_firings;
     std::vector<int> point;
@@ -108,8 +109,8 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point(i);
     }
     std::vector<RayPointIndices> by_return;
-    /// [points] firing that measured each point; kNoPointIndex if the point is too near or too
-    /// far
+    /// [points] firing that measured each point; kNoPointIndex if the point is too near
+    /// or too far
     std::vector<int> firing_of;
 
 private:

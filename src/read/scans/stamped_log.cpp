@@ -70,10 +70,9 @@ std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
 
 /// Reads point files. Adds missing values such as rings. Rotates the points to relidar's
 /// axes.
-class StampedScanProvider : public read::ScanProvider {
+class StampedScans : public read::ScanProvider {
 public:
-    StampedScanProvider(const Log& sequence, const std::vector<fs::path>& files,
-                        const PointFileFormat& format)
+    StampedScans(const Log& sequence, const std::vector<fs::path>& files, const FileFormat& format)
         : sequence_(sequence), files_(files), format_(format) {}
 
     std::string frame_name(std::size_t index) const override { return files_[index].string(); }
@@ -99,10 +98,10 @@ public:
 private:
     const Log& sequence_;
     const std::vector<fs::path>& files_;
-    const PointFileFormat& format_;
+    const FileFormat& format_;
 };
 
-std::vector<LidarPoints> read_sample_scans(const StampedScanProvider& scan_provider, std::size_t n_scans) {
+std::vector<LidarPoints> read_sample_scans(const StampedScans& scan_provider, std::size_t n_scans) {
     std::vector<LidarPoints> samples;
     read::read_samples(n_scans, [&](std::size_t i) {
         samples.push_back(scan_provider.read_points(i));
@@ -135,16 +134,15 @@ bool match_beams(const std::vector<LidarPoints>& sample_scans, const FittedSenso
 /// Returns a sensor with the beams in `format`, fitted to the points. Returns nothing if
 /// the points come from another LiDAR. Also returns nothing if their azimuths are not on
 /// a regular grid, for example after motion compensation.
-std::optional<SpinningSensor> fit_nominal(const std::vector<LidarPoints>& sample_scans,
-                                          const PointFileFormat& format) {
-    if (sample_scans.empty()) return std::nullopt;
+std::optional<SpinningSensor> fit_nominal(const std::vector<LidarPoints>& scans, const FileFormat& format) {
+    if (scans.empty()) return std::nullopt;
     FittedSensor fit;
     try {
-        fit = fit_spinning_sensor(sample_scans, format.sweep_duration_s);
+        fit = fit_spinning_sensor(scans, format.sweep_duration_s);
     } catch (const DataError&) {
         return std::nullopt;
     }
-    if (!match_beams(sample_scans, fit)) return std::nullopt;
+    if (!match_beams(scans, fit)) return std::nullopt;
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
@@ -293,9 +291,9 @@ void check_pose_source(const fs::path& pose_file, const DatasetOptions& options)
          pose_file.string());
 }
 
-void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, PointFileFormat format,
+void read_frame_scans(Log& sequence, const std::vector<fs::path>& scan_files, FileFormat format,
                       const DatasetOptions& options) {
-    const StampedScanProvider source(sequence, scan_files, format);
+    const StampedScans source(sequence, scan_files, format);
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     read::ScanLayout layout{.lidars = {{.sweep_duration_s = format.sweep_duration_s}}};
     if (!format.beams.empty()) {

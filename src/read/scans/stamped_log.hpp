@@ -76,7 +76,7 @@ std::vector<std::filesystem::path> add_frames(Log& sequence, const StampedLog& l
 /// @throws DataError if the log has no pose file and the user selects no other poses
 void check_pose_source(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
-struct PointFileFormat {
+struct FileFormat {
     read::PointFileUnits units;
     double sweep_duration_s = 0.1;  ///< duration of a sweep in seconds; used if the points have no times
     double turned_rad = 0.0;        ///< rotation about z from the axes in the files to relidar's axes
@@ -91,8 +91,8 @@ struct PointFileFormat {
 };
 /// Reads the scans of all frames. Fits the beams of the sensor to the points.
 /// @param scan_files  [frames] scan file of each frame
-void read_frame_scans(Log& sequence, const std::vector<std::filesystem::path>& scan_files,
-                      PointFileFormat format, const DatasetOptions& options);
+void read_frame_scans(Log& sequence, const std::vector<std::filesystem::path>& scan_files, FileFormat format,
+                      const DatasetOptions& options);
 
 /// Estimates which intensity value in the files must be converted to intensity 1.
 /// @param scan_files  scan files; only some are read, and unreadable files are skipped

@@ -155,7 +155,7 @@ Log load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = read::add_frames(sequence, log, options);
-    read::PointFileFormat format;
+    read::FileFormat format;
     format.units.columns = {"x", "y", "z", "intensity", "ring", "time"};
     format.units.intensity_max = kMaxIntensity;
     format.turned_rad = -forward.azimuth_rad();

@@ -180,7 +180,7 @@ std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
 
 /// Returns a hint if poses do not cover the frames: another unit, leap seconds or another
 /// clock.
-std::string clock_hint(const PoseTrack& track, const std::vector<HeaderFrame>& frames, bool is_plain_folder) {
+std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
     // maximum relative difference of equal times or durations in different units
     constexpr double kMaxRelativeDifference = 0.3;
     const double pose_span_s = track.time_s.back() - track.time_s.front(),
@@ -215,10 +215,10 @@ std::string clock_hint(const PoseTrack& track, const std::vector<HeaderFrame>& f
            "the time of the first scan from the times of the poses";
 }
 
-std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<HeaderFrame>& frames,
+std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<LogFrame>& frames,
                                   const std::string& name, bool is_plain_folder) {
     std::vector<Pose> poses;
-    for (const HeaderFrame& frame : frames) {
+    for (const LogFrame& frame : frames) {
         if (frame.time_s < track.time_s.front() - kMostBeyond_s ||
             frame.time_s > track.time_s.back() + kMostBeyond_s)
             fail("{}: found poses from {} to {} s, but frame {} is at {} s, expected poses for all frames{}",
@@ -231,10 +231,10 @@ std::vector<Pose> poses_at_frames(const PoseTrack& track, const std::vector<Head
 
 /// Notes poses that are much farther apart than the scans, usually because of a wrong
 /// unit.
-void note_sparse_poses(const PoseTrack& track, const std::vector<HeaderFrame>& frames,
-                       const std::string& name, Notes& notes) {
+void note_sparse_poses(const PoseTrack& track, const std::vector<LogFrame>& frames, const std::string& name,
+                       Notes& notes) {
     std::vector<double> times_s;
-    for (const HeaderFrame& frame : frames)
+    for (const LogFrame& frame : frames)
         if (frame.lidar == frames.front().lidar) times_s.push_back(frame.time_s);
     if (track.time_s.size() < 2 || times_s.size() < 2) return;
     const double pose_step_s = median_interval_s(track.time_s), frame_step_s = median_interval_s(times_s);
@@ -245,11 +245,11 @@ void note_sparse_poses(const PoseTrack& track, const std::vector<HeaderFrame>& f
                         name, pose_step_s, frame_step_s));
 }
 
-double label_time_s(const JsonField& label, const std::vector<HeaderFrame>& all_frames) {
+double label_time_s(const JsonField& label, const std::vector<LogFrame>& all_frames) {
     if (label.has_member("time_s")) return label.at("time_s").number_in(-kMaxTrackValue, kMaxTrackValue);
     const std::int64_t number = label.at("frame").integer_in(0, 99999999);
     const auto frame = std::find_if(all_frames.begin(), all_frames.end(),
-                                    [&](const HeaderFrame& f) { return f.number == number; });
+                                    [&](const LogFrame& f) { return f.number == number; });
     if (frame == all_frames.end())
         label.at("frame").reject(fmt::format("found frame {}", number),
                                  "expected the number of a frame of the log");
@@ -269,7 +269,7 @@ Pose read_label_pose(const JsonField& label) {
     return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 
-BoxLabel read_box_label(const JsonField& label, const std::vector<HeaderFrame>& all_frames) {
+BoxLabel read_box_label(const JsonField& label, const std::vector<LogFrame>& all_frames) {
     label.check_members(
         {"track", "category", "time_s", "frame", "size", "position", "yaw_deg", "quaternion"});
     const auto size = label.at("size").numbers<3>();
@@ -282,7 +282,7 @@ BoxLabel read_box_label(const JsonField& label, const std::vector<HeaderFrame>& 
 
 }  // namespace
 
-std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<HeaderFrame>& frames,
+std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std::vector<LogFrame>& frames,
                                             const ScanPairReader& read_scan_pairs_for_pose_check,
                                             Notes& notes) {
     if (!does_path_exist(pose_file)) return std::nullopt;
@@ -308,7 +308,7 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
                                bool(read_scan_pairs_for_pose_check));
     }
     std::vector<int> numbers;
-    for (const HeaderFrame& frame : frames) numbers.push_back(frame.number);
+    for (const LogFrame& frame : frames) numbers.push_back(frame.number);
     std::vector<Pose> poses = kitti::read_matrices(pose_file, numbers);
     PoseTrack track;  // one pose per time; LiDARs of the same sweep share a pose
     for (std::size_t i = 0; i < frames.size(); ++i)
@@ -320,8 +320,8 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
     return poses;
 }
 
-std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<HeaderFrame>& loaded_frames,
-                                      const std::vector<HeaderFrame>& all_frames) {
+std::vector<BoxTrack> read_box_tracks(const fs::path& path, const std::vector<LogFrame>& loaded_frames,
+                                      const std::vector<LogFrame>& all_frames) {
     if (!does_path_exist(path)) return {};
     const std::string file = path.string();
     const nlohmann::json json = parse_json(read_text_file(file), file);

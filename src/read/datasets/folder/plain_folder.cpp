@@ -18,15 +18,15 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using read::HeaderFrame;
+using read::LogFrame;
 
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
-std::vector<HeaderFrame> select_frames(const read::SequenceHeader& header, const DatasetOptions& options,
-                                       Notes& notes) {
-    std::vector<HeaderFrame> frames;
+std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const DatasetOptions& options,
+                                    Notes& notes) {
+    std::vector<LogFrame> frames;
     std::size_t n_missing = 0;
-    for (const HeaderFrame& frame : header.frames) {
+    for (const LogFrame& frame : header.frames) {
         if (!options.frames.contains(frame.number)) continue;
         const bool there = does_path_exist(frame.scan);
         if (!there && !options.allow_missing_scans)
@@ -43,7 +43,7 @@ std::vector<HeaderFrame> select_frames(const read::SequenceHeader& header, const
     return frames;
 }
 
-std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, const HeaderFrame& frame) {
+std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, const LogFrame& frame) {
     read::PointFileUnits units = header.units;
     units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
     const read::HeaderLidar& lidar = header.lidars[std::size_t(frame.lidar)];
@@ -57,21 +57,21 @@ std::vector<glm::vec3> read_image_points(const read::SequenceHeader& header, con
 
 /// Reads consecutive scans of the first LiDAR, evenly spread over the log. Skips
 /// unreadable files.
-read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<HeaderFrame>& frames) {
+read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::vector<LogFrame>& frames) {
     constexpr std::size_t kScanPairs = 4;
     read::ScanPairs pairs;
-    std::vector<const HeaderFrame*> of_first;
-    for (const HeaderFrame& frame : frames)
+    std::vector<const LogFrame*> of_first;
+    for (const LogFrame& frame : frames)
         if (frame.lidar == 0) of_first.push_back(&frame);
     const Pose& mounting = header.lidars[0].lidar.vehicle_from_sensor;
-    const auto read_points = [&](const HeaderFrame& frame) {
+    const auto read_points = [&](const LogFrame& frame) {
         if (read::is_image_file(frame.scan)) return read_image_points(header, frame);
         const read::PointTable table = read::read_point_file(frame.scan, header.units.columns);
         read::PointFileUnits units = header.units;
         units.intensity_max = 1.0;  // any scale works, because the intensities are ignored here
         return read::convert_table(table, units, frame.time_s, frame.scan.string()).position_m;
     };
-    const auto read = [&](const HeaderFrame& frame) {
+    const auto read = [&](const LogFrame& frame) {
         std::vector<glm::vec3> points = read_points(frame);
         for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
         return points;
@@ -92,7 +92,7 @@ read::ScanPairs read_scan_pairs(const read::SequenceHeader& header, const std::v
 /// Returns identity poses if poses.txt is missing or damaged and the user selected other
 /// poses.
 std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::SequenceHeader& header,
-                                     const std::vector<HeaderFrame>& frames, const DatasetOptions& options,
+                                     const std::vector<LogFrame>& frames, const DatasetOptions& options,
                                      Notes& notes) {
     const fs::path file = folder / read::kPosesFile;
     const auto pairs = [&] { return read_scan_pairs(header, frames); };
@@ -116,7 +116,7 @@ std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::Sequenc
 }
 
 /// The boxes move with the vehicle.
-void replace_poses(Log& sequence, const read::SequenceHeader& header, const std::vector<HeaderFrame>& frames,
+void replace_poses(Log& sequence, const read::SequenceHeader& header, const std::vector<LogFrame>& frames,
                    const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (pose_file == kNoPoses) {
@@ -147,7 +147,7 @@ Log load_folder(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.notes = head.notes;
     sequence.lidars.clear();
     for (const read::HeaderLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
-    const std::vector<HeaderFrame> frames = select_frames(head, options, sequence.notes);
+    const std::vector<LogFrame> frames = select_frames(head, options, sequence.notes);
     const std::vector<Pose> poses = read_vehicle_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {

@@ -32,9 +32,9 @@ struct PolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
-std::array<PolarPoints, kRings> collect_polar(const std::vector<const ScanWithRings*>& scans) {
+std::array<PolarPoints, kRings> collect_polar(const std::vector<const RingScan*>& scans) {
     std::array<PolarPoints, kRings> polar;
-    for (const ScanWithRings* scan : scans)
+    for (const RingScan* scan : scans)
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
@@ -130,9 +130,9 @@ RingPhases fit_phases(const std::array<PolarPoints, kRings>& polar_rings, double
 
 /// Uses the mean azimuth step within a beam. Ignores steps longer than 1.5 medians, which
 /// contain dropped rays.
-int estimate_firings(const std::vector<const ScanWithRings*>& scans) {
+int estimate_firings(const std::vector<const RingScan*>& scans) {
     std::vector<double> steps;
-    for (const ScanWithRings* scan : scans)
+    for (const RingScan* scan : scans)
         for (std::size_t i = 1; i < scan->points.size(); ++i) {
             const glm::dvec4 a(scan->points[i - 1]), b(scan->points[i]);
             const double step = std::atan2(a.x * b.y - a.y * b.x, a.x * b.x + a.y * b.y);
@@ -151,7 +151,7 @@ int estimate_firings(const std::vector<const ScanWithRings*>& scans) {
 
 using BeamTicks = std::vector<std::vector<int>>;
 
-BeamTicks compute_ticks(const ScanWithRings& scan, const FiringGrid& firing_grid) {
+BeamTicks compute_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
     BeamTicks ticks(kRings);
     std::vector<BeamRays> beams;
     for (std::size_t k = 0; k < kRings; ++k)
@@ -247,7 +247,7 @@ std::vector<Beam> FiringGrid::make_beams(const BeamCones& cones) const {
     return beams;
 }
 
-FiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
+FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
     // minimum concentration of azimuths at encoder ticks
     constexpr double kMinConcentration = 0.8;
     const std::array<PolarPoints, kRings> polar = collect_polar(scans);
@@ -267,7 +267,7 @@ FiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
     }
     if (!lattice.every_tick) {
         std::vector<BeamTicks> ticks;
-        for (const ScanWithRings* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
+        for (const RingScan* scan : scans) ticks.push_back(compute_ticks(*scan, lattice));
         const std::vector<int> shift = find_tick_shifts(ticks, lattice.head.n_ticks);
         for (std::size_t k = 0; k < kRings; ++k)
             lattice.offset_rad[k] += shift[k] * lattice.head.tick_step_rad();
@@ -280,7 +280,7 @@ FiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans) {
     return lattice;
 }
 
-std::vector<int> find_fired_ticks(const ScanWithRings& scan, const FiringGrid& firing_grid) {
+std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
     const auto pattern = flag_fired_ticks({compute_ticks(scan, firing_grid)}, std::vector<int>(kRings, 0),
                                           firing_grid.head.n_ticks, kMinLasers);
     std::vector<int> firings;

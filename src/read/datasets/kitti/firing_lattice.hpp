@@ -34,10 +34,10 @@ struct FiringGrid {
 };
 
 /// If the azimuths fit no grid, returns equal steps and zero offsets.
-FiringGrid fit_firing_grid(const std::vector<const ScanWithRings*>& scans);
+FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans);
 
 /// Returns the ticks at which the head fired, in order of time: clockwise from azimuth
 /// +pi.
-std::vector<int> find_fired_ticks(const ScanWithRings& scan, const FiringGrid& firing_grid);
+std::vector<int> find_fired_ticks(const RingScan& scan, const FiringGrid& firing_grid);
 
 }  // namespace relidar::kitti

@@ -120,7 +120,7 @@ void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSampl
 }
 
 /// Returns the ring whose cone has the smallest median distance from consecutive points.
-int find_nearest_ring(const ScanWithRings& scan, std::size_t begin, std::size_t end, const BeamCones& cones) {
+int find_nearest_ring(const RingScan& scan, std::size_t begin, std::size_t end, const BeamCones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
     double least = INFINITY;
@@ -140,8 +140,8 @@ int find_nearest_ring(const ScanWithRings& scan, std::size_t begin, std::size_t 
 
 }  // namespace
 
-ScanWithRings split_rings(std::vector<glm::vec4> points) {
-    ScanWithRings scan;
+RingScan split_rings(std::vector<glm::vec4> points) {
+    RingScan scan;
     scan.points = std::move(points);
     scan.ring.resize(scan.points.size());
     int ring = 0;
@@ -156,10 +156,10 @@ ScanWithRings split_rings(std::vector<glm::vec4> points) {
     return scan;
 }
 
-BeamCones fit_ring_cones(const std::vector<const ScanWithRings*>& scans, const std::string& where) {
+BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::string& where) {
     std::array<std::vector<ConeSample>, kRings> samples;
     int most = 0;
-    for (const ScanWithRings* scan : scans) {
+    for (const RingScan* scan : scans) {
         most = std::max(most, scan->n_rings);
         // A stray point can look like the start of a 65th ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
@@ -179,7 +179,7 @@ BeamCones fit_ring_cones(const std::vector<const ScanWithRings*>& scans, const s
     return cones;
 }
 
-void correct_rings(ScanWithRings& scan, const BeamCones& cones) {
+void correct_rings(RingScan& scan, const BeamCones& cones) {
     const std::size_t n = scan.points.size();
     if (scan.n_rings != kRings && scan.n_rings != kRings + 1)
         for (std::size_t begin = 0; begin < n;) {

@@ -17,7 +17,7 @@ namespace relidar::kitti {
 
 constexpr int kRings = 64;
 
-struct ScanWithRings {
+struct RingScan {
     std::vector<glm::vec4> points;  ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<std::uint8_t> ring;
     int n_rings = 0;                    ///< number of rings in the file; 64 in a complete scan
@@ -35,14 +35,14 @@ using BeamCones = std::array<BeamCone, kRings>;
 /// The file stores ring after ring, each starting at the forward direction. A new ring
 /// begins where the azimuth changes from the 4th to the 1st quadrant. Ring numbers are
 /// limited to 63.
-ScanWithRings split_rings(std::vector<glm::vec4> points);
+RingScan split_rings(std::vector<glm::vec4> points);
 
 /// Uses robust least squares and all complete scans (64 rings).
 /// @throws DataError if no scan is complete, or too few rings have enough returns
-BeamCones fit_ring_cones(const std::vector<const ScanWithRings*>& scans, const std::string& where);
+BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::string& where);
 
 /// Moves points to the ring whose cone is nearer. Counting rings fails if a beam has no
 /// returns, or if the last point of a ring was rounded to azimuth 0.
-void correct_rings(ScanWithRings& scan, const BeamCones& cones);
+void correct_rings(RingScan& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

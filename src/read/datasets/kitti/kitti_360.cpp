@@ -29,7 +29,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-struct RequestedDrive {
+struct DriveRequest {
     std::string name;  ///< name of its folders
     FrameRange frames;
     std::vector<int> test_frames = {};  ///< see DriveFrames
@@ -45,11 +45,11 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     return names;
 }
 
-RequestedDrive choose_drive(const fs::path& folder, const DatasetOptions& options) {
+DriveRequest choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
     const DriveFrames part = find_drive(options, kKitti360Benchmark);
     if (part.drive.empty()) {
-        RequestedDrive drive{drives.front(), part.frames};
+        DriveRequest drive{drives.front(), part.frames};
         if (drives.size() > 1)
             drive.notes = {fmt::format(
                 "the first of {} drives is read; use dataset.sequence to select another one", drives.size())};
@@ -114,7 +114,7 @@ void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std:
 
 /// Boxes are in the world of the dataset, so they are left out if only the user has
 /// poses.
-void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const RequestedDrive& drive,
+void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveRequest& drive,
                           const std::vector<int>& numbers, const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_frame_times(
         dataset_folder / "data_3d_raw" / drive.name / "velodyne_points/timestamps.txt", numbers, sequence);
@@ -139,7 +139,7 @@ void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const R
 Log load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
     require_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
     const fs::path folder = fs::canonical(log_folder);
-    const RequestedDrive drive = choose_drive(folder / "data_3d_raw", options);
+    const DriveRequest drive = choose_drive(folder / "data_3d_raw", options);
     const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
     const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
 

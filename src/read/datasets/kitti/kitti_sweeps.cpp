@@ -26,24 +26,23 @@ namespace {
 // scans to which elevations are fitted, and to which the grid of firings is fitted
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
-std::vector<const ScanWithRings*> pick_even_scans(const std::vector<ScanWithRings>& scans,
-                                                  std::size_t count) {
-    std::vector<const ScanWithRings*> some;
+std::vector<const RingScan*> pick_even_scans(const std::vector<RingScan>& scans, std::size_t count) {
+    std::vector<const RingScan*> some;
     count = std::min(count, scans.size());
     for (std::size_t i = 0; i < count; ++i) some.push_back(&scans[i * scans.size() / count]);
     return some;
 }
 
-ScanWithRings read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& label_folder) {
+RingScan read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& label_folder) {
     ScanPoints scan = read_kitti_scan(file, label_folder.empty()
                                                 ? label_folder
                                                 : label_folder / file.filename().replace_extension(".label"));
-    ScanWithRings raw = split_rings(std::move(scan.points));
+    RingScan raw = split_rings(std::move(scan.points));
     raw.classes = std::move(scan.classes);
     return raw;
 }
 
-LidarPoints to_lidar_points(const ScanWithRings& raw_scan) {
+LidarPoints to_lidar_points(const RingScan& raw_scan) {
     LidarPoints points;
     for (const glm::vec4& p : raw_scan.points) {
         points.position_m.emplace_back(p);
@@ -55,7 +54,7 @@ LidarPoints to_lidar_points(const ScanWithRings& raw_scan) {
 }
 
 /// In a complete scan, the azimuth of the last point is near 360 degrees.
-double last_azimuth_deg(const ScanWithRings& scan) {
+double last_azimuth_deg(const RingScan& scan) {
     if (scan.points.empty()) return 0.0;
     // A stray point after the last ring counts as a 65th ring, so the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
@@ -68,8 +67,8 @@ double last_azimuth_deg(const ScanWithRings& scan) {
 /// dropped rays.
 class DamagedScanDetector {
 public:
-    explicit DamagedScanDetector(const std::vector<ScanWithRings>& raw) {
-        for (const ScanWithRings& scan : raw) {
+    explicit DamagedScanDetector(const std::vector<RingScan>& raw) {
+        for (const RingScan& scan : raw) {
             n_points_.push_back(scan.points.size());
             n_rings_.push_back(scan.n_rings);
             end_deg_.push_back(last_azimuth_deg(scan));
@@ -126,14 +125,14 @@ private:
 /// Scales intensities of 0 to 255 to the range 0 to 1.
 /// @return a note; empty if nothing was scaled
 /// @throws DataError if the intensities are in neither range
-std::string scale_intensities(std::vector<ScanWithRings>& raw_scans, const std::string& folder_name) {
+std::string scale_intensities(std::vector<RingScan>& raw_scans, const std::string& folder_name) {
     constexpr float kMaxByte = 255.0f;
     // Intensities with fractions up to this maximum could be percentages, and are
     // rejected.
     constexpr float kMaxPercent = 100.0f;
     float lowest = 0.0f, highest = 0.0f;
     bool are_integers = true;
-    for (const ScanWithRings& scan : raw_scans)
+    for (const RingScan& scan : raw_scans)
         for (const glm::vec4& p : scan.points) {
             lowest = std::min(lowest, p.w);
             highest = std::max(highest, p.w);
@@ -143,31 +142,29 @@ std::string scale_intensities(std::vector<ScanWithRings>& raw_scans, const std::
     if (lowest < 0.0f || highest > kMaxByte || (!are_integers && highest <= kMaxPercent))
         fail("{}: found intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder_name,
              lowest, highest);
-    for (ScanWithRings& scan : raw_scans)
+    for (RingScan& scan : raw_scans)
         for (glm::vec4& p : scan.points) p.w /= kMaxByte;
     return fmt::format("intensities are {} up to {}, so they are divided by 255",
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
 /// Prevents allocating too much memory for rays.
-void check_ray_counts(const std::vector<ScanWithRings>& raw_scans, const FiringGrid& firing_grid,
-                      const std::string& where) {
+void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid, const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
-    if (firing_grid.head.n_ticks > kMostFirings)
+    if (grid.head.n_ticks > kMostFirings)
         fail(
             "{}: the azimuths of neighbouring points differ by only {:.2g} degrees, which means {} firings "
             "per turn, expected at most {} firings per turn of an HDL-64E",
-            where, 360.0 / firing_grid.head.n_ticks, firing_grid.head.n_ticks, kMostFirings);
+            where, 360.0 / grid.head.n_ticks, grid.head.n_ticks, kMostFirings);
     std::size_t n_points = 0;
-    for (const ScanWithRings& scan : raw_scans) n_points += scan.points.size();
-    const std::size_t n_rays =
-        raw_scans.size() * kRings * std::size_t(firing_grid.every_tick ? firing_grid.head.n_ticks : 1);
+    for (const RingScan& scan : scans) n_points += scan.points.size();
+    const std::size_t n_rays = scans.size() * kRings * std::size_t(grid.every_tick ? grid.head.n_ticks : 1);
     if (n_rays > kMostRaysAPoint * n_points)
         fail(
             "{}: found only {} points in {} sweeps with {} rays each, expected complete sweeps with at least "
             "one point per {} rays",
-            where, n_points, raw_scans.size(), n_rays / raw_scans.size(), kMostRaysAPoint);
+            where, n_points, scans.size(), n_rays / scans.size(), kMostRaysAPoint);
 }
 
 }  // namespace
@@ -179,7 +176,7 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
     const auto file_of = [&](std::size_t at) {
         return scan_folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, file_name_digits);
     };
-    std::vector<ScanWithRings> raw(sequence.frames.size());
+    std::vector<RingScan> raw(sequence.frames.size());
     progress_for(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.guard(at, [&] { raw[at] = read_raw_scan(file_of(at), label_folder); });
     });

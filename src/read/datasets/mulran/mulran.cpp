@@ -135,8 +135,8 @@ Pose lidar_mount() {
     return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
-read::PointFileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
-    read::PointFileFormat format;
+read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
+    read::FileFormat format;
     const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});
     format.units.intensity_max = brightness.max;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);

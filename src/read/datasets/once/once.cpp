@@ -143,7 +143,7 @@ Log load_once(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensorName, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = read::add_frames(sequence, log, options);
-    read::PointFileFormat format;
+    read::FileFormat format;
     const read::IntensityScale brightness = read::estimate_dataset_scale(files, {});
     format.units.intensity_max = brightness.max;
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);

@@ -122,7 +122,7 @@ std::optional<InflatedImage> read_pose_image(const LaserImages& laser_images,
     return poses;
 }
 
-const LaserImages& find_laser_images(const WaymoFrameRecord& record, int laser_id, const std::string& place) {
+const LaserImages& find_laser_images(const SegmentFrame& record, int laser_id, const std::string& place) {
     for (const LaserImages& images : record.images)
         if (images.laser == laser_id && !images.first.empty()) return images;
     fail("{}: the range image of the LiDAR {} is missing, but the first frame has one", place,
@@ -131,7 +131,7 @@ const LaserImages& find_laser_images(const WaymoFrameRecord& record, int laser_i
 
 /// Waymo stores a pose for each pixel of TOP. Uses the pixel with a return nearest to the
 /// middle column, where TOP faces forward.
-Pose forward_pose(const WaymoFrameRecord& frame_record, const std::string& place) {
+Pose forward_pose(const SegmentFrame& frame_record, const std::string& place) {
     if (frame_record.images.empty() || frame_record.images.front().laser != kTopLaser)
         return frame_record.world_from_vehicle;
     const std::string in_top = place + ": TOP";
@@ -159,7 +159,7 @@ struct WaymoFrameHeader {
 WaymoFrameHeader read_header(const TfRecordReader& records, int record_index) {
     const std::string data = records.read_record(std::size_t(record_index)),
                       where = record_location(records, record_index);
-    WaymoFrameRecord frame = parse_frame(data, where);
+    SegmentFrame frame = parse_frame(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
     return {frame.timestamp_us, forward_pose(frame, where), std::move(frame.labels)};
@@ -176,7 +176,7 @@ double frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers, const 
     return period_s;
 }
 
-Lidar make_waymo_lidar(const WaymoFrameRecord& frame_record, const LaserImages& laser_images, double period_s,
+Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& laser_images, double period_s,
                        const std::string& place) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
         fail("{}: found the laser number {}, expected 1 to {}", place, laser_images.laser,
@@ -295,7 +295,7 @@ void add_segment_frames(Log& sequence, const TfRecordReader& records,
     const double period_s = frame_period_s(frame_headers, records.file_path().string());
     const std::string first = records.read_record(std::size_t(first_record)),
                       where = record_location(records, first_record);
-    const WaymoFrameRecord frame = parse_frame(first, where);
+    const SegmentFrame frame = parse_frame(first, where);
     sequence.lidars.clear();
     for (const LaserImages& images : frame.images)
         if (!images.first.empty() && (!only_top_lidar || images.laser == kTopLaser))
@@ -336,7 +336,7 @@ void read_record_scans(Log& sequence, const TfRecordReader& records, const Datas
             const int record = sequence.frames[sweep * n_lidars].index;
             const std::string data = records.read_record(std::size_t(record)),
                               where = record_location(records, record);
-            const WaymoFrameRecord parsed = parse_frame(data, where);
+            const SegmentFrame parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
                 Frame& frame = sequence.frames[sweep * n_lidars + lidar];
                 const std::string& name = sequence.lidars[lidar].name;

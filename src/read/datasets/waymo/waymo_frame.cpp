@@ -84,7 +84,7 @@ LaserCalibration parse_calibration(pbf_reader reader, const std::string& where) 
     return calibration;
 }
 
-void parse_calibrations(pbf_reader reader, WaymoFrameRecord& frame_record, const std::string& where) {
+void parse_calibrations(pbf_reader reader, SegmentFrame& frame_record, const std::string& where) {
     while (reader.next())
         if (reader.tag_and_type() == message_tag(3))
             frame_record.lasers.push_back(
@@ -131,7 +131,7 @@ void parse_box(pbf_reader reader, BoxLabel& label, const std::string& where) {
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-void parse_label(pbf_reader reader, WaymoFrameRecord& frame_record, const std::string& where) {
+void parse_label(pbf_reader reader, SegmentFrame& frame_record, const std::string& where) {
     BoxLabel label;
     int type = 0;
     while (reader.next()) {
@@ -211,8 +211,8 @@ auto guard_parse(const std::string& where, const Parse& parse_function) {
 
 }  // namespace
 
-WaymoFrameRecord parse_frame(std::string_view record_bytes, const std::string& where) {
-    WaymoFrameRecord frame;
+SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where) {
+    SegmentFrame frame;
     bool has_pose = false;
     guard_parse(where, [&] {
         for (pbf_reader from(record_bytes.data(), record_bytes.size()); from.next();) {

@@ -34,7 +34,7 @@ struct LaserImages {
     std::string_view labels;
 };
 
-struct WaymoFrameRecord {
+struct SegmentFrame {
     std::int64_t timestamp_us = 0;         ///< time of TOP's first firing
     Pose world_from_vehicle;               ///< vehicle pose at about the middle of the sweep
     std::vector<LaserCalibration> lasers;  ///< sorted by LaserName
@@ -43,7 +43,7 @@ struct WaymoFrameRecord {
     /// set.
     std::vector<BoxLabel> labels;
 };
-WaymoFrameRecord parse_frame(std::string_view record_bytes, const std::string& where);
+SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where);
 
 struct InflatedImage {
     int rows = 0, columns = 0, channels = 0;
