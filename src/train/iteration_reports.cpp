@@ -20,8 +20,8 @@ IterationReports::IterationReports(Device& device)
     while (int(slots_.size()) < kReadbackLag) slots_.emplace_back(device);
 }
 
-void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& counts,
-                                   const std::optional<TrainLogLine>& log_line) {
+void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& from,
+                                   const std::optional<TrainLogLine>& line) {
     if (iterations_.empty()) return;
     ReportReadbackSlot& slot = slots_[std::size_t(iterations_.back().step) % kReadbackLag];
     const auto record_and_clear = [&](ReadbackBuffer& readback, const Buffer& source, std::size_t n_bytes) {
@@ -29,11 +29,11 @@ void IterationReports::record_copy(Stream& stream, const DeviceHitCounters& coun
         stream.fill(source);
     };
     record_and_clear(slot.terms, terms_.buffer(), iterations_.size() * kLossTerms * sizeof(float));
-    record_and_clear(slot.pass_cap, counts.pass_cap->buffer(), sizeof(std::uint32_t));
-    if (counts.most_hits) record_and_clear(slot.most_hits, counts.most_hits->buffer(), sizeof(std::uint32_t));
-    record_and_clear(slot.overfull, counts.overfull->buffer(), sizeof(std::uint32_t));
-    closed_.push_back({std::exchange(iterations_, {}), counts.most_hits != nullptr, counts.hit_capacity,
-                       counts.stored_hits_per_ray, log_line});
+    record_and_clear(slot.pass_cap, from.pass_cap->buffer(), sizeof(std::uint32_t));
+    if (from.most_hits) record_and_clear(slot.most_hits, from.most_hits->buffer(), sizeof(std::uint32_t));
+    record_and_clear(slot.overfull, from.overfull->buffer(), sizeof(std::uint32_t));
+    closed_.push_back({std::exchange(iterations_, {}), from.most_hits != nullptr, from.hit_capacity,
+                       from.stored_hits_per_ray, line});
 }
 
 std::optional<IterationReports::IterationGroupReport> IterationReports::take_oldest(Stream& stream,

@@ -49,9 +49,8 @@ public:
     bool is_full() const { return iterations_.size() == kMaxLossRows; }
     /// Does not wait. Call after add_iteration(), at most once per
     /// iteration.
-    /// @param log_line  added to the training log when the report is read
-    void record_copy(Stream& stream, const DeviceHitCounters& counts,
-                     const std::optional<TrainLogLine>& log_line);
+    /// @param line  added to the training log when the report is read
+    void record_copy(Stream& stream, const DeviceHitCounters& from, const std::optional<TrainLogLine>& line);
 
     struct IterationGroupReport {
         int first_step, last_step;

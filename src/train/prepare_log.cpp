@@ -135,13 +135,13 @@ RegistrationResult register_log(Log& sequence, const Split& split, const Config&
     return registration;
 }
 
-void register_vehicle(Log& sequence, const Split& split, const Config& config,
-                      const LogPreparationCallbacks& session) {
-    RegistrationResult registration = register_log(sequence, split, config, session);
+void register_vehicle(Log& log, const Split& split, const Config& config,
+                      const LogPreparationCallbacks& call) {
+    RegistrationResult registration = register_log(log, split, config, call);
     if (!registration.done) registration.world_from_vehicle.pose.clear();
-    PoseTrack track{sequence.world_from_vehicle.time_s,
-                    session.group.broadcast(std::move(registration.world_from_vehicle.pose))};
-    if (!track.pose.empty()) set_trajectory(sequence, std::move(track));
+    PoseTrack track{log.world_from_vehicle.time_s,
+                    call.group.broadcast(std::move(registration.world_from_vehicle.pose))};
+    if (!track.pose.empty()) set_trajectory(log, std::move(track));
 }
 
 void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& config,
@@ -292,21 +292,20 @@ RegistrationOptions registration_options(const Log& sequence, const Config& conf
     return options;
 }
 
-void prepare_log(Log& sequence, const Split& split, const Config& config, LogPreparationCallbacks callbacks) {
+void prepare_log(Log& log, const Split& split, const Config& config, LogPreparationCallbacks callbacks) {
     if (!callbacks.report_line || !callbacks.group.is_first())
         callbacks.report_line = [](const std::string&) {};
-    if (!has_usable_poses(sequence, config) && !registers_sensors(config.train))
+    if (!has_usable_poses(log, config) && !registers_sensors(config.train))
         throw UsageError(
             "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from the "
             "scans; use train.refine_poses=sensor");
     begin_stage(callbacks.stages, "register");
-    if (registers_sensors(config.train)) register_vehicle(sequence, split, config, callbacks);
+    if (registers_sensors(config.train)) register_vehicle(log, split, config, callbacks);
     begin_stage(callbacks.stages, "calibrate");
-    calibrate_lidars(sequence, split, config.sensor, callbacks);
+    calibrate_lidars(log, split, config.sensor, callbacks);
     begin_stage(callbacks.stages, "movers");
-    if (config.init.unlabelled_movers == UnlabelledMoverPolicy::actors)
-        add_movers(sequence, split, callbacks);
-    if (registers_sensors(config.train)) refine_boxes(sequence, split, callbacks);
+    if (config.init.unlabelled_movers == UnlabelledMoverPolicy::actors) add_movers(log, split, callbacks);
+    if (registers_sensors(config.train)) refine_boxes(log, split, callbacks);
 }
 
 }  // namespace relidar

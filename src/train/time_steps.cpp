@@ -15,7 +15,7 @@ constexpr int kWarmUp = 5;
 }  // namespace
 
 TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
-                                const std::function<bool()>& should_stop) {
+                                const std::function<bool()>& stop) {
     if (!run.scene.blocks.empty())
         fail<UsageError>(
             "cannot measure the training speed of {}: the run is divided into blocks; use a run that was "
@@ -31,7 +31,7 @@ TrainingStepTimes measure_steps(Device& device, const Run& run, int n_steps,
     const std::map<std::string, KernelTimes::LaunchTotals> before = loop.training_times().totals;
     TrainingStepTimes result;
     const auto start = std::chrono::steady_clock::now();
-    for (; result.n_steps < n_steps && !(should_stop && should_stop()); ++result.n_steps)
+    for (; result.n_steps < n_steps && !(stop && stop()); ++result.n_steps)
         loop.run_iteration(first + kWarmUp + result.n_steps);
     loop.finish_steps();
     if (result.n_steps == 0) return result;

@@ -23,15 +23,14 @@ double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-Scene initial_scene(const Log& sequence, const Split& split, const Config& config,
-                    const TrainSession& session) {
+Scene initial_scene(const Log& log, const Split& split, const Config& config, const TrainSession& session) {
     InitOptions options = config.init;
     options.seed = config.train.seed;
     // The ray-drop probability is a softmax of a hit and a drop logit (docs/method.md
     // M6). With `one_logit`, the hit logit is 0, and the initial probability is the same.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
-    Scene scene = init_scene(sequence, split.train, options, session.progress, &notes);
+    Scene scene = init_scene(log, split.train, options, session.progress, &notes);
     for (const std::string& note : notes)
         if (session.note) session.note(note);
     convert_surfels(scene.surfels, config.image.primitive, config.init.thickness);
@@ -39,9 +38,8 @@ Scene initial_scene(const Log& sequence, const Split& split, const Config& confi
 }
 
 /// Training ignores the returns inside boxes of moving objects without surfels.
-void report_ignored(const Scene& scene, const Log& sequence, const Config& config,
-                    const TrainSession& session) {
-    const std::vector<BoxTrack> masked = find_unmodelled(scene, sequence, config.init);
+void report_ignored(const Scene& scene, const Log& log, const Config& config, const TrainSession& session) {
+    const std::vector<BoxTrack> masked = find_unmodelled(scene, log, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
         fmt::format("points and losses in {} moving boxes are ignored: {}. Only classes in "

@@ -74,12 +74,11 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
-FrameWithSightings find_sightings(const Run& run, int frame_index,
-                                  const std::vector<PoseTrack>& sensor_tracks) {
-    const Frame& frame = run.sequence.frames[std::size_t(frame_index)];
-    const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(frame.lidar)];
+FrameWithSightings find_sightings(const Run& run, int index, const std::vector<PoseTrack>& tracks) {
+    const Frame& frame = run.sequence.frames[std::size_t(index)];
+    const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
     const std::vector<InstancePose> placed = pose_instances(run.scene, run.sequence, timing_of(frame));
-    FrameWithSightings result{frame_index, world_from_sensor.pose_at(frame.time_s).translation, 0.0, {}};
+    FrameWithSightings result{index, world_from_sensor.pose_at(frame.time_s).translation, 0.0, {}};
     for (const float range_m : frame.scan.range_m) result.reach_m = std::max(result.reach_m, double(range_m));
     for (std::size_t i = 0; i < placed.size(); ++i) {
         const BoxTrack* box = find_box(run.sequence, run.scene.instances[i].track);
@@ -140,13 +139,12 @@ Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& worl
     return scan;
 }
 
-Log section_log(const Run& run, const ActorTrainingSection& section,
-                const std::vector<PoseTrack>& sensor_tracks) {
+Log section_log(const Run& run, const ActorTrainingSection& section, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(section.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
         const FrameWithSightings& sighted = section.frames[std::size_t(index)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
-        const PoseTrack& world_from_sensor = sensor_tracks[std::size_t(from.lidar)];
+        const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
         frames[std::size_t(index)] = {from.index, from.time_s,
                                       select_actor_rays(run, from, world_from_sensor, sighted.sights),
                                       from.lidar, from.start};

@@ -118,10 +118,10 @@ bool has_dense_gradients(const Config& config) {
     return config.loss.box > 0.0f && !config.train.only_touched;
 }
 
-IgnoredMeasurements training_mask(const Log& sequence, const Split& split, const Scene& scene,
+IgnoredMeasurements training_mask(const Log& log, const Split& split, const Scene& scene,
                                   const Config& config) {
     IgnoredMeasurements masks{
-        config.init, {}, config.train.sensor_drop ? measure_drops(sequence, split.train) : RayDropTable{}};
+        config.init, {}, config.train.sensor_drop ? measure_drops(log, split.train) : RayDropTable{}};
     for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;

@@ -65,8 +65,7 @@ Evaluation score_held_out(Device& device, const Run& run, bool quiet) {
 }
 
 /// Compares with exact scans of the synthetic street.
-Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& exact_street_options,
-                         bool quiet) {
+Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& street, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
     const PoseTrack track = mount_track(run.sequence.lidar_track(0), kSensorShift);
@@ -75,8 +74,7 @@ Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& ex
     for (const int position : run.split.test) {
         check_interrupt();
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        Frame exact{frame.index, frame.time_s,
-                    cast_street_rays(exact_street_options, rays, track, frame.time_s)};
+        Frame exact{frame.index, frame.time_s, cast_street_rays(street, rays, track, frame.time_s)};
         limit_ranges(exact.scan, run.sequence.lidars[0].sensor.range_limits());
         frames.push_back(score_frame(renderer, run.config, run.sequence, exact, kSensorShift));
         progress.show_step("scoring the shifted sensor: frame", frames.size(), run.split.test.size());
@@ -84,14 +82,13 @@ Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& ex
     return summarise(std::move(frames), renderer.times());
 }
 
-void write_demo_scans(const fs::path& folder, const Evaluation& evaluation, const Run& run,
-                      const Pose& sensor_offset) {
+void write_demo_scans(const fs::path& folder, const Evaluation& result, const Run& run, const Pose& offset) {
     const OutputFolder made(folder);
     ScanOutputOptions format = default_options(run, make_sensor(run.config, run.sequence));
-    format.offset = sensor_offset;
+    format.offset = offset;
     format.formats = {"npz", "png", "ply", "exr"};
     ScanFolderWriter scans(folder, format);
-    for (const ScoredFrame& frame : evaluation.frames) {
+    for (const ScoredFrame& frame : result.frames) {
         scans.write_scan(frame.frame, frame.rendered);
         write_png(folder / fmt::format("range_{:06}.png", frame.frame),
                   draw_ranges(frame, run.config.dataset.max_range_m));

@@ -82,14 +82,13 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_c
         ->type_name("LIST");
 }
 
-void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
-                        const std::string& scope_help_text) {
+void add_weather_option(CLI::App& command, std::string& text, const std::string& scope) {
     command
         .add_option(
-            "--weather", parsed_weather_text,
+            "--weather", text,
             fmt::format(
                 "{}; applies to {} (default: clear); the channel `source` says what caused each point",
-                weather_help(), scope_help_text))
+                weather_help(), scope))
         ->type_name("WEATHER");
 }
 
@@ -193,12 +192,10 @@ FrameRange parse_frames(const std::string& text) {
     return {first, last};
 }
 
-void note_missing_frames(const FrameRange& requested_frames, int last_frame_number,
-                         const std::string& run_or_log_path) {
-    if (requested_frames.end > last_frame_number + 1)
+void note_missing_frames(const FrameRange& requested, int last, const std::string& source) {
+    if (requested.end > last + 1)
         print_note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped",
-                               requested_frames.begin, requested_frames.end, run_or_log_path,
-                               last_frame_number));
+                               requested.begin, requested.end, source, last));
 }
 
 std::optional<double> parse_finite(const std::string& text) {

@@ -37,10 +37,9 @@ struct SettingsCommandOptions {
 };
 void add_settings_options(CLI::App& command, SettingsCommandOptions& settings);
 void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_channel_list);
-/// @param parsed_weather_text output; parse_weather() reads it later
-/// @param scope_help_text says to which scans the weather applies
-void add_weather_option(CLI::App& command, std::string& parsed_weather_text,
-                        const std::string& scope_help_text);
+/// @param text output; parse_weather() reads it later
+/// @param scope says to which scans the weather applies
+void add_weather_option(CLI::App& command, std::string& text, const std::string& scope);
 /// For commands that read all other settings from a trained run.
 void add_set_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
 Config make_config(const SettingsCommandOptions& settings);
@@ -64,8 +63,7 @@ void apply_selection(Config& config, const LogSelection& log_selection);
 /// "a:b"; either number may be missing.
 /// @throws UsageError if the text has another form
 FrameRange parse_frames(const std::string& text);
-void note_missing_frames(const FrameRange& requested_frames, int last_frame_number,
-                         const std::string& run_or_log_path);
+void note_missing_frames(const FrameRange& requested, int last, const std::string& source);
 /// Allows spaces around the number.
 std::optional<double> parse_finite(const std::string& text);
 /// Separated by commas.

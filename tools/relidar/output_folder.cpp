@@ -146,9 +146,9 @@ LockedFolder::LockedFolder(const fs::path& path) : folder_(reject_home(path)), l
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
 
-FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wait_time)
+FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds max_wait)
     : file_(folder / kLockFile) {
-    const auto end = std::chrono::steady_clock::now() + max_wait_time;
+    const auto end = std::chrono::steady_clock::now() + max_wait;
     std::optional<OpenLockFile> lock = lock_file(file_);
     for (; !lock && std::chrono::steady_clock::now() < end; lock = lock_file(file_))
         std::this_thread::sleep_for(kLockLook);
@@ -181,14 +181,13 @@ FolderLock::~FolderLock() {
     ::close(descriptor_);
 }
 
-RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy existing_run_policy)
+RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy policy)
     : was_empty_(is_free_folder(path)) {
     // Before locking, because the lock writes a file into the folder.
-    if (!contains_run(path)) check_folder(path, existing_run_policy);
+    if (!contains_run(path)) check_folder(path, policy);
     folder_.emplace(path);
-    lock_.emplace(
-        path, existing_run_policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
-    check_folder(path, existing_run_policy);
+    lock_.emplace(path, policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
+    check_folder(path, policy);
 }
 
 RunOutputFolder::~RunOutputFolder() {

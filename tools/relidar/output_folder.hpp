@@ -35,9 +35,9 @@ private:
 /// effect if the file system does not support locks.
 class FolderLock {
 public:
-    /// @param max_wait_time longest waiting time for another process
+    /// @param max_wait longest waiting time for another process
     /// @throws DataError after this time, or if the folder cannot be written
-    explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds max_wait_time = {});
+    explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds max_wait = {});
     ~FolderLock();
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
@@ -85,10 +85,10 @@ enum class ExistingRunPolicy {
 /// Stays locked as long as this object exists.
 class RunOutputFolder {
 public:
-    /// @throws UsageError if `existing_run_policy` does not allow the files in the folder
+    /// @throws UsageError if `policy` does not allow the files in the folder
     /// @throws DataError if another process has locked the folder, or if it cannot be
     /// created
-    RunOutputFolder(const std::filesystem::path& path, ExistingRunPolicy existing_run_policy);
+    RunOutputFolder(const std::filesystem::path& path, ExistingRunPolicy policy);
     /// Removes settings and log of a training that failed before it saved anything. After
     /// Ctrl-C they stay.
     ~RunOutputFolder();

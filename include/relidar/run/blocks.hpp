@@ -27,7 +27,7 @@ struct TrajectoryBlock {
 /// Divides the vehicle's trajectory into blocks of equal length, at most
 /// options.length_m. Leaves out blocks without a recorded sweep, where the log has a gap.
 /// @throws DataError if a block has no training frame within options.halo_m metres
-std::vector<TrajectoryBlock> plan_blocks(const Log& sequence, const Split& split, const BlockConfig& options);
+std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, const BlockConfig& options);
 
 /// Training frames of a block, held-out frames recorded in it, and boxes near these
 /// frames.
@@ -38,20 +38,20 @@ struct BlockTrainingLog {
     Config config;
 };
 /// @param config settings of the complete training
-BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
+BlockTrainingLog cut_log(const Log& log, const Split& split, const TrajectoryBlock& block,
                          const Config& config);
 
 /// A surfel belongs to the block that contains the nearest sweep.
-void keep_block_surfels(Scene& scene, const Log& sequence, const std::vector<TrajectoryBlock>& blocks,
-                        std::size_t block_index);
+void keep_block_surfels(Scene& scene, const Log& log, const std::vector<TrajectoryBlock>& blocks,
+                        std::size_t index);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
 /// Each actor comes from the block in which the most training frames saw it, each
 /// corrected pose from the block that recorded the sweep.
 /// @param run run with the prepared log and without a scene
-/// @param run_folders [blocks] run folders of the blocks
+/// @param folders [blocks] run folders of the blocks
 /// @throws DataError if a run folder has a missing, truncated or inconsistent file
 void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks,
-                 const std::vector<std::filesystem::path>& run_folders);
+                 const std::vector<std::filesystem::path>& folders);
 
 }  // namespace relidar

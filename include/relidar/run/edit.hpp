@@ -74,9 +74,8 @@ SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track);
 /// Moves an actor by a constant offset relative to its box (x forward, y left, z up,
 /// origin at the box centre):
 ///
-///   world_from_box'(t) = world_from_box(t) * old_box_from_new_box
-SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
-                        const Pose& old_box_from_new_box);
+///   world_from_box'(t) = world_from_box(t) * old_from_new
+SceneWithLog move_track(SceneWithLog edited, const std::string& track, const Pose& old_from_new);
 
 /// Delays an actor's track by a number of seconds. With a negative value, the actor
 /// appears earlier. The actor is absent outside the time interval of the shifted track.
@@ -97,8 +96,7 @@ std::string describe_absence(const BoxTrack& original_box, const Log& edited_seq
 /// with times in the time of the log (Frame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
 /// are not finite
-SceneWithLog replace_track(SceneWithLog scene_and_log, const std::string& track,
-                           const PoseTrack& dataset_from_box);
+SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const PoseTrack& dataset_from_box);
 
 /// Adds a copy of an actor that uses the same model, at the end of the instance list. The
 /// first copy of track "0" gets the name "0-copy-1".
@@ -128,11 +126,10 @@ struct ActorModelResolution {
     bool is_too_coarse() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
-/// @param lidar_index index in Log::lidars
+/// @param lidar index in Log::lidars
 /// @return result with 0 rays if no ray of the LiDAR hits the actor, or if the rays of
 /// the LiDAR are unknown
-ActorModelResolution model_resolution(const SceneWithLog& scene_and_log, const std::string& track,
-                                      int lidar_index = 0);
+ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar = 0);
 
 /// For given rays from one pose of the sensor.
 /// @param ray_origins, ray_directions [n,3] sensor frame

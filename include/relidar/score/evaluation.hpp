@@ -102,10 +102,10 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
 
 /// Renders a frame at the pose of the real sensor, along the rays of the real scan or
 /// binned into another grid like the real points.
-/// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
+/// @param offset  pose of the sensor that made frame.scan, in the frame of the
 /// log's sensor
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& sequence, const Frame& frame,
-                        const Pose& sensor_offset = {});
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& log, const Frame& frame,
+                        const Pose& offset = {});
 
 /// Memory use does not grow with the number of frames.
 /// @param frame_indices  indices of the frames in `sequence`

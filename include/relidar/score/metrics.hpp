@@ -92,8 +92,7 @@ std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] rays
-std::vector<bool> mask_labelled_movers(const Log& sequence, const Frame& frame,
-                                       const Pose& sensor_offset = {});
+std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const Pose& sensor_offset = {});
 /// Same for moving boxes that relidar has found in the scans.
 std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset = {});
 
@@ -124,7 +123,7 @@ struct RangeImageComparison {
 /// Calls evaluate() and evaluate_regions() for each frame, in parallel. If a comparison
 /// has point ranges, scores regions with them and calls evaluate_points(), too.
 /// @return [n] metrics of each comparison
-std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
+std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& images,
                                        const MetricOptions& options = {});
 
 /// `stay`: points in moving boxes stay at their measured positions. `follow`: they move
@@ -136,11 +135,11 @@ enum class BoxPointMotion { stay, follow };
 ///   p_sensor(t) = sensor_from_world(t) p_world
 ///   t = facing_time_s(p_sensor)
 /// The result is a list of rays that start at the sensor origin.
-/// @param predicted_frame_index  index of the sweep in sequence.frames; its scan is not
+/// @param index  index of the sweep in sequence.frames; its scan is not
 /// read
 /// @param train_frames  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
-Scan predict_scan(const Log& sequence, int predicted_frame_index, const std::vector<int>& train_frames,
+Scan predict_scan(const Log& sequence, int index, const std::vector<int>& train_frames,
                   BoxPointMotion box_motion);
 
 /// Assigns each point to the ray with the smallest angle to the point. If several points
@@ -185,9 +184,9 @@ public:
     /// For images with a single channel, which is repeated three times, summed over all
     /// layers. Values are mapped by x -> 2 x - 1, without clamping, like `normalize` in
     /// the published code. Published tables for LiDAR use ranges in metres.
-    /// @param first_image, second_image [rows*columns]
-    double compute_distance(const std::vector<double>& first_image, const std::vector<double>& second_image,
-                            int rows, int columns) const;
+    /// @param a, b [rows*columns]
+    double compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
+                            int columns) const;
 
 private:
     struct Impl;
@@ -204,8 +203,8 @@ double compute_ssim(const std::vector<double>& first_image, const std::vector<do
 /// Exact distance from each query point to the nearest target point. Uses all cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
-std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& query_points,
-                                        const std::vector<glm::dvec3>& target_points);
+std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& from,
+                                        const std::vector<glm::dvec3>& to);
 
 /// Returns the mean of each metric. Rows that lack a metric do not affect its mean.
 MetricValues mean_metrics(const std::vector<MetricValues>& metric_rows);

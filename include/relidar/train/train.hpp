@@ -116,8 +116,7 @@ struct LogPreparationCallbacks {
 /// @throws DataError if more than 5 % of the scans cannot be registered and
 /// train.allow_lost_scans is not set
 /// @throws UsageError if the log has no poses and the settings do not register it
-void prepare_log(Log& sequence, const Split& split, const Config& config,
-                 LogPreparationCallbacks callbacks = {});
+void prepare_log(Log& log, const Split& split, const Config& config, LogPreparationCallbacks callbacks = {});
 
 /// Trains a scene on the training frames of a prepared log. Existing checkpoints are kept
 /// if an error occurs.
@@ -228,8 +227,7 @@ void move_result(Run& run, TrainResult& result);
 /// sensor.grid, sensor.grid_method, refine.*, render.* and trace.chunk.
 /// @throws UsageError naming another setting that differs
 /// @throws DataError naming the part of the log that differs
-void check_resume(const Checkpoint& checkpoint, const Log& sequence, const Split& split,
-                  const Config& config);
+void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& split, const Config& config);
 /// The first setting whose difference prevents resuming. Empty if none does.
 std::string find_fixed_setting(const Config& config, const Config& other_config);
 /// @throws DataError if the checkpoint is not a training checkpoint

@@ -81,33 +81,30 @@ void keep_best_models(const Run& block_run, const Log& full_sequence, const Traj
     }
 }
 
-void copy_poses(const Run& block_run, const Log& full_sequence, const TrajectoryBlock& block,
-                PoseTrack& full_track) {
+void copy_poses(const Run& part, const Log& log, const TrajectoryBlock& block, PoseTrack& track) {
     for (const int position : block.recorded_frames) {
-        const double time_s = full_sequence.frames[std::size_t(position)].time_s;
-        const PoseTrack& part_track = block_run.sequence.world_from_vehicle;
+        const double time_s = log.frames[std::size_t(position)].time_s;
+        const PoseTrack& part_track = part.sequence.world_from_vehicle;
         const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
-        const auto to = std::lower_bound(full_track.time_s.begin(), full_track.time_s.end(), time_s);
+        const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
         // Skips frames without a pose at exactly this time.
-        if (from == part_track.time_s.end() || *from != time_s || to == full_track.time_s.end() ||
-            *to != time_s)
+        if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
             continue;
-        full_track.pose[std::size_t(to - full_track.time_s.begin())] =
+        track.pose[std::size_t(to - track.time_s.begin())] =
             part_track.pose[std::size_t(from - part_track.time_s.begin())];
     }
 }
 
 }  // namespace
 
-void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks,
-                 const std::vector<fs::path>& run_folders) {
+void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks, const std::vector<fs::path>& folders) {
     Scene scene = wrap_background({});
     MeanRayDropTable drop;
     std::map<std::string, ActorModelCandidate> actors;
     PoseTrack poses = run.sequence.world_from_vehicle;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
-        const Run part = load_run(run_folders[k]);
-        scene.blocks.push_back(make_block(part.scene, run_folders[k] / kModelFile));
+        const Run part = load_run(folders[k]);
+        scene.blocks.push_back(make_block(part.scene, folders[k] / kModelFile));
         drop.add_table(part.scene.sensor_drop, blocks[k].train.size());
         keep_best_models(part, run.sequence, blocks[k], actors);
         copy_poses(part, run.sequence, blocks[k], poses);

@@ -14,15 +14,13 @@ namespace relidar {
 namespace {
 
 /// Sections of equal length. Sections without sweeps are left out.
-std::vector<TrajectoryBlock> divide_route(const std::vector<double>& cumulative_distances_m,
-                                          double block_length_m) {
-    const double driven_length_m = cumulative_distances_m.back();
-    const double n = std::max(1.0, std::ceil(driven_length_m / block_length_m - 1e-9));
+std::vector<TrajectoryBlock> divide_route(const std::vector<double>& distances_m, double length_m) {
+    const double driven_length_m = distances_m.back();
+    const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
     std::vector<TrajectoryBlock> blocks;
-    for (std::size_t i = 0; i < cumulative_distances_m.size(); ++i) {
-        const double k = driven_length_m > 0.0
-                             ? std::min(n - 1.0, std::floor(cumulative_distances_m[i] / driven_length_m * n))
-                             : 0.0;
+    for (std::size_t i = 0; i < distances_m.size(); ++i) {
+        const double k =
+            driven_length_m > 0.0 ? std::min(n - 1.0, std::floor(distances_m[i] / driven_length_m * n)) : 0.0;
         const double begin_m = driven_length_m * k / n;
         if (blocks.empty() || blocks.back().begin_m < begin_m)
             blocks.push_back({begin_m, driven_length_m * (k + 1.0) / n, {}, {}});
@@ -40,9 +38,8 @@ bool is_near_any(const glm::dvec3& query_position, const std::vector<glm::dvec3>
 
 }  // namespace
 
-std::vector<TrajectoryBlock> plan_blocks(const Log& sequence, const Split& split,
-                                         const BlockConfig& options) {
-    const std::vector<glm::dvec3> vehicle_positions = list_positions(sequence);
+std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, const BlockConfig& options) {
+    const std::vector<glm::dvec3> vehicle_positions = list_positions(log);
     std::vector<double> cumulative_distances_m(vehicle_positions.size(), 0.0);
     for (std::size_t i = 1; i < vehicle_positions.size(); ++i)
         cumulative_distances_m[i] =
@@ -58,17 +55,16 @@ std::vector<TrajectoryBlock> plan_blocks(const Log& sequence, const Split& split
                 "cannot divide {} into blocks: within {:g} m of the block that covers metres {:.0f} to "
                 "{:.0f} of the trajectory, no frame is used for training; hold out fewer frames there "
                 "(settings dataset.test_every and dataset.test_frames)",
-                sequence.name, options.halo_m, block.begin_m, block.end_m);
+                log.name, options.halo_m, block.begin_m, block.end_m);
     }
     return blocks;
 }
 
-void keep_block_surfels(Scene& scene, const Log& sequence, const std::vector<TrajectoryBlock>& blocks,
-                        std::size_t block_index) {
-    std::vector<bool> is_block_frame(sequence.frames.size(), false);
-    for (const int position : blocks[block_index].recorded_frames)
-        is_block_frame[std::size_t(position)] = true;
-    const NearestPointFinder<double> nearest(list_positions(sequence));
+void keep_block_surfels(Scene& scene, const Log& log, const std::vector<TrajectoryBlock>& blocks,
+                        std::size_t index) {
+    std::vector<bool> is_block_frame(log.frames.size(), false);
+    for (const int position : blocks[index].recorded_frames) is_block_frame[std::size_t(position)] = true;
+    const NearestPointFinder<double> nearest(list_positions(log));
     const std::uint32_t n = scene.models.front().count;
     std::vector<glm::vec3> means;
     std::vector<std::uint32_t> remaining_surfels;

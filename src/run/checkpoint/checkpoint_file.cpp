@@ -62,10 +62,8 @@ std::string pop_value(Texts& metadata, const std::string& key) {
     return value;
 }
 
-void check_equal(const std::string& description, const std::string& found,
-                 const std::string& expected_value) {
-    if (found != expected_value)
-        fail("{}: found \"{}\", expected \"{}\"", description, quote(found), expected_value);
+void check_equal(const std::string& what, const std::string& found, const std::string& expected) {
+    if (found != expected) fail("{}: found \"{}\", expected \"{}\"", what, quote(found), expected);
 }
 
 int parse_iteration(const std::string& text) {

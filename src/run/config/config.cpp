@@ -82,12 +82,11 @@ ParsedValue scalar_text(const toml::node& node, const std::string& key) {
 }
 
 /// The keys are full names such as "table.key".
-void flatten(const toml::table& table, const std::string& key_prefix,
-             std::map<std::string, ParsedValue>& settings) {
+void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, ParsedValue>& flat) {
     for (const auto& [name, node] : table) {
-        const std::string key = key_prefix + std::string(name.str());
-        if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
-        else settings.emplace(key, scalar_text(node, key));
+        const std::string key = prefix + std::string(name.str());
+        if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", flat);
+        else flat.emplace(key, scalar_text(node, key));
     }
 }
 

@@ -53,20 +53,19 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
     return detail;
 }
 
-ActorModelResolution model_resolution(const SceneWithLog& scene_and_log, const std::string& track,
-                                      int lidar_index) {
-    const Log& log = scene_and_log.sequence;
-    const auto instance = std::ranges::find_if(scene_and_log.scene.instances,
+ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
+    const Log& log = edited.sequence;
+    const auto instance = std::ranges::find_if(edited.scene.instances,
                                                [&](const ModelInstance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
-    if (instance == scene_and_log.scene.instances.end() || box == log.boxes.end())
+    if (instance == edited.scene.instances.end() || box == log.boxes.end())
         fail<UsageError>("cannot inspect actor \"{}\": the scene has no actor with this track id", track);
     ActorModelResolution detail{std::numeric_limits<double>::infinity(), 0.0, 0,
-                                scene_and_log.scene.models[instance->model].count};
-    const PoseTrack world_from_sensor = log.lidar_track(lidar_index);
+                                edited.scene.models[instance->model].count};
+    const PoseTrack world_from_sensor = log.lidar_track(lidar);
     Pose box_from_sensor;
     for (const Frame& frame : log.frames) {
-        if (frame.lidar != lidar_index || !box->is_observed(frame.time_s)) continue;
+        if (frame.lidar != lidar || !box->is_observed(frame.time_s)) continue;
         const Pose nearer =
             inverse(box->world_from_box.pose_at(frame.time_s)) * world_from_sensor.pose_at(frame.time_s);
         if (const double distance_m = glm::length(nearer.translation); distance_m < detail.nearest_m) {
@@ -76,7 +75,7 @@ ActorModelResolution model_resolution(const SceneWithLog& scene_and_log, const s
         }
     }
     if (detail.nearest_m == std::numeric_limits<double>::infinity()) return detail;
-    const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar_index)], detail.time_s);
+    const RayTable rays = make_lidar_rays(log.lidars[std::size_t(lidar)], detail.time_s);
     detail.rays =
         model_resolution(rays.origin, rays.direction, box_from_sensor, box->size_m, detail.surfels).rays;
     return detail;

@@ -27,16 +27,14 @@ const std::vector<std::string> kColumnNames{"time_s",    "x",        "y",       
 using FieldColumnIndices = std::vector<int>;
 
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
-FieldColumnIndices parse_header(const std::vector<std::string_view>& header,
-                                const std::string& error_location) {
-    FieldColumnIndices at = find_columns(header, kColumnNames, error_location);
+FieldColumnIndices parse_header(const std::vector<std::string_view>& header, const std::string& where) {
+    FieldColumnIndices at = find_columns(header, kColumnNames, where);
     for (const ActorPathField field : {kTime, kX, kY, kZ})
-        if (at[field] < 0) fail("{}: the column '{}' is missing", error_location, kColumnNames[field]);
-    if (at[kYaw] < 0 && at[kYawRad] < 0)
-        fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", error_location);
+        if (at[field] < 0) fail("{}: the column '{}' is missing", where, kColumnNames[field]);
+    if (at[kYaw] < 0 && at[kYawRad] < 0) fail("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where);
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
-            fail("{}: found both columns '{}' and '{}', expected only one of them", error_location,
+            fail("{}: found both columns '{}' and '{}', expected only one of them", where,
                  kColumnNames[angle], kColumnNames[other]);
     return at;
 }

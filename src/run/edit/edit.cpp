@@ -112,9 +112,9 @@ PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) 
     return track;
 }
 
-[[noreturn]] void fail_trajectory(const std::string& track_id, const std::string& found,
+[[noreturn]] void fail_trajectory(const std::string& id, const std::string& found,
                                   const std::string& expected) {
-    fail("cannot use the new trajectory of track \"{}\": found {}, expected {}", track_id, found, expected);
+    fail("cannot use the new trajectory of track \"{}\": found {}, expected {}", id, found, expected);
 }
 
 void check_finite_poses(const PoseTrack& track, const std::string& track_id) {
@@ -219,15 +219,14 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
-void add_instance(SceneWithLog& scene_and_log, std::uint32_t model_index, BoxTrack box,
-                  const NewActorMotion& start) {
+void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const NewActorMotion& start) {
     box.world_from_box = start.dataset_path.pose.empty()
-                             ? make_straight_track(scene_and_log.sequence, start)
-                             : shift_track(start.dataset_path, -scene_and_log.sequence.world_offset_m);
+                             ? make_straight_track(edited.sequence, start)
+                             : shift_track(start.dataset_path, -edited.sequence.world_offset_m);
     check_finite_poses(box.world_from_box, box.id);
     box.n_before = box.n_after = 0;
-    scene_and_log.scene.instances.push_back({model_index, box.id});
-    scene_and_log.sequence.boxes.push_back(std::move(box));
+    edited.scene.instances.push_back({model, box.id});
+    edited.sequence.boxes.push_back(std::move(box));
 }
 
 }  // namespace
@@ -238,12 +237,11 @@ SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track) 
     return scene_and_log;
 }
 
-SceneWithLog move_track(SceneWithLog scene_and_log, const std::string& track,
-                        const Pose& old_box_from_new_box) {
-    PoseTrack& world_from_box = mutable_box(scene_and_log, track).world_from_box;
-    for (Pose& pose : world_from_box.pose) pose = pose * old_box_from_new_box;
+SceneWithLog move_track(SceneWithLog edited, const std::string& track, const Pose& old_from_new) {
+    PoseTrack& world_from_box = mutable_box(edited, track).world_from_box;
+    for (Pose& pose : world_from_box.pose) pose = pose * old_from_new;
     check_finite_poses(world_from_box, track);
-    return scene_and_log;
+    return edited;
 }
 
 SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, double delay_s) {
@@ -288,19 +286,18 @@ std::string describe_absence(const BoxTrack& original_box, const Log& edited_seq
         original_box.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 
-SceneWithLog replace_track(SceneWithLog scene_and_log, const std::string& track,
-                           const PoseTrack& dataset_from_box) {
-    BoxTrack& box = mutable_box(scene_and_log, track);
+SceneWithLog replace_track(SceneWithLog edited, const std::string& track, const PoseTrack& dataset_from_box) {
+    BoxTrack& box = mutable_box(edited, track);
     check_trajectory(dataset_from_box, track);
-    const double step_s = std::max(scene_and_log.sequence.lidars[0].sweep_period_s(), 1e-3);
+    const double step_s = std::max(edited.sequence.lidars[0].sweep_period_s(), 1e-3);
     if (const double span_s = dataset_from_box.time_s.back() - dataset_from_box.time_s.front();
         span_s > kMaxTrackSteps * step_s)
         fail_trajectory(track, fmt::format("times over {} s", span_s),
                         fmt::format("at most {} s", kMaxTrackSteps * step_s));
     box.n_before = box.n_after = 0;
     box.world_from_box =
-        densify_track(shift_track(dataset_from_box, -scene_and_log.sequence.world_offset_m), step_s);
-    return scene_and_log;
+        densify_track(shift_track(dataset_from_box, -edited.sequence.world_offset_m), step_s);
+    return edited;
 }
 
 SceneWithLog copy_track(SceneWithLog scene_and_log, const std::string& track, const NewActorMotion& start) {

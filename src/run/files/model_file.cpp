@@ -28,12 +28,12 @@ constexpr const char* kModelVersion = "1";
 constexpr std::int64_t kMaxSurfels = 4294967295;
 
 void check_finite_surfels(const SurfelParameterGroup& group, const Surfels& surfels,
-                          const std::string& file_name) {
+                          const std::string& file) {
     const std::span<const float> values = group.values(surfels);
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
     const auto row = static_cast<std::size_t>(bad - values.begin()) / group.count_floats();
-    fail("{}: array {}: row {} contains {}, expected finite numbers", file_name, group.name, row, *bad);
+    fail("{}: array {}: row {} contains {}, expected finite numbers", file, group.name, row, *bad);
 }
 
 /// 0, 0, 0 means that the model is unbounded.

@@ -13,25 +13,24 @@ constexpr const char* kScatterVersion = "1";
 
 using Node = IntensityScatterModel::DecisionTreeNode;
 
-void append_scatter(std::vector<NamedArray>& arrays, std::size_t lidar_index,
-                    const IntensityScatterModel& scatter) {
+void append_scatter(std::vector<NamedArray>& arrays, std::size_t index, const IntensityScatterModel& model) {
     std::vector<std::int32_t> feature, child, first, count;
     std::vector<float> at;
-    for (const Node& node : scatter.nodes) {
+    for (const Node& node : model.nodes) {
         feature.push_back(node.feature);
         child.push_back(node.child);
         first.push_back(std::int32_t(node.first));
         count.push_back(std::int32_t(node.count));
         at.push_back(node.at);
     }
-    const auto name = [&](const char* text) { return fmt::format("{}.{}", lidar_index, text); };
+    const auto name = [&](const char* text) { return fmt::format("{}.{}", index, text); };
     arrays.push_back(make_vector_array(name("feature"), feature));
     arrays.push_back(make_vector_array(name("child"), child));
     arrays.push_back(make_vector_array(name("first"), first));
     arrays.push_back(make_vector_array(name("count"), count));
     arrays.push_back(make_vector_array(name("at"), at));
-    arrays.push_back(make_vector_array(name("values"), scatter.values));
-    arrays.push_back(make_vector_array(name("step"), std::vector{scatter.step}));
+    arrays.push_back(make_vector_array(name("values"), model.values));
+    arrays.push_back(make_vector_array(name("step"), std::vector{model.step}));
 }
 
 IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
@@ -71,11 +70,10 @@ IntensityScatterModel read_scatter(const ArrayFile& file, std::size_t lidar) {
 
 }  // namespace
 
-void save_scatter(const std::filesystem::path& path,
-                  const std::vector<IntensityScatterModel>& scatter_per_lidar) {
+void save_scatter(const std::filesystem::path& path, const std::vector<IntensityScatterModel>& scatter) {
     std::vector<NamedArray> arrays;
-    for (std::size_t lidar = 0; lidar < scatter_per_lidar.size(); ++lidar)
-        if (!scatter_per_lidar[lidar].empty()) append_scatter(arrays, lidar, scatter_per_lidar[lidar]);
+    for (std::size_t lidar = 0; lidar < scatter.size(); ++lidar)
+        if (!scatter[lidar].empty()) append_scatter(arrays, lidar, scatter[lidar]);
     if (arrays.empty()) return void(std::filesystem::remove(path));
     write_array_file(path, arrays, kScatterFormat, kScatterVersion);
 }

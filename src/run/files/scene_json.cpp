@@ -90,12 +90,11 @@ Json frames_json(const Log& sequence, const Split& split) {
     return frames;
 }
 
-void check_magnitude(const JsonField& field, std::initializer_list<double> values,
-                     double max_absolute_value) {
+void check_magnitude(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
-        if (std::abs(v) > max_absolute_value)
+        if (std::abs(v) > limit)
             field.reject(fmt::format("found {}", v),
-                         fmt::format("expected an absolute value of at most {:.15g}", max_absolute_value));
+                         fmt::format("expected an absolute value of at most {:.15g}", limit));
 }
 
 Pose read_pose(const JsonField& field) {

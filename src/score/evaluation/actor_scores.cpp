@@ -67,15 +67,15 @@ double compute_mean(const std::vector<double>& values) {
 
 /// Median, bias and fraction of large errors. Nothing if there are no errors.
 void add_range_errors(MetricValues& row, const std::string& name_prefix,
-                      const std::vector<double>& range_errors_m) {
-    if (range_errors_m.empty()) return;
+                      const std::vector<double>& errors_m) {
+    if (errors_m.empty()) return;
     std::vector<double> absolute_m, large;
-    for (const double error : range_errors_m) {
+    for (const double error : errors_m) {
         absolute_m.push_back(std::abs(error));
         large.push_back(std::abs(error) > kLargeError_m ? 1.0 : 0.0);
     }
     row[name_prefix + "medae_m"] = compute_median(absolute_m);
-    row[name_prefix + "bias_m"] = compute_median(range_errors_m);
+    row[name_prefix + "bias_m"] = compute_median(errors_m);
     row[name_prefix + "above_30cm"] = compute_mean(large);
 }
 

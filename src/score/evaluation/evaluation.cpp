@@ -35,10 +35,10 @@ SimulatedSensor frame_sensor(const Config& config, const Log& sequence, const Fr
 
 /// Stores one flag per return as intensity, because measured_image() projects
 /// intensities.
-std::vector<bool> flags_to_pixels(const std::vector<bool>& return_flags, const Config& config,
+std::vector<bool> flags_to_pixels(const std::vector<bool>& returned, const Config& config,
                                   const Frame& frame) {
     Scan flags = frame.scan;
-    std::copy(return_flags.begin(), return_flags.end(), flags.intensity.begin());
+    std::copy(returned.begin(), returned.end(), flags.intensity.begin());
     const RangeImage binned = measured_image(config, flags);
     return {binned.intensity.begin(), binned.intensity.end()};
 }
@@ -52,17 +52,16 @@ struct RenderedFrame {
     MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
 };
 
-RenderedFrame make_real_frame(const Config& config, const Log& sequence, const Frame& frame,
-                              const Pose& sensor_offset) {
+RenderedFrame make_real_frame(const Config& config, const Log& log, const Frame& frame, const Pose& offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
     result.frame.lidar = frame.lidar;
     result.frame.time_s = frame.time_s;
     result.frame.start = frame.start;
     result.frame.real = measured_image(config, frame.scan);
-    result.moving = flags_to_pixels(mask_labelled_movers(sequence, frame, sensor_offset), config, frame);
-    if (std::ranges::find(sequence.boxes, kDiscoveredCategory, &BoxTrack::category) != sequence.boxes.end())
-        result.discovered = flags_to_pixels(mask_found_movers(sequence, frame, sensor_offset), config, frame);
+    result.moving = flags_to_pixels(mask_labelled_movers(log, frame, offset), config, frame);
+    if (std::ranges::find(log.boxes, kDiscoveredCategory, &BoxTrack::category) != log.boxes.end())
+        result.discovered = flags_to_pixels(mask_found_movers(log, frame, offset), config, frame);
     return result;
 }
 
@@ -71,12 +70,12 @@ bool can_score_classes(const ScanRenderer& renderer, const Config& config, const
     return renderer.has_classes() && config.sensor.grid == "native" && !frame.scan.classes.empty();
 }
 
-RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Log& sequence,
-                           const Frame& frame, const Pose& sensor_offset) {
-    RenderedFrame result = make_real_frame(config, sequence, frame, sensor_offset);
-    const SimulatedSensor sensor = frame_sensor(config, sequence, frame);
+RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const Log& log, const Frame& frame,
+                           const Pose& offset) {
+    RenderedFrame result = make_real_frame(config, log, frame, offset);
+    const SimulatedSensor sensor = frame_sensor(config, log, frame);
     result.frame.n_rays = sensor.rays.size();
-    result.frame.rendered = renderer.render(sensor, frame.time_s, sensor_offset);
+    result.frame.rendered = renderer.render(sensor, frame.time_s, offset);
     const auto* classes = find_values<std::int32_t>(result.frame.rendered.channels, "class");
     if (classes && can_score_classes(renderer, config, frame))
         result.class_scores = score_classes(*classes, frame.scan.classes);
@@ -216,11 +215,10 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
     }
 }
 
-ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& sequence, const Frame& frame,
-                        const Pose& sensor_offset) {
+ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& log, const Frame& frame,
+                        const Pose& offset) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
-    return score_rendered({render_frame(renderer, config, sequence, frame, sensor_offset)}, config, sequence,
-                          lpips.get())
+    return score_rendered({render_frame(renderer, config, log, frame, offset)}, config, log, lpips.get())
         .front();
 }
 

@@ -191,11 +191,11 @@ MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
     return row;
 }
 
-std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& comparisons,
+std::vector<MetricValues> evaluate_all(const std::vector<RangeImageComparison>& images,
                                        const MetricOptions& options) {
-    std::vector<MetricValues> rows(comparisons.size());
-    parallel_for(static_cast<int>(comparisons.size()), [&](int index) {
-        const RangeImageComparison& c = comparisons[static_cast<std::size_t>(index)];
+    std::vector<MetricValues> rows(images.size());
+    parallel_for(static_cast<int>(images.size()), [&](int index) {
+        const RangeImageComparison& c = images[static_cast<std::size_t>(index)];
         MetricValues& row = rows[static_cast<std::size_t>(index)];
         row = evaluate(*c.rendered, *c.real, options);
         RangeImage points = *c.rendered;

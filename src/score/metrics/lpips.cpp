@@ -46,22 +46,20 @@ struct FeatureMap {
 /// Window around each output pixel as a column of a matrix (im2col), 0 outside of the
 /// image.
 /// @return [in*edge*edge, output_rows*output_columns]
-Matrix im2col(const FeatureMap& input_features, const ConvLayerShape& layer, int output_rows,
-              int output_columns) {
+Matrix im2col(const FeatureMap& input, const ConvLayerShape& layer, int output_rows, int output_columns) {
     Matrix windows = Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge,
                                   Eigen::Index(output_rows) * output_columns);
     for (Eigen::Index k = 0; k < windows.rows(); ++k) {
         const int dy = int(k) / layer.edge % layer.edge - layer.padding,
                   dx = int(k) % layer.edge - layer.padding;
-        const float* channel = input_features.values.row(k / (layer.edge * layer.edge)).data();
+        const float* channel = input.values.row(k / (layer.edge * layer.edge)).data();
         for (int row = 0; row < output_rows; ++row) {
             const int y = row * layer.stride + dy;
-            if (y < 0 || y >= input_features.rows) continue;
+            if (y < 0 || y >= input.rows) continue;
             for (int column = 0; column < output_columns; ++column) {
                 const int x = column * layer.stride + dx;
-                if (x >= 0 && x < input_features.columns)
-                    windows(k, Eigen::Index(row) * output_columns + column) =
-                        channel[y * input_features.columns + x];
+                if (x >= 0 && x < input.columns)
+                    windows(k, Eigen::Index(row) * output_columns + column) = channel[y * input.columns + x];
             }
         }
     }
@@ -98,12 +96,10 @@ FeatureMap max_pool(const FeatureMap& input_features) {
 
 /// Normalises both feature vectors of a pixel to unit length. Returns their weighted
 /// squared difference, averaged over all pixels.
-double feature_distance(const FeatureMap& first_features, const FeatureMap& second_features,
-                        const std::vector<float>& channel_weights) {
-    const Eigen::ArrayXXd fa = first_features.values.cast<double>().array(),
-                          fb = second_features.values.cast<double>().array();
+double feature_distance(const FeatureMap& a, const FeatureMap& b, const std::vector<float>& weights) {
+    const Eigen::ArrayXXd fa = a.values.cast<double>().array(), fb = b.values.cast<double>().array();
     const Eigen::ArrayXd weight =
-        Eigen::Map<const Eigen::VectorXf>(channel_weights.data(), Eigen::Index(channel_weights.size()))
+        Eigen::Map<const Eigen::VectorXf>(weights.data(), Eigen::Index(weights.size()))
             .cast<double>()
             .array();
     double sum = 0.0;
@@ -123,14 +119,12 @@ FeatureMap normalise(const std::vector<float>& image, int rows, int columns) {
     return result;
 }
 
-void check_weights(const char* weights_name, int layer_index, const std::vector<float>& values,
-                   std::size_t count) {
+void check_weights(const char* name, int layer, const std::vector<float>& values, std::size_t count) {
     if (values.size() != count)
-        fail("cannot use the weights of LPIPS: {}{} has {} values, expected {}", weights_name, layer_index,
-             values.size(), count);
+        fail("cannot use the weights of LPIPS: {}{} has {} values, expected {}", name, layer, values.size(),
+             count);
     if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
-        fail("cannot use the weights of LPIPS: {}{} contains a value that is not finite", weights_name,
-             layer_index);
+        fail("cannot use the weights of LPIPS: {}{} contains a value that is not finite", name, layer);
 }
 
 }  // namespace
@@ -175,8 +169,8 @@ std::array<double, 5> Lpips::layer_distances(const std::vector<float>& first_ima
     return distance;
 }
 
-double Lpips::compute_distance(const std::vector<double>& first_image,
-                               const std::vector<double>& second_image, int rows, int columns) const {
+double Lpips::compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
+                               int columns) const {
     const auto colours = [](const std::vector<double>& image) {
         std::vector<float> result;
         result.reserve(3 * image.size());
@@ -185,8 +179,7 @@ double Lpips::compute_distance(const std::vector<double>& first_image,
         return result;
     };
     double sum = 0.0;
-    for (const double layer : layer_distances(colours(first_image), colours(second_image), rows, columns))
-        sum += layer;
+    for (const double layer : layer_distances(colours(a), colours(b), rows, columns)) sum += layer;
     return sum;
 }
 

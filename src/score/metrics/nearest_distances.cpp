@@ -25,20 +25,18 @@ void check_finite_points(const std::vector<glm::dvec3>& points, const char* clou
 
 }  // namespace
 
-std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& query_points,
-                                        const std::vector<glm::dvec3>& target_points) {
-    std::vector<double> distance(query_points.size());
-    if (query_points.empty()) return distance;
-    if (target_points.empty())
-        fail("cannot search nearest points: there are {} query points, but no target point",
-             query_points.size());
-    check_finite_points(query_points, "query");
-    check_finite_points(target_points, "target");
+std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& from,
+                                        const std::vector<glm::dvec3>& to) {
+    std::vector<double> distance(from.size());
+    if (from.empty()) return distance;
+    if (to.empty())
+        fail("cannot search nearest points: there are {} query points, but no target point", from.size());
+    check_finite_points(from, "query");
+    check_finite_points(to, "target");
 
-    const NearestPointFinder<double> targets(target_points);
-    parallel_blocks(query_points.size(), [&](std::size_t i) {
-        distance[i] = std::sqrt(targets.nearest_distance_sq(query_points[i]));
-    });
+    const NearestPointFinder<double> targets(to);
+    parallel_blocks(from.size(),
+                    [&](std::size_t i) { distance[i] = std::sqrt(targets.nearest_distance_sq(from[i])); });
     return distance;
 }
 

@@ -19,11 +19,10 @@ namespace {
 constexpr int kColumnSearch = 4;
 
 /// Of the same LiDAR before and after; only one if the other does not exist.
-std::vector<int> find_neighbours(const Log& sequence, int frame_index,
-                                 const std::vector<int>& training_frames) {
+std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std::vector<int>& train_frames) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
-    for (const int p : training_frames) {
+    for (const int p : train_frames) {
         if (lidar_of(p) != lidar_of(frame_index)) continue;
         if (p < frame_index) before = std::max(before, p);
         if (p > frame_index && (after < 0 || p < after)) after = p;
@@ -141,14 +140,14 @@ struct RayTableNeighbours {
 
 }  // namespace
 
-Scan predict_scan(const Log& sequence, int predicted_frame_index, const std::vector<int>& train_frames,
+Scan predict_scan(const Log& sequence, int index, const std::vector<int>& train_frames,
                   BoxPointMotion box_motion) {
-    const Frame& sweep = sequence.frames.at(std::size_t(predicted_frame_index));
+    const Frame& sweep = sequence.frames.at(std::size_t(index));
     std::vector<const BoxTrack*> moving;
     for (const BoxTrack& box : sequence.boxes)
         if (box_motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : find_neighbours(sequence, predicted_frame_index, train_frames)) {
+    for (const int neighbour : find_neighbours(sequence, index, train_frames)) {
         const Frame& frame = sequence.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;

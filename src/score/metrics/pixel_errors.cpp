@@ -14,22 +14,20 @@ constexpr double kClampLow = 1e-6;
 double clamp_value(float value, double maximum) { return std::clamp(double(value), kClampLow, maximum); }
 
 template <typename T>
-void require_count(const std::vector<T>& values, std::size_t count, const char* image_name,
-                   const char* array_name) {
+void require_count(const std::vector<T>& values, std::size_t count, const char* whose, const char* array) {
     if (values.size() != count)
-        fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}",
-             image_name, array_name, values.size(), count);
+        fail("cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", whose,
+             array, values.size(), count);
 }
 
-void check_pixels(const std::vector<float>& values, std::size_t count, const char* image_name,
-                  const char* array_name) {
-    require_count(values, count, image_name, array_name);
+void check_pixels(const std::vector<float>& values, std::size_t count, const char* whose, const char* array) {
+    require_count(values, count, whose, array);
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
         fail(
             "cannot compare range images: array {1} of the {0} image is {2} at pixel {3}, expected a finite "
             "value",
-            image_name, array_name, *bad, bad - values.begin());
+            whose, array, *bad, bad - values.begin());
 }
 
 void check_image(const RangeImage& image, const char* image_name) {

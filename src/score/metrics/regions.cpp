@@ -26,18 +26,16 @@ PixelRegion range_band(const RangeImage& real_image, double min_range_m, double 
     return region;
 }
 
-PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& sequence, const Frame& frame,
-                     const Pose& sensor_offset) {
-    const PoseTrack track = mount_track(sequence.lidar_track(frame.lidar), sensor_offset);
+PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& log, const Frame& frame, const Pose& offset) {
+    const PoseTrack track = mount_track(log.lidar_track(frame.lidar), offset);
     // is_moving() is slow
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.is_moving(); });
     PixelMask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
         if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-        const WorldRay w =
-            make_world_ray(track, frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
+        const WorldRay w = make_world_ray(track, frame.time_s, frame.scan.rays, ray, log.rolling_shutter);
         const double t_s =
-            frame.time_s + (sequence.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
+            frame.time_s + (log.rolling_shutter ? double(frame.scan.rays.time_offset_s[ray]) : 0.0);
         moving[ray] =
             is_in_moving_box(boxes, w.origin_m + double(frame.scan.range_m[ray]) * w.direction, t_s, 0.0);
     }
@@ -83,12 +81,12 @@ std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<
             range_band(real, 40.0, 80.0)};
 }
 
-std::vector<bool> mask_labelled_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset) {
+std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled;
     // Without the poses that discover_tracks() may have added.
-    for (const BoxTrack& box : sequence.boxes)
+    for (const BoxTrack& box : log.boxes)
         if (box.category != kDiscoveredCategory) labelled.push_back(box.labelled_part());
-    return mask_boxes(std::move(labelled), sequence, frame, sensor_offset);
+    return mask_boxes(std::move(labelled), log, frame, sensor_offset);
 }
 
 std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset) {

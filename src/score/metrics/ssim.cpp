@@ -56,18 +56,17 @@ std::vector<SsimWindowSums> row_window_sums(const std::vector<double>& first_ima
     return sums;
 }
 
-void check_ssim_inputs(std::size_t n_first_values, std::size_t n_second_values, int rows, int columns,
-                       double data_range) {
+void check_ssim_inputs(std::size_t n_first, std::size_t n_second, int rows, int columns, double data_range) {
     if (rows < kWindowPixels || columns < kWindowPixels)
         fail(
             "cannot compute the structural similarity: the image has {} x {} pixels, expected at least 7 x 7",
             rows, columns);
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
-    if (n_first_values != n || n_second_values != n)
+    if (n_first != n || n_second != n)
         fail(
             "cannot compute the structural similarity: the images have {} and {} values, expected {} values "
             "each",
-            n_first_values, n_second_values, n);
+            n_first, n_second, n);
     if (!(data_range > 0.0))
         fail("cannot compute the structural similarity: the data range is {}, expected a positive number",
              data_range);

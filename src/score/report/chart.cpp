@@ -158,7 +158,7 @@ ReportCurve running_mean(const ReportCurve& curve) {
 }
 
 std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const ChartAxis& y_axis,
-                       const std::string& css_class) {
+                       const std::string& style) {
     std::string path, dots;
     bool connected = false;
     const std::vector<std::size_t> point_indices = thin_out(curve);
@@ -170,11 +170,11 @@ std::string draw_curve(const ReportCurve& curve, const ChartAxis& x_axis, const 
         const double px = x_axis.to_svg(curve.x[i]), py = y_axis.to_svg(curve.y[i]);
         path += fmt::format("{}{:.1f} {:.1f}", connected ? "L" : "M", px, py);
         if (point_indices.size() <= 30)
-            dots += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", css_class, px,
-                                py);
+            dots +=
+                fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"2.6\"/>", style, px, py);
         connected = true;
     }
-    return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", css_class, path, dots);
+    return fmt::format("<path class=\"line {}\" d=\"{}\"/>{}", style, path, dots);
 }
 
 std::string draw_axes(const ChartAxis& x_axis, const ChartAxis& y_axis) {

@@ -177,15 +177,15 @@ std::string key_metrics_html(const Report& report) {
     return rows.empty() ? "" : make_table_html(head, rows);
 }
 
-std::string make_chart_html(const std::string& title, const std::vector<const ReportCurve*>& curves,
+std::string make_chart_html(const std::string& title, const std::vector<const ReportCurve*>& lines,
                             int width) {
     std::string legend;
-    for (std::size_t i = 0; i < curves.size(); ++i)
+    for (std::size_t i = 0; i < lines.size(); ++i)
         legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report::kChartColours,
-                              escape_html(split_metric(curves[i]->name).second));
+                              escape_html(split_metric(lines[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
-                       report::draw_svg_chart(curves, width, 300), legend);
+                       report::draw_svg_chart(lines, width, 300), legend);
 }
 
 std::string curves_html(const Report& report) {

@@ -54,13 +54,13 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
     }
 }
 
-CheckpointKeeper::CheckpointKeeper(const Log& sequence, const Split& split, const Config& config,
+CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Config& config,
                                    const TrainSession& session)
     : config_(config.train),
       folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
     if (folder_.is_enabled())
-        texts_ = std::async(std::launch::async, [&sequence, &split, &config] {
-            return make_resume_texts(list_config_keys(config), fingerprint_log(sequence, split));
+        texts_ = std::async(std::launch::async, [&log, &split, &config] {
+            return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
         });
 }
 

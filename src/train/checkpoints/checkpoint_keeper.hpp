@@ -41,8 +41,7 @@ private:
 
 class CheckpointKeeper {
 public:
-    CheckpointKeeper(const Log& sequence, const Split& split, const Config& config,
-                     const TrainSession& session);
+    CheckpointKeeper(const Log& log, const Split& split, const Config& config, const TrainSession& session);
 
     /// After a number of iterations or minutes. The last iteration also gets a checkpoint
     /// if the folder already has one.

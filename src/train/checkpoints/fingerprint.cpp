@@ -120,24 +120,22 @@ std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey
     return texts;
 }
 
-void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                const std::string& error_prefix) {
+void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix) {
     const std::map<std::string, std::string> saved = read_settings(checkpoint);
-    for (const ConfigKey& setting : settings) {
+    for (const ConfigKey& setting : keys) {
         const auto it = saved.find(setting.key);
         if (it == saved.end())
-            fail("{}: the checkpoint has no value for the setting {}; {}", error_prefix, setting.key,
+            fail("{}: the checkpoint has no value for the setting {}; {}", prefix, setting.key,
                  kTrainAgainAdvice);
         if (it->second != setting.value)
-            fail<UsageError>(kMismatch, error_prefix, "setting " + setting.key, setting.value, it->second);
+            fail<UsageError>(kMismatch, prefix, "setting " + setting.key, setting.value, it->second);
     }
 }
 
-void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
-                const std::string& error_prefix) {
-    const auto it = checkpoint.texts.find(fingerprint.key);
+void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, const std::string& prefix) {
+    const auto it = checkpoint.texts.find(mark.key);
     const std::string saved = it == checkpoint.texts.end() ? "nothing" : it->second;
-    if (saved != fingerprint.value) fail(kMismatch, error_prefix, fingerprint.what, fingerprint.value, saved);
+    if (saved != mark.value) fail(kMismatch, prefix, mark.what, mark.value, saved);
 }
 
 std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint) {

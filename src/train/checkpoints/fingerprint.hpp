@@ -30,13 +30,11 @@ ResumeFingerprint fingerprint_scene(const Scene& scene);
 std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
                                                      const std::vector<ResumeFingerprint>& fingerprints);
 /// Compares settings or a hash with the values in a checkpoint.
-/// @param error_prefix  start of the error message
+/// @param prefix  start of the error message
 /// @throws UsageError if a setting has another value
 /// @throws DataError if a setting is missing or a hash differs
-void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
-                const std::string& error_prefix);
-void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& fingerprint,
-                const std::string& error_prefix);
+void check_same(const std::vector<ConfigKey>& keys, const Checkpoint& checkpoint, const std::string& prefix);
+void check_same(const Checkpoint& checkpoint, const ResumeFingerprint& mark, const std::string& prefix);
 /// @throws DataError for an unknown key
 std::map<std::string, std::string> read_settings(const Checkpoint& checkpoint);
 

@@ -77,8 +77,7 @@ std::string find_fixed_setting(const Config& config, const Config& other_config)
     return "";
 }
 
-void check_resume(const Checkpoint& checkpoint, const Log& sequence, const Split& split,
-                  const Config& config) {
+void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& split, const Config& config) {
     const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = list_config_keys(config);
     std::erase_if(settings, [](const ConfigKey& key) { return is_resume_free(key.key); });
@@ -87,8 +86,7 @@ void check_resume(const Checkpoint& checkpoint, const Log& sequence, const Split
         fail<UsageError>(
             "{}: setting train.iterations: found {}, expected at least the iteration of the checkpoint",
             doing, config.train.iterations);
-    for (const ResumeFingerprint& mark : fingerprint_log(sequence, split))
-        check_same(checkpoint, mark, doing);
+    for (const ResumeFingerprint& mark : fingerprint_log(log, split)) check_same(checkpoint, mark, doing);
 }
 
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,

@@ -49,13 +49,12 @@ RayTable rotate_rays(RayTable rays, float column_fraction) {
 }
 
 /// [cells] 0 returned, 1 dropped, -1 unknown: a return of the cell belongs to a ray with
-/// a negative value in `ray_drops`.
-std::vector<float> drops_to_grid(const Config& config, const Frame& frame,
-                                 const std::vector<float>& ray_drops) {
+/// a negative value in `drops`.
+std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const std::vector<float>& drops) {
     std::vector<float> cells = measured_image(config, frame.scan).drop_prob;
     const RangeImageGrid grid = find_grid(config.sensor.grid);
-    for (std::size_t i = 0; i < ray_drops.size(); ++i) {
-        if (ray_drops[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
+    for (std::size_t i = 0; i < drops.size(); ++i) {
+        if (drops[i] >= 0.0f || !(frame.scan.range_m[i] > 0.0f)) continue;
         if (const std::optional<int> cell = project_to_pixel(grid, glm::dvec3(frame.scan.return_point(i))))
             cells[std::size_t(*cell)] = -1.0f;
     }
@@ -63,12 +62,11 @@ std::vector<float> drops_to_grid(const Config& config, const Frame& frame,
 }
 
 /// Those with the most common image size, or all if refine.image is "grid".
-std::vector<int> select_frames(const Config& config, const Log& sequence,
-                               const std::vector<int>& train_frames) {
+std::vector<int> select_frames(const Config& config, const Log& log, const std::vector<int>& train_frames) {
     if (uses_grid_rays(config)) return train_frames;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
     for (const int position : train_frames) {
-        const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
+        const RayTable& rays = log.frames[std::size_t(position)].scan.rays;
         if (rays.rows > 1) by_shape[{rays.rows, rays.columns}].push_back(position);
     }
     const auto most = std::max_element(

@@ -161,10 +161,9 @@ void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop
     }
 }
 
-bool is_blind_ray(const RayDropTable& observed_drop_rates, const Log& sequence, const Frame& frame,
-                  std::size_t ray) {
-    const auto beam = sequence.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
-    return beam && observed_drop_rates.probability_of(*beam, frame.scan.rays.direction[ray]) >= kMinBlindRate;
+bool is_blind_ray(const RayDropTable& observed, const Log& log, const Frame& frame, std::size_t ray) {
+    const auto beam = log.find_global_beam(frame.lidar, frame.scan.rays.channel[ray]);
+    return beam && observed.probability_of(*beam, frame.scan.rays.direction[ray]) >= kMinBlindRate;
 }
 
 }  // namespace relidar

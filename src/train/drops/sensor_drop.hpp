@@ -54,7 +54,6 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frames);
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence);
 
 /// at least 95 % of the time; training ignores such rays
-bool is_blind_ray(const RayDropTable& observed_drop_rates, const Log& sequence, const Frame& frame,
-                  std::size_t ray);
+bool is_blind_ray(const RayDropTable& observed, const Log& log, const Frame& frame, std::size_t ray);
 
 }  // namespace relidar

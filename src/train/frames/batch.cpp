@@ -37,10 +37,9 @@ ImageShape image_shape(const TrainingFrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
-StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig& config,
-                              bool use_contiguous_window) {
+StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig& config, bool contiguous) {
     if (config.rays_per_iteration == 0) return {};
-    if (use_contiguous_window) {
+    if (contiguous) {
         const ImageShape image = image_shape(frame);
         const std::uint32_t n =
             std::clamp((static_cast<std::uint32_t>(config.rays_per_iteration) + image.rows / 2) / image.rows,
@@ -109,14 +108,13 @@ SampledBatch BatchSampler::draw_batch(Stream& stream, const TrainingFrameData& f
     return gather(stream, frame, draw_column(frame, random), 0);
 }
 
-SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
-                                  std::uint32_t batch_index) {
+SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t column,
+                                  std::uint32_t index) {
     Impl& b = *impl_;
     const StridedColumns columns = choose_columns(frame, b.config, b.windows);
     if (columns.n > 0) {
         const ImageShape image = image_shape(frame);
-        if (columns.stride > 1)
-            first_column = (first_column + batch_index * RELIDAR_COLUMN_GROUP) % image.columns;
+        if (columns.stride > 1) column = (column + index * RELIDAR_COLUMN_GROUP) % image.columns;
         const std::uint32_t n = image.rows * columns.n;
         run(stream, b.gather, n,
             {.rays = frame.device_rays().address(),
@@ -125,7 +123,7 @@ SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame
              .batch_targets = b.targets.address(),
              .rows = image.rows,
              .columns = image.columns,
-             .first_column = first_column,
+             .first_column = column,
              .column_stride = columns.stride,
              .n_columns = columns.n});
         // Losses are divided by n_returned or n_known_rays. Both are expected numbers:
@@ -140,13 +138,13 @@ SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame
                  share * frame.n_returned,
                  share * frame.n_known_rays,
                  {image.rows, columns.n, false}},
-                {image.columns, first_column, columns.stride, columns.n}};
+                {image.columns, column, columns.stride, columns.n}};
     }
     const std::uint32_t stride = count_batches(frame);
-    first_column = (first_column + batch_index) % stride;
-    const RayBatch rays = frame.strided_batch(first_column, stride);
+    column = (column + index) % stride;
+    const RayBatch rays = frame.strided_batch(column, stride);
     return {rays,
-            {&frame.loss_targets(), first_column, stride, rays.n_rays, frame.n_returned / stride,
+            {&frame.loss_targets(), column, stride, rays.n_rays, frame.n_returned / stride,
              frame.n_known_rays / stride, stride == 1 ? frame.image : ImageShape{}},
             {}};
 }

@@ -46,10 +46,10 @@ public:
     SampledBatch draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
     /// The batches of a series together contain all rays of a frame, except a few columns
     /// at the end of a full turn. A window of columns has only one batch.
-    /// @param first_column  of the first batch, from draw_column()
-    /// @param batch_index  below count_batches()
-    SampledBatch gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t first_column,
-                        std::uint32_t batch_index);
+    /// @param column  of the first batch, from draw_column()
+    /// @param index  below count_batches()
+    SampledBatch gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t column,
+                        std::uint32_t index);
     std::uint32_t draw_column(const TrainingFrameData& frame, Random& random) const;
     /// Number of batches that together contain all rays, or 1 for windows of neighbouring
     /// columns.

@@ -21,15 +21,15 @@ struct MovingBoxMask {
     double reach_m;
 };
 
-std::vector<MovingBoxMask> list_masked_boxes(const Log& sequence, const SweepTiming& sweep,
-                                             const IgnoredMeasurements& mask_rules) {
+std::vector<MovingBoxMask> list_masked_boxes(const Log& log, const SweepTiming& sweep,
+                                             const IgnoredMeasurements& rules) {
     std::vector<MovingBoxMask> result;
-    for (const BoxTrack& box : list_foreground(sequence, mask_rules.moving)) {
+    for (const BoxTrack& box : list_foreground(log, rules.moving)) {
         const bool is_actor =
-            std::find(mask_rules.actors.begin(), mask_rules.actors.end(), box.id) != mask_rules.actors.end();
+            std::find(rules.actors.begin(), rules.actors.end(), box.id) != rules.actors.end();
         if (is_actor || !box.is_observed(sweep.time_s)) continue;
         const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
-        const InstancePose placed = box_pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
+        const InstancePose placed = box_pose_in_sweep(log, box.world_from_box, half_size_m, sweep);
         const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         result.push_back({placed, half_size_m, glm::length(half_size_m) + driven_length_m});
     }

@@ -22,11 +22,10 @@ IgnoredMeasurements mask_movers(const Config& config, const Scene& scene) {
     return masks;
 }
 
-std::vector<float> classify_drops(const Log& sequence, const Frame& frame,
-                                  const IgnoredMeasurements& mask_rules) {
+std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
-    make_frame_arrays(sequence, frame, mask_rules, rays, targets);
+    make_frame_arrays(log, frame, rules, rays, targets);
     std::vector<float> dropped;
     for (std::size_t i = 0; i < targets.size(); ++i) {
         if (!(targets[i].weight > 0.0f)) dropped.push_back(-1.0f);

@@ -22,8 +22,7 @@ IgnoredMeasurements mask_movers(const Config& config, const Scene& scene);
 
 /// [rays] 0 returned, 1 dropped, -1 if the ray hit, or may have hit, a moving object
 /// without a model in the scene.
-std::vector<float> classify_drops(const Log& sequence, const Frame& frame,
-                                  const IgnoredMeasurements& mask_rules);
+std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules);
 
 /// All positions if `max_count` is 0.
 std::vector<int> select_evenly(const std::vector<int>& frames, int max_count);

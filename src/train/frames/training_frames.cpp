@@ -33,29 +33,28 @@ struct GriddedFrame {
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
-TrainingFrameData describe_frame(const Log& sequence, int frame_index,
-                                 const std::optional<RangeImageGrid>& grid) {
-    const GriddedFrame trained(sequence, frame_index, grid);
+TrainingFrameData describe_frame(const Log& log, int index, const std::optional<RangeImageGrid>& grid) {
+    const GriddedFrame trained(log, index, grid);
     const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
         fail("cannot use frame {} of {} for training: its scan has no rays, expected at least one",
-             frame.index, sequence.name);
+             frame.index, log.name);
     TrainingFrameData data;
-    data.position = frame_index;
+    data.position = index;
     data.index = frame.index;
     data.n_rays = static_cast<std::uint32_t>(frame.scan.range_m.size());
     if (table.rows > 1)
         data.image = {static_cast<std::uint32_t>(table.rows), static_cast<std::uint32_t>(table.columns),
                       is_full_turn(table.rows, table.columns, table.direction)};
-    const PoseTrack& track = sequence.world_from_vehicle;
+    const PoseTrack& track = log.world_from_vehicle;
     const auto [first, last] = std::minmax_element(table.time_offset_s.begin(), table.time_offset_s.end());
-    data.first_knot = track.find_segment(firing_time_s(sequence, frame, *first)).left;
+    data.first_knot = track.find_segment(firing_time_s(log, frame, *first)).left;
     const std::size_t last_knot =
-        std::min(track.find_segment(firing_time_s(sequence, frame, *last)).left + 1, track.pose.size() - 1);
+        std::min(track.find_segment(firing_time_s(log, frame, *last)).left + 1, track.pose.size() - 1);
     data.n_knots = static_cast<std::uint32_t>(last_knot + 1 - data.first_knot);
-    data.sensor_position_m = glm::vec3(
-        track.mounted_pose_at(frame.time_s, sequence.lidar_of(frame).vehicle_from_sensor).translation);
+    data.sensor_position_m =
+        glm::vec3(track.mounted_pose_at(frame.time_s, log.lidar_of(frame).vehicle_from_sensor).translation);
     return data;
 }
 
@@ -79,10 +78,10 @@ std::size_t TrainingFrames::bytes_per_ray() const {
            (use_.moves_rays ? sizeof(shared::PoseInterpolation) : 0);
 }
 
-TrainingFrames::TrainingFrames(Device& device, const Log& sequence, const std::vector<int>& frame_indices,
+TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector<int>& frame_indices,
                                FrameUploadOptions use)
-    : sequence_(sequence), use_(std::move(use)) {
-    for (const int position : frame_indices) frames_.push_back(describe_frame(sequence, position, use_.grid));
+    : sequence_(log), use_(std::move(use)) {
+    for (const int position : frame_indices) frames_.push_back(describe_frame(log, position, use_.grid));
     std::uint64_t bytes = 0;
     for (const TrainingFrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();

@@ -28,11 +28,10 @@ struct FrameUploadOptions {
 class TrainingFrames {
 public:
     /// Uploads as many frames as fit into the memory budget.
-    /// @param sequence  must outlive this object, because its scans are read for each
+    /// @param log  must outlive this object, because its scans are read for each
     /// upload
     /// @throws DataError if a frame has no ray
-    TrainingFrames(Device& device, const Log& sequence, const std::vector<int>& frames,
-                   FrameUploadOptions use);
+    TrainingFrames(Device& device, const Log& log, const std::vector<int>& frames, FrameUploadOptions use);
     ~TrainingFrames();
 
     const std::vector<TrainingFrameData>& all() const { return frames_; }

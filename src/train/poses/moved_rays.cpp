@@ -26,12 +26,12 @@ PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingF
       gradients_(device, "train/knot_gradients",
                  {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
 
-void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& sensor_correction,
+void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correction,
                                   TrainingFrameData& frame) {
     std::vector<shared::PoseKnot> knots;
     for (std::size_t k = frame.first_knot; k < frame.first_knot + frame.n_knots; ++k) {
-        const Twist c = sensor_correction.correction_at(k);
-        knots.push_back({glm::vec3(sensor_correction.uncorrected_track().pose[k].translation),
+        const Twist c = correction.correction_at(k);
+        knots.push_back({glm::vec3(correction.uncorrected_track().pose[k].translation),
                          glm::vec3(c[0], c[1], c[2]), glm::vec3(c[3], c[4], c[5])});
     }
     stream.impl().record_write(knots_.buffer(), knots.data(), knots.size() * sizeof(knots[0]));
@@ -64,14 +64,14 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
          .n_rows = kGroupsPerPose});
 }
 
-std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> partial_sums,
+std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> sums,
                                                            const TrainingFrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);
     for (std::size_t k = 0; k < result.size(); ++k) {
         result[k].pose = frame.first_knot + k;
         for (std::size_t row = 0; row < kGroupsPerPose; ++row)
             for (std::size_t j = 0; j < 6; ++j)
-                result[k].gradient[j] += partial_sums[6 * (row * most_knots_ + k) + j];
+                result[k].gradient[j] += sums[6 * (row * most_knots_ + k) + j];
     }
     return result;
 }

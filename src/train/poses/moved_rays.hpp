@@ -29,7 +29,7 @@ public:
     PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames);
     /// The frame must be on the device. Afterwards `frame` refers to the new rays, which
     /// are valid until the next call.
-    void move_rays(Stream& stream, const TrackCorrection& sensor_correction, TrainingFrameData& frame);
+    void move_rays(Stream& stream, const TrackCorrection& correction, TrainingFrameData& frame);
     /// A ray contributes to the poses before and after its firing time. Ignores the
     /// effect of poses on the viewing direction of the spherical harmonics. Call
     /// move_rays() for the same frame before.
@@ -38,7 +38,7 @@ public:
     /// [kGroupsPerPose, maximum number of poses in a frame, 6] one row for each of the `kGroupsPerPose`
     /// workgroups that share the work for a pose
     const Array<float>& gradient_sums() const { return rows_; }
-    std::vector<PoseGradient> sum_gradients(std::span<const float> partial_sums,
+    std::vector<PoseGradient> sum_gradients(std::span<const float> sums,
                                             const TrainingFrameData& frame) const;
 
 private:

@@ -133,18 +133,16 @@ double scans_per_second(ScanRenderer& renderer, const Run& run,
     return 1e3 * double(sensors.size()) * kTimedScans / ms_since(start);
 }
 
-void measure_rates(Device& device, const Run& run, const std::string& sensor_or_rig_name,
-                   BenchTimes& bench_times) {
+void measure_rates(Device& device, const Run& run, const std::string& sensor, BenchTimes& times) {
     ScanRenderer renderer(device, run);
     const std::vector<MountedSimulatedSensor> sensors =
-        list_sensors(sensor_or_rig_name.empty() ? "native" : sensor_or_rig_name,
-                     read_sensor_rig(sensor_or_rig_name), run, 0);
-    bench_times.scans_per_s = scans_per_second(renderer, run, sensors);
+        list_sensors(sensor.empty() ? "native" : sensor, read_sensor_rig(sensor), run, 0);
+    times.scans_per_s = scans_per_second(renderer, run, sensors);
     if (sensors.size() == 1) return;
     double seconds = 0.0;
     for (const MountedSimulatedSensor& target : sensors)
         seconds += 1.0 / scans_per_second(renderer, run, {&target, 1});
-    bench_times.separate_scans_per_s = double(sensors.size()) / seconds;
+    times.separate_scans_per_s = double(sensors.size()) / seconds;
 }
 
 const char* backend_name(const Device& device) {

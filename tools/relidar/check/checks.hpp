@@ -62,7 +62,6 @@ CheckResult check_buffer(CheckedDevice& tested_device);
 CheckResult check_memory(CheckedDevice& tested_device);
 CheckResult check_dispatch(CheckedDevice& tested_device);
 /// The reference renderer uses double precision.
-CheckResult check_run_scene(CheckedDevice& tested_device, RayTracingBackend backend,
-                            const BenchCase& bench_case);
+CheckResult check_run_scene(CheckedDevice& tested, RayTracingBackend backend, const BenchCase& tested_case);
 
 }  // namespace relidar::cli

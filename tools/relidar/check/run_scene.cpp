@@ -73,37 +73,35 @@ reference::World copy_near_surfels(const BenchCase& bench_case, const std::vecto
 }
 
 /// For expected values above 1, the difference is relative.
-double ray_difference(const RenderedRayValues& rendering, std::size_t ray_index,
-                      const reference::Pixel& expected_values) {
+double ray_difference(const RenderedRayValues& rendered, std::size_t ray, const reference::Pixel& expected) {
     double worst = 0.0;
     const auto compare_value = [&](double value, double expected_value) {
         const double difference = std::abs(value - expected_value) / std::max(1.0, std::abs(expected_value));
         worst = std::isfinite(difference) ? std::max(worst, difference) : HUGE_VAL;
     };
 #define RELIDAR_COMPARE(name, built, value, input, slope, meaning) \
-    compare_value(rendering.name[ray_index], expected_values.name);
+    compare_value(rendered.name[ray], expected.name);
     RELIDAR_IMAGE_VALUES(RELIDAR_COMPARE)
 #undef RELIDAR_COMPARE
-    compare_value(rendering.transmittance[ray_index], expected_values.transmittance);
+    compare_value(rendered.transmittance[ray], expected.transmittance);
     return worst;
 }
 
 }  // namespace
 
-CheckResult check_run_scene(CheckedDevice& tested_device, RayTracingBackend backend,
-                            const BenchCase& bench_case) {
-    const std::string missing = why_unsupported(tested_device.default_device().info(), backend);
+CheckResult check_run_scene(CheckedDevice& tested, RayTracingBackend backend, const BenchCase& tested_case) {
+    const std::string missing = why_unsupported(tested.default_device().info(), backend);
     if (!missing.empty()) return unsupported_check("missing " + missing);
-    const WorldRays rays = thin_out_rays(bench_case.rays);
-    Renderer renderer(tested_device.device_with(backend), bench_case.scene, bench_case.config.image,
-                      {.trace = common_options(bench_case.config), .n_rays = std::uint32_t(rays.size())});
-    renderer.update(bench_case.placed, bench_case.view_origin_m);
+    const WorldRays rays = thin_out_rays(tested_case.rays);
+    Renderer renderer(tested.device_with(backend), tested_case.scene, tested_case.config.image,
+                      {.trace = common_options(tested_case.config), .n_rays = std::uint32_t(rays.size())});
+    renderer.update(tested_case.placed, tested_case.view_origin_m);
     const RenderedRayValues rendering = renderer.render_rays(rays);
 
     const std::vector<reference::Ray> exact_rays = test::to_reference(rays);
-    const reference::World world = copy_near_surfels(bench_case, exact_rays);
-    const reference::Settings settings{.image = bench_case.config.image,
-                                       .view_origin = glm::dvec3(bench_case.view_origin_m)};
+    const reference::World world = copy_near_surfels(tested_case, exact_rays);
+    const reference::Settings settings{.image = tested_case.config.image,
+                                       .view_origin = glm::dvec3(tested_case.view_origin_m)};
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
     std::vector<double> differences;
     for (std::size_t i = 0; i < rays.size(); ++i)

@@ -32,21 +32,18 @@ struct AssetOptions {
 };
 
 /// Empty if the actor is saved.
-std::string why_not_saved(const AssetDescription& asset_description, const ActorObservations& observations,
-                          double min_covered_fraction) {
-    if (observations.points_m.empty()) return "no ray of the training frames hits this actor";
-    if (asset_description.covered_share() >= min_covered_fraction) return "";
+std::string why_not_saved(const AssetDescription& asset, const ActorObservations& seen, double min_covered) {
+    if (seen.points_m.empty()) return "no ray of the training frames hits this actor";
+    if (asset.covered_share() >= min_covered) return "";
     std::string side_shares;
     for (std::size_t s = 0; s < kBoxSides; ++s)
-        side_shares +=
-            fmt::format("{}{} {:.2f}", s ? ", " : "", name_of(BoxSide(s)), asset_description.seen_sides[s]);
+        side_shares += fmt::format("{}{} {:.2f}", s ? ", " : "", name_of(BoxSide(s)), asset.seen_sides[s]);
     return fmt::format(
         "the score of the actor is {:.2f}, expected at least {:.2f} (--least); share of each side that rays "
         "of the log hit: {}{}",
-        asset_description.covered_share(), min_covered_fraction, side_shares,
-        asset_description.completed > 0.0
-            ? fmt::format("; mirroring completed a share of {:.2f} of its surface",
-                          asset_description.completed)
+        asset.covered_share(), min_covered, side_shares,
+        asset.completed > 0.0
+            ? fmt::format("; mirroring completed a share of {:.2f} of its surface", asset.completed)
             : "");
 }
 

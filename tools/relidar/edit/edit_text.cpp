@@ -143,19 +143,18 @@ EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit)
     return {std::move(driving_scene), "moved " + track, ""};
 }
 
-/// @param original_box track of the actor before the edit; null for a new actor
-std::string warn_absent(const SceneWithLog& driving_scene, const std::string& track_id,
-                        const BoxTrack* original_box) {
-    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
-    const bool is_in_any_frame =
-        box && std::ranges::any_of(driving_scene.sequence.frames,
-                                   [&](const Frame& f) { return box->is_observed(f.time_s); });
+/// @param original track of the actor before the edit; null for a new actor
+std::string warn_absent(const SceneWithLog& driving, const std::string& id, const BoxTrack* original) {
+    const BoxTrack* box = find_box(driving.sequence, id);
+    const bool is_in_any_frame = box && std::ranges::any_of(driving.sequence.frames, [&](const Frame& f) {
+                                     return box->is_observed(f.time_s);
+                                 });
     if (!is_in_any_frame)
         return fmt::format(
             "actor {} is not visible in any frame, because all times of its trajectory are outside the time "
             "of the log",
-            track_id);
-    return original_box ? describe_absence(*original_box, driving_scene.sequence) : "";
+            id);
+    return original ? describe_absence(*original, driving.sequence) : "";
 }
 
 BoxTrack find_box_track(const SceneWithLog& driving_scene, const std::string& track_id) {
@@ -197,12 +196,10 @@ struct ExternalActor {
 };
 
 /// RUN#TRACK (run folder and track name), or the folder of an asset.
-ExternalActor load_actor(const EditArgument& edit_for_errors,
-                         const std::string& run_and_track_or_asset_folder) {
-    const bool named = run_and_track_or_asset_folder.find('#') != std::string::npos;
-    const auto [folder, named_track] = named ? split_text(edit_for_errors, run_and_track_or_asset_folder,
-                                                          run_and_track_or_asset_folder.rfind('#'))
-                                             : std::pair(run_and_track_or_asset_folder, std::string());
+ExternalActor load_actor(const EditArgument& context, const std::string& source) {
+    const bool named = source.find('#') != std::string::npos;
+    const auto [folder, named_track] =
+        named ? split_text(context, source, source.rfind('#')) : std::pair(source, std::string());
     Run run = load_run(folder);
     const std::string track = named ? named_track : only_track(run);
     SceneWithLog owner = run.driving_scene();

@@ -101,14 +101,13 @@ Image draw_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel
     return apply_colour_map(values, rows, columns, min_value, max_value, colour_map_name);
 }
 
-/// Side view along `horizontal_view_direction`. The value of a dot is its depth along
+/// Side view along `direction`. The value of a dot is its depth along
 /// this direction, relative to the centre of the actor's box.
-std::vector<PictureDot> project_dots(const std::vector<glm::dvec3>& points_m,
-                                     const glm::dvec2& horizontal_view_direction) {
+std::vector<PictureDot> project_dots(const std::vector<glm::dvec3>& points_m, const glm::dvec2& direction) {
     std::vector<PictureDot> dots;
     for (const glm::dvec3& p : points_m)
-        dots.push_back({horizontal_view_direction.y * p.x - horizontal_view_direction.x * p.y, p.z,
-                        float(horizontal_view_direction.x * p.x + horizontal_view_direction.y * p.y)});
+        dots.push_back(
+            {direction.y * p.x - direction.x * p.y, p.z, float(direction.x * p.x + direction.y * p.y)});
     return dots;
 }
 

@@ -37,7 +37,6 @@ struct EvaluationProvenance {
     double seconds = 0.0;
     const Evaluation* baseline = nullptr;
 };
-std::string metrics_json(const Evaluation& result, const Config& config,
-                         const EvaluationProvenance& provenance);
+std::string metrics_json(const Evaluation& result, const Config& config, const EvaluationProvenance& source);
 
 }  // namespace relidar::cli

@@ -214,13 +214,12 @@ Json frames_json(const Evaluation& result) {
     return frames;
 }
 
-std::string metrics_json(const Evaluation& result, const Config& config,
-                         const EvaluationProvenance& provenance) {
+std::string metrics_json(const Evaluation& result, const Config& config, const EvaluationProvenance& source) {
     Json json = {{"format", "relidar metrics"},
                  {"version", 1},
                  {"relidar", RELIDAR_VERSION},
                  {"scored", result.title},
-                 {"run", provenance.run},
+                 {"run", source.run},
                  {"dataset", config.dataset.path},
                  {"protocol", protocol_json(config)},
                  {"mean", result.mean},
@@ -230,13 +229,13 @@ std::string metrics_json(const Evaluation& result, const Config& config,
                   {{"kernel_ms", result.kernel_ms},
                    {"trace_ms", result.trace_ms},
                    {"mrays_per_s", result.mrays_per_s},
-                   {"seconds", provenance.seconds}}},
-                 {"device", provenance.device},
-                 {"peak_device_bytes", provenance.peak_device_bytes}};
-    if (provenance.baseline)
-        json["baseline"] = {{"scored", provenance.baseline->title},
-                            {"mean", provenance.baseline->mean},
-                            {"frames", frames_json(*provenance.baseline)}};
+                   {"seconds", source.seconds}}},
+                 {"device", source.device},
+                 {"peak_device_bytes", source.peak_device_bytes}};
+    if (source.baseline)
+        json["baseline"] = {{"scored", source.baseline->title},
+                            {"mean", source.baseline->mean},
+                            {"frames", frames_json(*source.baseline)}};
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

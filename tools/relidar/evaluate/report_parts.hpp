@@ -18,7 +18,7 @@ namespace relidar::cli {
 
 /// Real and simulated points in the sensor frame at the time of the frame.
 ReportView make_3d_view(const ScoredFrame& frame, const Config& config, const std::string& title,
-                        const std::string& label_of_real_points);
+                        const std::string& real_label);
 
 /// shares of rays with small and large errors, by intervals of the real range
 ReportBars error_by_range(const Evaluation& result, const std::string& title);

@@ -16,7 +16,7 @@ struct Evaluation;
 namespace relidar::cli {
 
 /// Facts, loss curves and kernel times, without scores.
-Report training_report(const Run& run, const TrainResult& result, const Device& device,
+Report training_report(const Run& run, const TrainResult& trained, const Device& device,
                        const std::string& args);
 
 struct EvaluationLabels {
@@ -24,11 +24,10 @@ struct EvaluationLabels {
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
 /// The first call also extends the summary of the report.
-void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
-                    const EvaluationLabels& labels);
+void add_evaluation(Report& report, const Evaluation& result, const Run& run, const EvaluationLabels& labels);
 
 /// Without facts about the training.
-Report evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
+Report evaluation_report(const Run& run, const Evaluation& result, const Device& device,
                          const std::string& args);
 
 }  // namespace relidar::cli

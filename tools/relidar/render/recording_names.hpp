@@ -25,7 +25,6 @@ void add_name_options(CLI::App& command, RecordingNames& parsed_names);
 void check_recording_names(const RecordingNames& name_templates,
                            const std::vector<std::string>& output_file_formats, bool has_several_sensors);
 /// @param name in the rig or in the log; may be empty
-void apply_names(ScanOutputOptions& output_options, const std::string& name,
-                 const RecordingNames& name_templates);
+void apply_names(ScanOutputOptions& options, const std::string& name, const RecordingNames& names);
 
 }  // namespace relidar::cli

@@ -103,11 +103,10 @@ PointCoordinateFrame parse_frame(const std::string& name) {
     fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
-void remove_hidden_boxes(ScanOutputOptions& output_options, const Run& run,
-                         const std::vector<std::string>& visible_scene_parts) {
-    if (visible_scene_parts.empty()) return;
-    const std::vector<bool> shown = select_instances(run.scene, visible_scene_parts);
-    std::erase_if(output_options.actors, [&](const BoxTrack& box) {
+void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {
+    if (visible.empty()) return;
+    const std::vector<bool> shown = select_instances(run.scene, visible);
+    std::erase_if(output.actors, [&](const BoxTrack& box) {
         for (std::size_t i = 0; i < shown.size(); ++i)
             if (run.scene.instances[i].track == box.id) return !shown[i];
         return true;
@@ -164,12 +163,11 @@ struct NumberedScanTime {
     double time_s;
 };
 
-std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options,
-                                               int lidar_index) {
+std::vector<NumberedScanTime> sweeps_of_frames(const Run& run, const RenderOptions& options, int lidar) {
     std::vector<NumberedScanTime> sweeps;
     for (const int position : select_frames(run, options.frames, options.quiet)) {
         const Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];
-        if (frame.lidar == lidar_index) sweeps.push_back({frame.index, frame.time_s});
+        if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
         fail<UsageError>(
@@ -305,15 +303,14 @@ public:
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
     }
-    /// @param n_local_sweeps rendered by this process
-    /// @param n_total_sweeps rendered by all MPI processes
-    std::string format_summary(std::size_t n_local_sweeps, std::size_t n_total_sweeps,
-                               int n_processes) const {
-        const double n = double(n_local_sweeps);
+    /// @param n_local rendered by this process
+    /// @param n_total rendered by all MPI processes
+    std::string format_summary(std::size_t n_local, std::size_t n_total, int n_processes) const {
+        const double n = double(n_local);
         return fmt::format(
             "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took {:.1f} ms "
             "per scan, {:.3f} Mrays/s{}\n",
-            n_total_sweeps, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
+            n_total, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
             has_unseen_share_
                 ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",

@@ -11,19 +11,17 @@ std::optional<SpinningSensor> as_spinning(const SensorModel& model) {
 
 }  // namespace
 
-std::optional<SpinningSensor> spinning_sensor_of(const std::string& name_or_file,
-                                                 const SimulatedSensor& simulated_sensor) {
-    if (simulated_sensor.is_log_lidar || simulated_sensor.grid || simulated_sensor.pattern)
-        return std::nullopt;
-    return as_spinning(find_sensor(name_or_file));
+std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const SimulatedSensor& simulated) {
+    if (simulated.is_log_lidar || simulated.grid || simulated.pattern) return std::nullopt;
+    return as_spinning(find_sensor(name));
 }
 
-std::vector<MountedSimulatedSensor> list_sensors(const std::string& sensor_name_or_file, const SensorRig& rig,
+std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar) {
-    if (sensor_name_or_file.empty()) return {{"", make_sensor(run.config, run.sequence, lidar), {}}};
+    if (name.empty()) return {{"", make_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) {
-        const SimulatedSensor choice = choose_sensor(sensor_name_or_file, run.config, run.sequence, lidar);
-        return {{"", choice, {}, spinning_sensor_of(sensor_name_or_file, choice)}};
+        const SimulatedSensor choice = choose_sensor(name, run.config, run.sequence, lidar);
+        return {{"", choice, {}, spinning_sensor_of(name, choice)}};
     }
     std::vector<MountedSimulatedSensor> targets;
     for (const MountedSensor& mounted : *rig)

@@ -25,11 +25,10 @@ struct MountedSimulatedSensor {
 using SensorRig = std::optional<std::vector<MountedSensor>>;
 
 /// No value for the log's sensor, a grid of rays, and sensors that do not spin.
-std::optional<SpinningSensor> spinning_sensor_of(const std::string& name_or_file,
-                                                 const SimulatedSensor& simulated_sensor);
+std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const SimulatedSensor& simulated);
 
-/// @param sensor_name_or_file  empty means the sensor of the log
-std::vector<MountedSimulatedSensor> list_sensors(const std::string& sensor_name_or_file, const SensorRig& rig,
+/// @param name  empty means the sensor of the log
+std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar);
 
 }  // namespace relidar::cli

@@ -26,27 +26,23 @@ struct TimeSteps {
 
 }  // namespace
 
-std::vector<double> scan_times(const TrajectoryOptions& trajectory_options, const PoseTrack& sensor_track,
-                               double log_rate_hz) {
-    const double begin = sensor_track.time_s.front(), end = sensor_track.time_s.back();
-    if (trajectory_options.rate_hz &&
-        !(*trajectory_options.rate_hz > 0.0 && std::isfinite(*trajectory_options.rate_hz)))
-        fail<UsageError>("--rate: found {}; expected a number of scans per second above 0",
-                         *trajectory_options.rate_hz);
-    TimeSteps steps{begin, end, 1.0 / trajectory_options.rate_hz.value_or(log_rate_hz)};
-    if (!trajectory_options.times.empty()) {
+std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack& track, double log_rate_hz) {
+    const double begin = track.time_s.front(), end = track.time_s.back();
+    if (options.rate_hz && !(*options.rate_hz > 0.0 && std::isfinite(*options.rate_hz)))
+        fail<UsageError>("--rate: found {}; expected a number of scans per second above 0", *options.rate_hz);
+    TimeSteps steps{begin, end, 1.0 / options.rate_hz.value_or(log_rate_hz)};
+    if (!options.times.empty()) {
         std::vector<double> numbers;
-        for (const std::string& word : split_text(trajectory_options.times, ':'))
+        for (const std::string& word : split_text(options.times, ':'))
             if (const std::optional<double> number = parse_finite(word)) numbers.push_back(*number);
-        if (numbers.size() != 3 || std::ranges::count(trajectory_options.times, ':') != 2)
+        if (numbers.size() != 3 || std::ranges::count(options.times, ':') != 2)
             fail<UsageError>(
                 "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05",
-                trajectory_options.times);
+                options.times);
         steps = {numbers[0], numbers[1], numbers[2]};
     }
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
-        fail<UsageError>("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0",
-                         trajectory_options.times);
+        fail<UsageError>("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0", options.times);
     const double slack_s = kStepSlack * steps.step;
     if (steps.first < begin - slack_s || steps.last > end + slack_s) {
         fail<UsageError>(

@@ -26,8 +26,7 @@ struct TrajectoryOptions {
 
 /// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
-std::vector<double> scan_times(const TrajectoryOptions& trajectory_options, const PoseTrack& sensor_track,
-                               double log_rate_hz);
+std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack& track, double log_rate_hz);
 
 /// Far from the recorded path, or after the end of the log, when actors do not exist.
 void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s);

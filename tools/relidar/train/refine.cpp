@@ -48,15 +48,12 @@ std::optional<Checkpoint> load_checkpoint(const RefineCommandOptions& options) {
 }
 
 /// If the user interrupts, throws an error with the command that resumes the training.
-void train_network(Device& device, Run& run, const RefineCommandOptions& options,
-                   const Checkpoint* start_checkpoint) {
-    if (start_checkpoint && !options.quiet)
-        print(fmt::format("resume  training of the network continues from step {}\n",
-                          start_checkpoint->iteration));
+void train_network(Device& device, Run& run, const RefineCommandOptions& options, const Checkpoint* from) {
+    if (from && !options.quiet)
+        print(fmt::format("resume  training of the network continues from step {}\n", from->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
     install_handlers();
-    if (train_network_with_bar(device, run, options.quiet,
-                               {.checkpoints = checkpoints, .start = start_checkpoint}) ==
+    if (train_network_with_bar(device, run, options.quiet, {.checkpoints = checkpoints, .start = from}) ==
         TrainingEndReason::stopped) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         std::string command = "relidar refine --resume " + quote_for_shell(options.run);

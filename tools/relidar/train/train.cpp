@@ -153,14 +153,12 @@ std::optional<Checkpoint> load_checkpoint(const TrainOptions& options) {
     return std::nullopt;
 }
 
-void print_start(const Log& sequence, const Split& split, const Device& device,
-                 const Checkpoint* checkpoint_to_resume) {
+void print_start(const Log& sequence, const Split& split, const Device& device, const Checkpoint* resumed) {
     print(fmt::format("log     {}: {} frames, {} for training, {} held out\ndevice  {} ({})\n", sequence.name,
                       sequence.frames.size(), split.train.size(), split.test.size(), device.info().name,
                       device.backend() == RayTracingBackend::software ? "software traversal" : "ray query"));
     for (const std::string& note : sequence.notes) print("note    " + note + "\n");
-    if (checkpoint_to_resume)
-        print(fmt::format("resume  training continues from iteration {}\n", checkpoint_to_resume->iteration));
+    if (resumed) print(fmt::format("resume  training continues from iteration {}\n", resumed->iteration));
     std::fflush(stdout);
 }
 

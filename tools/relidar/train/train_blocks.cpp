@@ -34,16 +34,14 @@ bool may_differ(const std::string& setting_key) {
 }
 
 /// @throws DataError if the block was trained with other settings
-void check_block_settings(const fs::path& block_folder, const Config& trained_block_config,
-                          const Config& current_config) {
-    const std::vector<ConfigKey> was = list_config_keys(trained_block_config),
-                                 is = list_config_keys(current_config);
+void check_block_settings(const fs::path& folder, const Config& trained, const Config& current) {
+    const std::vector<ConfigKey> was = list_config_keys(trained), is = list_config_keys(current);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!may_differ(is[i].key) && was[i].value != is[i].value)
             fail(
                 "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same value, or "
                 "--force to train all blocks again",
-                block_folder.string(), is[i].key, was[i].value, is[i].value);
+                folder.string(), is[i].key, was[i].value, is[i].value);
 }
 
 /// @throws DataError if the block was trained on other frames
@@ -198,13 +196,13 @@ private:
         return fmt::format("{}; the trained blocks are saved; continue with: {}", error_message, how_.resume);
     }
 
-    void save_block(std::size_t block_index, BlockTrainingLog block_log, const fs::path& block_folder,
+    void save_block(std::size_t index, BlockTrainingLog block_log, const fs::path& folder,
                     TrainResult& result) const {
-        Run part{block_folder, block_log.config, std::move(block_log.sequence), block_log.split, {}, {}};
+        Run part{folder, block_log.config, std::move(block_log.sequence), block_log.split, {}, {}};
         move_result(part, result);
-        keep_block_surfels(part.scene, run_.sequence, blocks_, block_index);
+        keep_block_surfels(part.scene, run_.sequence, blocks_, index);
         save_run(part);
-        remove_checkpoints(checkpoint_folder(block_folder));
+        remove_checkpoints(checkpoint_folder(folder));
     }
 
     TrainResult train_or_resume(const BlockTrainingLog& block_log, const fs::path& block_folder) const {

@@ -87,7 +87,7 @@ void align_held_out(Device& device, Run& run, bool quiet) {
 
 }  // namespace
 
-void prepare_log(Log& sequence, const Split& split, const Config& config, bool quiet,
+void prepare_log(Log& log, const Split& split, const Config& config, bool quiet,
                  const ProcessGroup& process_group, StageTimes* stage_times) {
     TerminalProgress progress(quiet);
     const auto report_line = [&](const std::string& line) {
@@ -98,7 +98,7 @@ void prepare_log(Log& sequence, const Split& split, const Config& config, bool q
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config,
+    prepare_log(log, split, config,
                 {report_line, is_interrupted, progress_callback(progress), stage_times, process_group});
 }
 
@@ -142,13 +142,12 @@ TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, Stag
     return TrainingEndReason::finished;
 }
 
-TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
-                                         RayDropTrainingSession session) {
+TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet, RayDropTrainingSession use) {
     TerminalProgress progress(quiet);
-    session.progress = progress_callback(progress);
-    session.stop = is_interrupted;
-    session.note = print_warning;
-    session.step = [&](const RayDropTrainProgress& p) {
+    use.progress = progress_callback(progress);
+    use.stop = is_interrupted;
+    use.note = print_warning;
+    use.step = [&](const RayDropTrainProgress& p) {
         const double eta_s = p.seconds / p.step * (p.n_steps - p.step);
         progress.show_text(fmt::format("ray-drop network, epoch {}/{}  step {}/{}  {:.2f} steps/s  remaining "
                                        "{}  loss (cross-entropy) {}  accuracy {:.4f}",
@@ -156,7 +155,7 @@ TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
                                        format_duration(eta_s), format_number(p.entropy), p.accuracy),
                            p.step == p.n_steps);
     };
-    RayDropNetwork network = train_drops(device, run, session);
+    RayDropNetwork network = train_drops(device, run, use);
     end_progress();
     if (network.empty()) return TrainingEndReason::stopped;
     run.drop_network = std::move(network);

@@ -11,7 +11,7 @@
 namespace relidar::cli {
 
 /// @throws Error with exit code 130 after Ctrl-C
-void prepare_log(Log& sequence, const Split& split, const Config& config, bool quiet,
+void prepare_log(Log& log, const Split& split, const Config& config, bool quiet,
                  const ProcessGroup& process_group = {}, StageTimes* stage_times = nullptr);
 
 /// Each progress report is also a JSON line in log.jsonl, after the lines before the
@@ -26,10 +26,10 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
 TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, StageTimes& stage_times);
 
 /// The scans of the log must be loaded.
-/// @param session this function sets its members `progress`, `step`, `stop` and `note`
+/// @param use this function sets its members `progress`, `step`, `stop` and `note`
 /// @return `stopped` if the user interrupted the training
 TrainingEndReason train_network_with_bar(Device& device, Run& run, bool quiet,
-                                         RayDropTrainingSession session = {});
+                                         RayDropTrainingSession use = {});
 
 std::string progress_line(const TrainProgress& progress);
 
