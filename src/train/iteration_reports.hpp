@@ -19,7 +19,6 @@ struct TrainLogLine {
     int step = 0;
     std::array<double, kLossTerms> terms{};  ///< mean losses over the iterations since the last line
     std::uint32_t n_surfels = 0;             ///< number of surfels after this step
-    /// since the last line
     DensifyReport densified;
 };
 

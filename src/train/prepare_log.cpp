@@ -93,7 +93,6 @@ void report_unregistered(const Log& sequence, const RegistrationResult& registra
     session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 
-/// @return `done` is true if it has new poses
 RegistrationResult register_log(Log& sequence, const Split& split, const Config& config,
                                 const LogPreparationCallbacks& session) {
     RegistrationResult registration;
@@ -263,7 +262,6 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
                         fmt::join(extended, ", ")));
 }
 
-/// Registers the points of moving boxes. The first process sends the poses to the others.
 void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;
     if (session.group.is_first())

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how long training steps take for a trained run, in total and for each kernel.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +12,6 @@
 namespace relidar {
 
 struct TrainingStepTimes {
-    /// mean of one step
     struct StepKernelTime {
         double launches = 0.0, ms = 0.0;
     };

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Starts or resumes training, runs the iterations of train_loop.cpp, and saves
-// checkpoints.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>

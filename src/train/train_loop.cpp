@@ -199,7 +199,6 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
 void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets,
                              const LossTermRow& loss_terms) {
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
-    // Computes the losses (equations 10-11).
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->add_ray_losses(stream_, differentiable_.last_batch(), targets, loss_terms);
     differentiable_.record_backward();  // computes the gradients (equation 9)

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs training iterations and owns all of their data on the device.
 #pragma once
 
 #include <memory>
@@ -70,7 +69,6 @@ public:
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
     void finish_steps();
-    /// Waits for all iterations, then applies the pending pose updates.
     void finish();
     /// Waits for all iterations and saves the complete training state.
     /// @throws DataError if a loss of these iterations was not finite
@@ -80,7 +78,6 @@ public:
     void restore_from(const Checkpoint& checkpoint);
     /// Uses only rays for which the scene predicts a return. Waits for the device.
     RayDropTable sensor_drop_rates(Device& device, const Log& sequence);
-    /// nothing if no poses are refined
     std::optional<RefinedPoses> refined_poses() const {
         return refiner_.is_enabled() ? std::optional(refiner_.refined_poses()) : std::nullopt;
     }
@@ -105,7 +102,6 @@ private:
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     Densifier densifier_;
-    /// since the last log line
     DensifyReport densified_;
     IterationReports reports_;
     double extent_m_;
@@ -141,7 +137,6 @@ private:
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
     void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& loss_terms);
-    /// Checks losses and counters.
     void check_reports(int last_step);
     void start_readback(int step, bool is_last_of_log_interval);
     /// Increases the capacity of the hit buffer if more than half of it was used.

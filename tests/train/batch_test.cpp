@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests batches of rays (train/gather_columns).
 #include "train/frames/batch.hpp"
 
 #include <set>

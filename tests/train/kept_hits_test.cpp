@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests how many hits per ray training stores for the backward pass.
 #include <algorithm>
 
 #include <relidar/read/dataset.hpp>

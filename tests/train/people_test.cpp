@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests people as actors, also on frames that did not train the scene.
 #include <cstdio>
 #include <map>
 #include <utility>

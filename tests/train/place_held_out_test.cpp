@@ -27,7 +27,6 @@ Run train_small_run(Device& device) {
     return run;
 }
 
-/// All tests share the same training.
 Run move_run(Device& device, const Twist& off) {
     static const Run trained = train_small_run(device);
     Run run = trained;

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that a training that was stopped and resumed equals an uninterrupted training.
 #include <algorithm>
 #include <cmath>
 #include <limits>

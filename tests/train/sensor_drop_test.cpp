@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the estimation of rays for which a sensor never has a return.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the division of an image into stripes.
 #include "train/drops/stripes.hpp"
 
 #include <numeric>

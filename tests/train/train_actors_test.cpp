@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the training of actors in front of a background that was trained separately.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests training on a small synthetic street.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -89,7 +88,6 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
             for (int axis = 0; axis < 3; ++axis)
                 farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) -
                                                            double(before.surfels.mean[i][axis])));
-        // learning rate of the only step, which is also the last step
         const double rate_m = config.train.mean_rate_final * extent_m;
         EXPECT_NEAR(farthest_m, rate_m, 0.02 * rate_m + 4e-6) << model.name;
     }

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares training frames that stay on the device with frames that are uploaded when
-// they are needed.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>

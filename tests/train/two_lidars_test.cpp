@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests training on a log of two LiDARs.
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opens a web page or file in the user's browser.
 #pragma once
 
 #include <string>

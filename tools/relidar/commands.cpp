@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists all commands in the order in which `relidar --help` shows them.
 #include "command.hpp"
 
 namespace relidar::cli {

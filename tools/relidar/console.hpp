@@ -20,7 +20,6 @@ std::string format_table(const std::vector<std::vector<std::string>>& rows);
 std::string format_duration(double seconds);      ///< For example "0:42" or "1:54:00".
 std::string format_bytes(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
 std::string format_number(double value);          ///< Formats a number with four significant digits.
-/// Uses spaces instead.
 std::string make_one_line(std::string text);
 std::string quote_for_shell(const std::string& word);
 
@@ -56,7 +55,6 @@ private:
     Clock::time_point last_{};
 };
 
-/// Prints for example "rendering 30 %".
 relidar::Progress progress_callback(TerminalProgress& terminal_progress);
 
 }  // namespace relidar::cli

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Entry point of the command line program relidar.
 #include "program.hpp"
 
 int main(int argc, char** argv) {

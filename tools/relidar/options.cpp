@@ -142,7 +142,6 @@ void check_settings_used(const std::vector<std::string>& setting_texts,
                          const std::string& command_name) {
     Config scratch;
     for (const std::string& set : setting_texts) {
-        // Checks key and value.
         apply_settings(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used =

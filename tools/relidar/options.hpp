@@ -40,7 +40,6 @@ void add_channels_option(CLI::App& command, std::optional<std::string>& parsed_c
 /// @param text output; parse_weather() reads it later
 /// @param scope says to which scans the weather applies
 void add_weather_option(CLI::App& command, std::string& text, const std::string& scope);
-/// For commands that read all other settings from a trained run.
 void add_set_option(CLI::App& command, std::vector<std::string>& parsed_setting_texts);
 Config make_config(const SettingsCommandOptions& settings);
 void apply_settings(Config& config, const std::vector<std::string>& key_value_texts);
@@ -64,7 +63,6 @@ void apply_selection(Config& config, const LogSelection& log_selection);
 /// @throws UsageError if the text has another form
 FrameRange parse_frames(const std::string& text);
 void note_missing_frames(const FrameRange& requested, int last, const std::string& source);
-/// Allows spaces around the number.
 std::optional<double> parse_finite(const std::string& text);
 /// Separated by commas.
 /// @throws UsageError that names the option if a word is not a number
@@ -72,7 +70,6 @@ std::vector<double> parse_list(const std::string& option_name, const std::string
 std::vector<std::string> split_text(const std::string& text, char separator);
 std::string trim_spaces(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
-/// An empty path stays empty.
 std::string absolute_path(const std::string& path);
 /// @param max_scans_per_lidar 0: all scans
 Log load_dataset(const Config& config, bool quiet = false, int max_scans_per_lidar = 0);

@@ -69,7 +69,6 @@ void check_folder(const fs::path& folder, ExistingRunPolicy existing_run_policy)
                          folder.string());
 }
 
-/// The caller must hold the lock of the folder.
 void remove_temporary(const fs::path& folder) {
     for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
         remove_temp(in);

@@ -110,7 +110,6 @@ private:
 class RunFolderWriter {
 public:
     RunFolderWriter(const std::filesystem::path& path, bool replace_existing);
-    /// Sets `run.folder` to this folder.
     void save_run_in(Run& run) const;
 
 private:
@@ -119,7 +118,6 @@ private:
     std::optional<RunOutputFolder> earlier_;
 };
 
-/// Keeps the settings and the checkpoints.
 void remove_results(const std::filesystem::path& folder);
 void remove_blocks(const std::filesystem::path& run_folder);
 /// Each block is stored as a complete run.

@@ -52,7 +52,6 @@ std::string usage_message(const CLI::App& app, const std::string& parser_message
         return fmt::format("found no subcommand; expected one of {} (see `{}`)",
                            fmt::join(command_names(command), ", "), help);
     if (unexpected.empty()) return fmt::format("{} (see `{}`)", explain_conversion(parser_message), help);
-    // --name=value
     const std::string word = unexpected.front().substr(0, unexpected.front().find('='));
     if (word.size() > 1 && word.front() == '-') {
         std::vector<std::string> option_names;

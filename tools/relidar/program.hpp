@@ -17,7 +17,6 @@ struct ProgramDescription {
     void (*add_commands)(CLI::App& app, ParsedCommand& call);
 };
 
-/// @return the exit code of the process
 int run_program(const ProgramDescription& program, int argc, char** argv);
 
 }  // namespace relidar::cli

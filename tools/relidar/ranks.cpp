@@ -46,7 +46,6 @@ void check_same_build(int rank) {
         fail<UsageError>("MPI process {} runs a different build of relidar than the first process", rank);
 }
 
-/// Every process receives the complete text.
 std::string gather_text(const std::string& text, int n_ranks) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Coordinates the processes that mpirun has started.
 #pragma once
 
 #include <cstddef>
@@ -24,7 +23,6 @@ public:
     MpiProcessGroup& operator=(const MpiProcessGroup&) = delete;
 
     int size() const { return group_.size; }
-    /// The first process prints messages and writes the shared files.
     bool is_first() const { return group_.is_first(); }
     const ProcessGroup& group() const { return group_; }
     /// @return in the first process, the texts in the order of ranks; elsewhere, an empty

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates the part of a log that is used to train one block of a scene.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Joins the separately trained blocks of a scene into one run.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -114,7 +113,6 @@ void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks, const std
     }
     scene.sensor_drop = drop.mean_table();
     run.sequence.world_from_vehicle = std::move(poses);
-    // In the order of the log's boxes, as in a scene that is trained without blocks.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

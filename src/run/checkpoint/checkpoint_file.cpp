@@ -52,7 +52,6 @@ std::string checksum(const Texts& metadata, const std::vector<NamedArray>& array
     return crc.hex();
 }
 
-/// For entries of the file format that callers must not see.
 std::string pop_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
     if (it == metadata.end())

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// All functions use the table of settings in fields.hpp.
 #include <relidar/run/config.hpp>
 
 #include <algorithm>
@@ -81,7 +80,6 @@ ParsedValue scalar_text(const toml::node& node, const std::string& key) {
     fail<UsageError>("setting {}: found a TOML {}, expected a single value", quote(key), kind.str());
 }
 
-/// The keys are full names such as "table.key".
 void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, ParsedValue>& flat) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
@@ -137,7 +135,6 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
     config = std::move(result);
 }
 
-/// Groups the settings by table, with a comment for each setting.
 template <class Shown>
 std::string format_toml(const Config& config, const Shown& is_key_shown) {
     std::string text, table;

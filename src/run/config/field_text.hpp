@@ -67,7 +67,6 @@ std::optional<T> parse_in_range(const std::string& text, const SettingValueRange
     return parsed;
 }
 
-/// Nothing if the setting does not accept this text.
 template <class T>
 std::optional<T> parse_setting(const std::string& text, const SettingValueRange& accepted_values) {
     const auto find = [&](const std::string& word) {

@@ -14,7 +14,6 @@
 namespace relidar {
 namespace {
 
-/// The box is centred at the origin.
 bool hits_box(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction, const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {

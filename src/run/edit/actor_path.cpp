@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads trajectories of actors from CSV files, which planning tools write.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

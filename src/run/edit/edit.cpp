@@ -52,7 +52,6 @@ BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) 
         track_id);
 }
 
-/// The model of the background is kept.
 void drop_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<SurfelModel> models;
@@ -97,7 +96,6 @@ std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& 
     return fmt::format("{}-{}", id_prefix, n);
 }
 
-/// With one pose for each frame of the log.
 PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {

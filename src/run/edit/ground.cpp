@@ -73,7 +73,6 @@ struct Footprint {
     }
 };
 
-/// in the x-y plane
 const Pose& nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
     if (sensor_track.pose.empty())
         throw DataError(
@@ -117,7 +116,6 @@ public:
         return {};
     }
 
-    /// for an error message
     std::string describe_nearest(const glm::dvec2& xy) const {
         if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
@@ -227,7 +225,6 @@ std::optional<GroundPlane> ground_below_box(
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + get_box_clearance_m(*nearest)) * up, up};
 }
 
-/// Median along the track.
 std::optional<double> median_clearance_m(const SceneWithLogView& scene_and_log_view, const BoxTrack& box) {
     std::vector<glm::dvec2> positions_xy;
     const std::vector<Pose>& poses = box.world_from_box.pose;

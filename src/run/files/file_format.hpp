@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Safetensors files of a run. The metadata contain the name and the version of a format.
 #pragma once
 
 #include <algorithm>
@@ -24,7 +23,6 @@ struct ArrayFile {
     std::map<std::string, std::string> metadata;
     std::vector<NamedArray> arrays;
 
-    /// @throws DataError if the file has another format or version
     ArrayFile(const std::filesystem::path& file, const std::string& format, const std::string& version)
         : path(file.string()), arrays(read_safetensors(file, &metadata)) {
         if (metadata["format"] != format)
@@ -53,7 +51,6 @@ struct ArrayFile {
         fail("{}: the array {} has the type {} and the shape [{}], expected the type {} and the shape [{}]",
              path, name, array->dtype, fmt::join(array->shape, ", "), dtype, fmt::join(lengths, ", "));
     }
-    /// @throws DataError like find(), and if a number is not finite
     std::vector<double> find_numbers(const std::string& name, const char* dtype,
                                      std::size_t count = kAnyLength) const {
         const std::vector<double> values = find(name, dtype, {count}).to_doubles();

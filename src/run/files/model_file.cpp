@@ -104,7 +104,6 @@ void read_models(const JsonField& layout, Scene& scene) {
 
 constexpr const char* kBlocksKey = "blocks";
 
-/// File names are relative to the folder of the model.
 std::string format_blocks(const Scene& scene, const std::filesystem::path& model_folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
@@ -121,7 +120,6 @@ glm::vec3 read_corner(const JsonField& field) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// @param model_folder  folder of the model, which must contain the files of the blocks
 void parse_blocks(const std::string& json_text, const std::string& where,
                   const std::filesystem::path& model_folder, Scene& scene) {
     const nlohmann::json json = parse_json(json_text, where);
@@ -141,7 +139,6 @@ void parse_blocks(const std::string& json_text, const std::string& where,
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
-/// [channels, bins], if the file contains it.
 void read_drop_table(const files::ArrayFile& file, Scene& scene) {
     using files::kAnyLength;
     if (!find_array(file.arrays, kSensorDrop)) return;
@@ -211,7 +208,6 @@ Scene load_model(const std::filesystem::path& path) {
     const SurfelParameterSet parameters =
         read_parameter_set(file.path, file.metadata, kPrimitiveKey,
                            [&](const char* name) { return find_array(file.arrays, name) != nullptr; });
-    // before memory is allocated
     for (const SurfelParameterGroup& group : list_groups(parameters))
         file.find(group.name, "f4", group.array_shape(n));
     Scene scene;

@@ -57,7 +57,6 @@ void link_file(const fs::path& source_file, const fs::path& target_file) {
     });
 }
 
-/// Returns the blocks with the new file paths.
 std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target_folder,
                                     bool skip_files_already_in_run_folder) {
     std::vector<SceneBlock> blocks = run.scene.blocks;

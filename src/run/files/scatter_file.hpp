@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes intensity_scatter.safetensors. Private to run.
 #pragma once
 
 #include <filesystem>

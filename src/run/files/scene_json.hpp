@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes scene.json, which stores the log of a run without its scans. Private
-// to run.
 #pragma once
 
 #include <string>

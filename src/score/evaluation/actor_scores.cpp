@@ -21,7 +21,6 @@ constexpr double kMaxMotionPerSweep_m = 2.0;  // Maximum distance that a box mov
 // Persons with fewer real points are not scored.
 constexpr std::size_t kMinPersonPoints = 10;
 
-/// Converts points to the frame of the box at the time when the LiDAR measured them.
 struct BoxInScan {
     const Log& sequence;
     const SweepTiming& sweep_timing;
@@ -65,7 +64,6 @@ double compute_mean(const std::vector<double>& values) {
     return sum / double(std::max<std::size_t>(values.size(), 1));
 }
 
-/// Median, bias and fraction of large errors. Nothing if there are no errors.
 void add_range_errors(MetricValues& row, const std::string& name_prefix,
                       const std::vector<double>& errors_m) {
     if (errors_m.empty()) return;

@@ -82,13 +82,11 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const L
     return result;
 }
 
-/// Null if no file with weights is set.
 std::unique_ptr<Lpips> load_lpips() {
     const std::string file = lpips_weights_path();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
-/// @param lpips_network  if null, this metric is left out
 std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
                                         const Log& sequence, const Lpips* lpips_network) {
     MetricOptions options;
@@ -151,7 +149,6 @@ RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage
     return counts;
 }
 
-/// Frames are rendered and scored in batches of kScoredAtOnce, to limit memory.
 struct BatchEvaluationParams {
     const std::vector<int>& positions;  ///< indices into sequence.frames
     const Log& sequence;
@@ -160,7 +157,6 @@ struct BatchEvaluationParams {
     const ScoredFrameCallback& see;
 };
 
-/// @param progress_text  text shown with the progress
 std::vector<ScoredFrame> score_frames(
     const BatchEvaluationParams& frame_batch, const char* progress_text,
     const std::function<RenderedFrame(int position, const Frame&)>& render_one_frame) {

@@ -12,7 +12,6 @@ namespace {
 constexpr double kLabelMargin_m = 0.3;
 constexpr double kMinTailHeight_m = 0.3;
 
-/// the box with all its labelled poses
 struct SweptBoxVolume {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;

@@ -79,7 +79,6 @@ FeatureMap convolve_relu(const FeatureMap& input_features, const ConvLayerShape&
     return result;
 }
 
-/// 3 x 3 with stride 2
 FeatureMap max_pool(const FeatureMap& input_features) {
     FeatureMap result{(input_features.rows - 3) / 2 + 1, (input_features.columns - 3) / 2 + 1, {}};
     result.values.resize(input_features.values.rows(), Eigen::Index(result.rows) * result.columns);

@@ -95,7 +95,6 @@ struct RayTableNeighbours {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[ray_index(ray_cell)]);
     }
     glm::dvec3 ray_direction(RayPixel ray_cell) const { return rays.direction[ray_index(ray_cell)]; }
-    /// both seen from the origin of the ray
     double elevation_above_rad(RayPixel ray_cell, const glm::vec3& point_m) const {
         return elevation_rad(vector_from_origin(ray_cell, point_m)) - elevation_rad(ray_direction(ray_cell));
     }

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects pixels of range images by masks and computes errors over these pixels. Private
-// to metrics.
 #pragma once
 
 #include <string>
@@ -38,7 +36,6 @@ double mean_square(const PixelValues& values);
 /// @return mean squared error, or -1 if there are no pixels
 double add_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                   const PixelValues& first, const PixelValues& second);
-/// The same of the pixels in the mask. Clamps the values to [1e-6, maximum].
 void add_masked_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const std::vector<float>& first, const std::vector<float>& second,
                        const PixelMask& mask, double maximum);

@@ -21,7 +21,6 @@ constexpr std::size_t kMaxSmoothPoints = 250;
 // of the x axis; at most two points per interval are drawn
 constexpr std::size_t kMaxIntervals = 500;
 
-/// value range and position on the page
 struct ChartAxis {
     double low = 0.0, high = 1.0;
     double at_low = 0.0, at_high = 1.0;
@@ -44,7 +43,6 @@ struct ValueInterval {
     bool empty() const { return low > high; }
 };
 
-/// finite and inside the range of the axis
 bool is_drawable(const ReportCurve& curve, std::size_t point) {
     return std::abs(curve.x[point]) < 1e100 && std::abs(curve.y[point]) < 1e100;
 }
@@ -125,7 +123,6 @@ std::vector<std::size_t> thin_out(const ReportCurve& curve) {
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // A value that cannot be drawn leaves a gap.
             if (!is_drawable(curve, i)) low = high = i;
             else if (is_drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (is_drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;

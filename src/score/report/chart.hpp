@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws line charts as inline SVG for the report. Private to the report.
 #pragma once
 
 #include <string>

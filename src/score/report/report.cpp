@@ -137,7 +137,6 @@ std::string cells_html(const Report& report, const std::string& metric_name) {
 }
 
 std::string metrics_html(const Report& report) {
-    // sorted, so that the metrics of a group are next to each other
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
@@ -189,7 +188,6 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
 }
 
 std::string curves_html(const Report& report) {
-    // charts with their curves, in the order of the report
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// 3D views of the report. Private to the report.
 #pragma once
 
 #include <cstddef>

@@ -46,7 +46,6 @@ public:
     /// After a number of iterations or minutes. The last iteration also gets a checkpoint
     /// if the folder already has one.
     bool is_due(int step) const;
-    /// Writes the state after result.iterations (save()).
     void save_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
 
 private:

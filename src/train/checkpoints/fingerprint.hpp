@@ -23,10 +23,8 @@ struct ResumeFingerprint {
 
 /// The hash that explains a difference best comes first, because only one is reported.
 std::vector<ResumeFingerprint> fingerprint_log(const Log& sequence, const Split& split);
-/// @throws DataError if the file of a block is invalid
 ResumeFingerprint fingerprint_scene(const Scene& scene);
 
-/// The texts of a checkpoint that check_same() compares.
 std::map<std::string, std::string> make_resume_texts(const std::vector<ConfigKey>& settings,
                                                      const std::vector<ResumeFingerprint>& fingerprints);
 /// Compares settings or a hash with the values in a checkpoint.

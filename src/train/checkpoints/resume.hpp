@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the parts of a checkpoint outside the state of the training loop:
-// settings, log lines, times. Private to train.
 #pragma once
 
 #include <vector>

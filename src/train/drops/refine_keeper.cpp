@@ -25,7 +25,6 @@ std::vector<ResumeFingerprint> fingerprint_run(const Run& run) {
     return marks;
 }
 
-/// The settings that affect the network.
 std::vector<ConfigKey> list_network_settings(const Config& config) {
     std::vector<ConfigKey> settings = list_config_keys(config);
     std::erase_if(settings, [](const ConfigKey& key) { return !affects_network(key.key); });

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes checkpoints while a ray-drop network is trained: after each epoch, after some
-// minutes, and when training stops. Private to train.
 #pragma once
 
 #include <chrono>

@@ -138,7 +138,6 @@ void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop
         const auto is_blind_at = [&](std::size_t row, int bin) {
             return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kMinBlindRate;
         };
-        // in bins
         const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
         const int spread =
             int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));

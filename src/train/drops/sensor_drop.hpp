@@ -12,7 +12,6 @@
 
 namespace relidar {
 
-/// Counts the rays and the dropped rays of each beam in bins of azimuth.
 class RayDropCounts {
 public:
     /// A row of azimuth bins of about three columns for each beam. The log must outlive
@@ -41,11 +40,9 @@ private:
                std::size_t((bin + index_.bins) % index_.bins);
     }
     void drop_unfired(RayDropTable& drop_table, int channel) const;
-    /// Of a bin and its neighbours, with virtual returned rays.
     double local_rate(int channel, int bin) const;
 };
 
-/// RayDropCounts::persistent_rates() of the given frames.
 RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frames);
 
 /// Sets the drop probability to 1 in sectors of at least 10 degrees in which no beam of a

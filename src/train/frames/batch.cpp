@@ -21,7 +21,6 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// n columns with a fixed distance (stride).
 struct StridedColumns {
     std::uint32_t stride = 1;
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the rays of a frame that one training iteration uses.
 #pragma once
 
 #include <memory>
@@ -42,7 +41,6 @@ public:
     /// @throws UsageError if a loss needs images, but the rays are not ordered as images
     BatchSampler(Device& device, const Config& config, const std::vector<TrainingFrameData>& frames);
     ~BatchSampler();
-    /// Valid until the next call.
     SampledBatch draw_batch(Stream& stream, const TrainingFrameData& frame, Random& random);
     /// The batches of a series together contain all rays of a frame, except a few columns
     /// at the end of a full turn. A window of columns has only one batch.

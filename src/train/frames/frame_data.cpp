@@ -13,7 +13,6 @@ namespace relidar {
 
 namespace {
 
-/// Training ignores the returns in this box.
 struct MovingBoxMask {
     InstancePose placed;
     glm::dvec3 half_size_m;

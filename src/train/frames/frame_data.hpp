@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores a training frame on the device: the measurements and the rays in the world
-// frame. Each ray starts at the sensor's pose at its firing time.
 #pragma once
 
 #include <cstdint>
@@ -32,7 +30,6 @@ struct TrainingFrameData {
     int position = 0;  ///< index into Log::frames
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
-    /// rows and columns of the rays; empty if the rays are not ordered as an image
     ImageShape image;
     /// index of the first vehicle pose ("knot" of the track) that the rays of this frame
     /// need
@@ -50,12 +47,9 @@ struct TrainingFrameData {
 
     const Array<DeviceRay>& device_rays() const { return moved_rays ? *moved_rays : arrays->rays; }
     const Array<DeviceTarget>& loss_targets() const { return arrays->targets; }
-    /// Returns a batch with every stride-th ray of the frame, starting at ray
-    /// `first_ray`.
     RayBatch strided_batch(std::uint32_t first_ray, std::uint32_t stride) const;
 };
 
-/// 0 if there are no frames
 std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames);
 
 struct IgnoredMeasurements {

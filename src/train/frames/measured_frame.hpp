@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rays and measured drops of training frames, which are compared with rendered frames to
-// estimate properties of the sensor. Private to train.
 #pragma once
 
 #include <vector>
@@ -17,7 +15,6 @@ namespace relidar {
 /// If the scan has other rows and columns than the LiDAR, the rays of the scan.
 SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame);
 
-/// Of moving objects without a model in the scene.
 IgnoredMeasurements mask_movers(const Config& config, const Scene& scene);
 
 /// [rays] 0 returned, 1 dropped, -1 if the ray hit, or may have hit, a moving object

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps training frames in device memory up to a memory budget. Uploads the others when
-// they are used.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the rays of training frames from corrected sensor poses. Converts gradients of
-// rays to gradients of the sensor poses.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +16,6 @@
 
 namespace relidar {
 
-/// Gradient of the loss with respect to one pose of the sensor's track.
 struct PoseGradient {
     std::size_t pose = 0;
     Twist gradient{};

@@ -35,9 +35,7 @@ public:
     ~PoseRefiner();
 
     bool is_enabled() const { return is_active_; }
-    /// The backward pass must compute these for record_gradients().
     GradientSelection required_gradients() const;
-    /// Moves its rays, actors and sensor position. The frame must be on the device.
     void move_frame(Stream& stream, TrainingFrameData& frame);
     /// Records the pose gradients of a batch and their copy to the host.
     /// @param step  counts from 1
@@ -60,7 +58,6 @@ public:
         visit("poses/coming/actor_time_s", pending_iterations_.actor_time_s);
         visit("poses/coming/gradient", pending_iterations_.gradient);
     }
-    /// Called after the state was read from a checkpoint.
     void update_corrected();
 
 private:

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the joined run of blocks with the same surfels in a single model.
 #include <algorithm>
 #include <set>
 
@@ -41,7 +40,6 @@ protected:
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
         full_scene = wrap_background(test::make_walls_at(xs));
-        // no surfels on the road
         for (std::size_t i = 1; i < full_scene.surfels.size(); i += 3) full_scene.surfels.mean[i].y = 14.0f;
         blocks = plan_blocks(log, run.split, {200.0, 40.0});
         ASSERT_THAT(blocks, SizeIs(4));
@@ -142,7 +140,6 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     std::uint64_t most = 0;
     {
         ScanRenderer in_blocks(device(), run.scene, config, log);
-        // along the road and back to its start, so that blocks are loaded and released
         for (const int frame : {0, 20, 21, 40, 60, 79, 3}) {
             const RenderedScan scan = in_blocks.render(sensor, log.frames[std::size_t(frame)].time_s);
             most = std::max(most, device().allocated_bytes() - before);

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the division of exact routes into blocks. Compares with brute force.
 #include <algorithm>
 #include <numeric>
 

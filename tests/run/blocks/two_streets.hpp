@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes logs along exact routes without scans, and walls next to the routes.
 #pragma once
 
 #include <cmath>

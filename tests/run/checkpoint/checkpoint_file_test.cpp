@@ -161,7 +161,6 @@ TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
     put(list_checkpoints(folder / "c").back(), "damaged");  // training resumes from 30 ...
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
-    // Training has resumed from checkpoint 30, because 40 is damaged.
     save_checkpoint(folder / "c", example(35), 2);
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);

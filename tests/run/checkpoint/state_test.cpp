@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests CheckpointWriter and CheckpointReader.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>

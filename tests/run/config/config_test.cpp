@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests settings. Presets must equal docs/method.md.
 #include <relidar/run/stage_options.hpp>
 
 #include <array>
@@ -321,7 +320,6 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
 
 TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     Config config;
-    // without a preset, other settings stay unchanged
     put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
     set_value(config, "train.seed", "42");
     apply_file(config, folder / "c.toml");

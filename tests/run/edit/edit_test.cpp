@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests edits of a scene. All data that an edit does not name must keep their bits.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

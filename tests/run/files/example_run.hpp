@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes a small run for tests of run folders. Its values have no short decimal form.
 #pragma once
 
 #include <cmath>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests run folders. An error must name the file and the field.
 #include <relidar/run/run.hpp>
 
 #include <relidar/base/arrays.hpp>

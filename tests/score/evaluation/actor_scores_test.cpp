@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the scores of moving boxes for scans whose errors are exact.
 #include "score/evaluation/actor_scores.hpp"
 
 #include <algorithm>

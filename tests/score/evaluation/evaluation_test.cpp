@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the evaluation of many frames with the evaluation of each single frame.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the nearest-neighbour search with brute force.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -44,13 +43,11 @@ TEST(NearestDistances, AgreeWithBruteForce) {
     const glm::dvec3 origin(0.0), wide(30.0, 30.0, 2.0);
     expect_exact(make_random_points(500, origin, wide, 1), make_random_points(700, origin, wide, 2));
     expect_exact(make_random_points(300, origin, wide, 3), make_random_points(1, origin, wide, 4));
-    // points on a line
     expect_exact(make_random_points(300, origin, wide, 5),
                  make_random_points(400, origin, {30.0, 0.0, 0.0}, 6));
     // coordinates of a map grid
     expect_exact(make_random_points(300, {4e5, 5e6, 100.0}, wide, 7),
                  make_random_points(400, {4e5, 5e6, 100.0}, wide, 8));
-    // all points equal
     expect_exact(make_random_points(300, origin, wide, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));
 }
 

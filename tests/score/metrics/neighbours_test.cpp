@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests the baseline that predicts a scan from its neighbouring scans, and the regions of
-// the metrics.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -61,7 +59,6 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
         EXPECT_LT(glm::distance(glm::dvec3(points.return_point(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
-    // no later frame exists
     EXPECT_EQ(predict_scan(s, 4, {0, 1}, BoxPointMotion::stay).range_m.size(), 1u);
     EXPECT_THROW((void)predict_scan(s, 2, {}, BoxPointMotion::stay), DataError);
 }
@@ -75,7 +72,6 @@ TEST(Neighbours, FollowTheRollingShutter) {
         const glm::dvec3 world =
             s.world_from_vehicle.pose_at(from.time_s + 0.01) * glm::dvec3(from.scan.return_point(0));
         const glm::dvec3 predicted_m(points.return_point(k));
-        // a head that turns clockwise
         const double azimuth = std::atan2(predicted_m.y, predicted_m.x),
                      t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
         // tolerance: the azimuth of the point changes while the head turns towards it

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares structural similarity with its definition (49 pixels per window).
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>

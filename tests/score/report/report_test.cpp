@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests that the HTML report is complete, self-contained, well-formed and escaped.
 #include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
 

@@ -37,7 +37,6 @@ struct BenchTimes {
     /// refit, forward pass, losses, backward pass and Adam in one submission
     double iteration_ms = 0.0;
     std::size_t repetitions = 0;
-    /// Only for a trained run.
     std::optional<double> scans_per_s;
     std::optional<double> separate_scans_per_s = {};
 };

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how fast a device is on a benchmark street or on a run.
 #pragma once
 
 #include <string>

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates scenes and rays for benchmarks.
 #pragma once
 
 #include <cstdint>

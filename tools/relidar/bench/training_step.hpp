@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// One training step, for benchmarks.
 #pragma once
 
 #include <optional>
@@ -27,9 +26,7 @@ public:
     Renderer& renderer;  ///< The renderer of `differentiable`.
     Array<DeviceTarget> targets;
 
-    /// Must be called after record_forward().
     void record_losses(const RayBatch& rays);
-    /// Must be called after record_backward().
     void record_optimizer();
 
 private:

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks three steps of the optimiser Adam.
 #include <algorithm>
 #include <cmath>
 #include <random>

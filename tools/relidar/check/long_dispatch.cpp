@@ -10,7 +10,6 @@ namespace relidar::cli {
 
 CheckResult check_dispatch(CheckedDevice& tested_device) {
     constexpr double kDispatchTime_s = 0.25;
-    // Compiles the kernel.
     test_atomic_adds(tested_device.default_device(), true);
     // Ends at a dispatch of 0.25 s, so the last one takes about one second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {

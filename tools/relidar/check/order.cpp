@@ -25,7 +25,6 @@ Words random_words(std::size_t n_values) {
     return words;
 }
 
-/// Compares with a stable sort on the host by the low 24 bits.
 bool is_sorted_right(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
     const Words keys = random_words(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");

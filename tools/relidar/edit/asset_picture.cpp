@@ -14,7 +14,6 @@ constexpr double kMaxViewWidth_px = 400.0;  // Maximum width of a view in pixels
 constexpr double kBoxMargin_m = 0.3;        // Width of the margin around the asset's box.
 constexpr int kViewGap_px = 8;              // Gap between views in pixels.
 constexpr std::uint8_t kBackdropGrey = 24;
-// of a pixel that shows a surface
 constexpr float kLeastWeight = 0.5f;
 
 /// viewing direction, right and up in the frame of the object's box

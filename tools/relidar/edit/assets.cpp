@@ -31,7 +31,6 @@ struct AssetOptions {
     bool quiet = false;
 };
 
-/// Empty if the actor is saved.
 std::string why_not_saved(const AssetDescription& asset, const ActorObservations& seen, double min_covered) {
     if (seen.points_m.empty()) return "no ray of the training frames hits this actor";
     if (asset.covered_share() >= min_covered) return "";

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar edit` writes an edited copy of a run.
 #include <algorithm>
 #include <filesystem>
 #include <memory>

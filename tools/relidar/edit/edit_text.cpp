@@ -48,7 +48,6 @@ std::vector<double> parse_numbers(const EditArgument& edit_for_errors, const std
     return values;
 }
 
-/// x, y and z in metres, and optionally yaw, pitch and roll in degrees.
 Pose make_pose(const std::vector<double>& xyz_yaw_pitch_roll) {
     const auto radians = [&](std::size_t index) {
         return index < xyz_yaw_pitch_roll.size() ? xyz_yaw_pitch_roll[index] * kPi / 180.0 : 0.0;
@@ -75,7 +74,6 @@ std::optional<GroundPlacement> parse_ground(const EditArgument& edit_for_errors,
 struct ActorToInsert {
     const SceneWithLog& owner;
     const std::string& track;
-    /// no value if unknown
     std::optional<double> clearance_m;
 };
 
@@ -103,7 +101,6 @@ NewActorMotion parse_motion(const EditArgument& edit_for_errors, const std::stri
     return {start, speed_mps};
 }
 
-/// Empty for actors that were not placed on the ground.
 std::string describe_ground(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;

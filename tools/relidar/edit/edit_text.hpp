@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edit options of the command line, such as "--move 0:0,3.5,0".
 #pragma once
 
 #include <string>

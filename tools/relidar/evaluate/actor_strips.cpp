@@ -133,7 +133,6 @@ Config picture_config(const Run& run) {
     return config;
 }
 
-/// Nothing if the actor has too few real points.
 std::optional<ReportFigure> draw_actor(ScanRenderer& renderer, const Run& run, const Config& config,
                                        const ActorScore& actor) {
     const BoxTrack* box = find_box(run.sequence, actor.track);

@@ -50,7 +50,6 @@ void check_held_out(const Split& split, const std::string& run_or_log_path) {
 
 /// The first MPI process checks that they are writable, before any process renders.
 struct EvaluationOutputs {
-    /// not written if empty
     std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
@@ -229,7 +228,6 @@ void run_eval(const EvalOptions& command_options, const std::string& command_lin
     eval_run(options, ranks, command_line);
 }
 
-/// @throws UsageError if an option for scoring is given
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||

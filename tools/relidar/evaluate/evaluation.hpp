@@ -26,7 +26,6 @@ std::string format_metrics(const Evaluation& result, const Evaluation* baseline 
 /// processes; in the other processes, `local_evaluation`
 Evaluation gather_evaluation(const Evaluation& local_evaluation, const MpiProcessGroup& ranks);
 
-/// for metrics.json and for messages between MPI processes
 nlohmann::ordered_json frames_json(const Evaluation& result);
 
 /// How the scores were computed, for metrics.json.

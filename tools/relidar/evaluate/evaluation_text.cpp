@@ -83,7 +83,6 @@ bool is_frame_metric(const std::string& metric_name) {
            metric_name.starts_with("classes/");
 }
 
-/// Skips frames without this metric.
 std::pair<double, double> metric_min_max(const Evaluation& result, const std::string& metric_name) {
     double low = result.mean.at(metric_name), high = low;
     for (const ScoredFrame& frame : result.frames) {

@@ -24,7 +24,6 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
                                              const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
-    // 1 for rays that return in both images, 0 for others
     std::vector<float> mask = return_mask(real);
     const std::vector<float> rendered_mask = return_mask(rendered);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] *= rendered_mask[i];
@@ -67,7 +66,6 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 }
 
 void write_comparison(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
-    // in the order of comparison_figures()
     std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each picture shows the real image, the rendered image and their difference.
 #pragma once
 
 #include <string>
@@ -24,7 +23,6 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 /// error, from top to bottom. Without intensity if the log has none.
 void write_comparison(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m);
 
-/// real above rendered
 Image draw_ranges(const ScoredFrame& frame, double max_range_m);
 
 /// The colour of a dot shows the firing time. Only 40 degrees ahead of a full turn.

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parts of the HTML report about scored frames.
 #pragma once
 
 #include <string>
@@ -25,7 +24,6 @@ ReportBars error_by_range(const Evaluation& result, const std::string& title);
 
 std::vector<ReportKeyMetric> key_metrics();
 
-/// Empty if the metrics are missing.
 std::string quality_sentence(const MetricValues& mean_metrics);
 
 }  // namespace relidar::cli

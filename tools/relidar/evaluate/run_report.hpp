@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the HTML report of a run from the results of its training and its evaluation.
 #pragma once
 
 #include <string>
@@ -15,7 +14,6 @@ struct Evaluation;
 
 namespace relidar::cli {
 
-/// Facts, loss curves and kernel times, without scores.
 Report training_report(const Run& run, const TrainResult& trained, const Device& device,
                        const std::string& args);
 
@@ -26,7 +24,6 @@ struct EvaluationLabels {
 /// The first call also extends the summary of the report.
 void add_evaluation(Report& report, const Evaluation& result, const Run& run, const EvaluationLabels& labels);
 
-/// Without facts about the training.
 Report evaluation_report(const Run& run, const Evaluation& result, const Device& device,
                          const std::string& args);
 

@@ -160,7 +160,6 @@ void write_html(const fs::path& file, const std::vector<ScoredRun>& runs) {
     write_report(file, report);
 }
 
-/// @throws DataError naming the run
 void check_scores(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });

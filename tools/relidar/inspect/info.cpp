@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar info` prints a summary of a log or of a run.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -31,7 +30,6 @@ void print_run_info(const InfoOptions& options) {
     print(options.json ? format_as_json(summary) : format_as_text(summary));
 }
 
-/// For a run that has not saved a scene yet.
 void print_unfinished(const std::filesystem::path& folder) {
     const Config config = load_settings(folder / "config.toml");
     print(fmt::format("{}: {}, at iteration {} of {}; it has no saved scene yet; its log is {}\n",

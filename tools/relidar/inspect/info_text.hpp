@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Summarises a log or a run for `relidar info`, and formats the summary as text and JSON.
 #pragma once
 
 #include <cstdint>
@@ -58,7 +57,6 @@ struct LogSummary {
     std::string masked;
 };
 
-/// @param options decide which boxes move and become actors
 LogSummary summarise(const Log& sequence, const InitOptions& options);
 
 struct RenderedSensorSummary {
@@ -72,7 +70,6 @@ struct RunSummary {
     std::vector<RenderedSensorSummary> rendered_sensors;  ///< for each LiDAR of the log
     std::string preset;
     int iterations = 0;
-    /// 0 if the run has no network
     std::size_t n_drop_parameters = 0;
     std::string drop_image = {};  ///< Kind of image that the ray-drop network reads.
     std::size_t n_surfels = 0;

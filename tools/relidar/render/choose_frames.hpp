@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses the option --frames of commands that process the frames of a run.
 #pragma once
 
 #include <optional>

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options --topic and --frame-id. They set the ROS topic and the frame id of
-// each sensor in recordings.
 #pragma once
 
 #include <string>
@@ -24,7 +22,6 @@ void add_name_options(CLI::App& command, RecordingNames& parsed_names);
 /// same name
 void check_recording_names(const RecordingNames& name_templates,
                            const std::vector<std::string>& output_file_formats, bool has_several_sensors);
-/// @param name in the rig or in the log; may be empty
 void apply_names(ScanOutputOptions& options, const std::string& name, const RecordingNames& names);
 
 }  // namespace relidar::cli

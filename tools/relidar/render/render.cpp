@@ -303,8 +303,6 @@ public:
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write_scan(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write_scans(scans);
     }
-    /// @param n_local rendered by this process
-    /// @param n_total rendered by all MPI processes
     std::string format_summary(std::size_t n_local, std::size_t n_total, int n_processes) const {
         const double n = double(n_local);
         return fmt::format(

@@ -67,7 +67,6 @@ void note_weather(const Weather& weather) {
 
 namespace {
 
-/// @param sides_json_key key of the list in an entry of scans.json
 void note_unseen_sides(const std::vector<nlohmann::json>& scans, const std::string& folder,
                        const char* sides_json_key, const char* effect_text) {
     struct ScanRayCounts {

@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Notes that `relidar render` prints about its scans.
 #pragma once
 
 #include <string>
@@ -11,10 +10,8 @@
 
 namespace relidar::cli {
 
-/// Motion compensation, and ray-drop networks that do not fit.
 void note_sensor(const Run& run, const ScanRenderer& renderer, const SimulatedSensor& sensor);
 
-/// Training may not have measured the noise of this LiDAR.
 void note_missing_noise(const Run& run, int lidar);
 
 /// Far from the world's origin, single precision is coarse.

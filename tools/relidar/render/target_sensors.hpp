@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists the sensors that `relidar render` simulates.
 #pragma once
 
 #include <optional>
@@ -21,13 +20,11 @@ struct MountedSimulatedSensor {
     std::optional<SpinningSensor> spinning = {};
 };
 
-/// Empty if a single sensor is simulated.
 using SensorRig = std::optional<std::vector<MountedSensor>>;
 
 /// No value for the log's sensor, a grid of rays, and sensors that do not spin.
 std::optional<SpinningSensor> spinning_sensor_of(const std::string& name, const SimulatedSensor& simulated);
 
-/// @param name  empty means the sensor of the log
 std::vector<MountedSimulatedSensor> list_sensors(const std::string& name, const SensorRig& rig,
                                                  const Run& run, int lidar);
 
