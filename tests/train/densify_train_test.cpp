@@ -88,8 +88,7 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
     EXPECT_EQ(next, scene.surfels.size());
     for (std::size_t m = 1; m < 3; ++m)
         for (std::uint32_t i = 0; i < scene.models[m].count; ++i)
-            ASSERT_LT(glm::length(scene.surfels.mean[scene.models[m].first + i]), 6.0f)
-                << "in the frame of its car";
+            ASSERT_LT(glm::length(scene.surfels.mean[scene.models[m].first + i]), 6.0f);
 }
 
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {

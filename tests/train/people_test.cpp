@@ -1,5 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <cstdio>
 #include <map>
 #include <utility>
 
@@ -28,11 +27,6 @@ int list_returns_in(const Log& street, const Frame& frame, const BoxTrack& box,
     return n;
 }
 
-BoxTrack raise_above_ground(BoxTrack box) {
-    for (Pose& pose : box.world_from_box.pose) pose.translation.z += 0.15;
-    return box;
-}
-
 /// Compares median ranges, because mean ranges would lie behind such a narrow object for
 /// up to a quarter of the points.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
@@ -54,9 +48,9 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);
-        for (const BoxTrack& labelled : street.boxes) {
-            if (labelled.category == "Car") continue;
-            const BoxTrack box = raise_above_ground(labelled);
+        for (BoxTrack box : street.boxes) {
+            if (box.category == "Car") continue;
+            for (Pose& pose : box.world_from_box.pose) pose.translation.z += 0.15;  // above the ground
             const int real =
                 list_returns_in(street, frame, box, to_vector(frame.scan.range_m),
                                 [&](std::size_t index) { return frame.scan.range_m[index] > 0.0f; });
@@ -64,14 +58,11 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
                 list_returns_in(street, frame, box, scan.median_range_m, [&](std::size_t index) {
                     return scan.median_range_m[index] > 0.0f && scan.image.drop_prob[index] < 0.5f;
                 });
-            std::printf("frame %d: %s %s, %d real returns, %d simulated\n", frame.index,
-                        labelled.category.c_str(), labelled.id.c_str(), real, simulated);
-            counts[labelled.category].first += real;
-            counts[labelled.category].second += simulated;
+            counts[box.category].first += real;
+            counts[box.category].second += simulated;
         }
     }
     for (const auto& [category, count] : counts) {
-        std::printf("%s: %d real returns, %d simulated\n", category.c_str(), count.first, count.second);
         EXPECT_GT(count.first, 100) << category;
         EXPECT_NEAR(count.second, count.first, 0.25 * count.first) << category;
     }
@@ -88,8 +79,8 @@ TEST_F(People, MaskedBoxesAreReported) {
     session.note = [&](const std::string& line) { notes.push_back(line); };
     train(device(), street, split_frames(street, 0), config, {}, session);
     ASSERT_EQ(notes.size(), 1u);
-    EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"), std::string::npos)
-        << notes[0];
+    EXPECT_NE(notes[0].find("2 (Pedestrian), 3 (Pedestrian), 4 (Pedestrian), 5 (Cyclist)"),
+              std::string::npos);
 }
 
 }  // namespace

@@ -28,12 +28,8 @@ using test::PoseError;
 constexpr double kDegree = kPi / 180.0;
 
 Log street_of(int n_frames, int rows, int columns, bool moving_cars = false) {
-    StreetOptions options;
-    options.n_frames = n_frames;
-    options.rows = rows;
-    options.columns = columns;
-    options.moving_cars = moving_cars;
-    return make_street_log(options);
+    return make_street_log(
+        {.n_frames = n_frames, .rows = rows, .columns = columns, .moving_cars = moving_cars});
 }
 
 Twist draw_random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
@@ -193,18 +189,17 @@ TEST(TrackCorrectionOf, AQuadraticBowl) {
     EXPECT_NEAR(strict.correction_at(2)[0], -0.01, 1e-3) << "where the prior's pull is the loss's";
 }
 
-Config make_refining_config(const std::string& description, int iterations) {
+Config make_refining_config(const std::string& refined, int iterations) {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.2;
     config.train.iterations = iterations;
     config.train.rays_per_iteration = 0;
     config.train.sensor_drop = false;
-    config.train.refine_poses = description;
+    config.train.refine_poses = refined;
     return config;
 }
 
-std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const Config& config,
-                                                           const char* description) {
+std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const Config& config) {
     Log street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
     set_trajectory(street, perturb_track(exact, 0.05, 0.3 * kDegree, 1));
@@ -212,26 +207,20 @@ std::pair<PoseError, PoseError> measure_errors_of_training(Device& device, const
     const PoseError before = error_of(street.world_from_vehicle, exact, split.train);
     prepare_log(street, split, config);
     const TrainResult result = train(device, street, split, config);
-    const std::pair<PoseError, PoseError> errors{
-        before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
-    std::printf("%s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", description, errors.first.median_m,
-                errors.first.median_deg, errors.second.median_m, errors.second.median_deg);
-    return errors;
+    return {before, error_of(result.poses.value().world_from_vehicle, exact, split.train)};
 }
 
 TEST_F(Poses, OfTheSensorComeNearerByGradients) {
     Config config = make_refining_config("sensor", 50);
     config.train.pose_register = false;
     config.train.pose_rate_m = 1e-2;
-    const auto [before, after] = measure_errors_of_training(device(), config, "gradients alone");
+    const auto [before, after] = measure_errors_of_training(device(), config);
     EXPECT_LT(after.median_m, 0.6 * before.median_m);
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
 }
 
 TEST_F(Poses, OfTheSensorComeBack) {
-    const PoseError after =
-        measure_errors_of_training(device(), make_refining_config("sensor", 40), "registration and gradients")
-            .second;
+    const PoseError after = measure_errors_of_training(device(), make_refining_config("sensor", 40)).second;
     EXPECT_LT(after.median_m, 0.01);
     EXPECT_LT(after.median_deg, 0.05);
 }
@@ -257,11 +246,7 @@ void keep_rays_near_boxes(Log& street, double margin_m) {
 }
 
 TEST_F(Poses, OfTheActorsComeBack) {
-    StreetOptions options;
-    options.n_frames = 7;
-    options.rows = 32;
-    options.columns = 512;
-    Log street = make_street_log(options);
+    Log street = make_street_log({.n_frames = 7, .rows = 32, .columns = 512});
     const std::vector<BoxTrack> exact = street.boxes;
     keep_rays_near_boxes(street, 1.5);
     for (BoxTrack& box : street.boxes) box.world_from_box = perturb_track(box.world_from_box, 0.1, 0.0, 3);
@@ -275,8 +260,6 @@ TEST_F(Poses, OfTheActorsComeBack) {
     for (std::size_t b = 0; b < exact.size(); ++b) {
         const PoseError before = error_of(street.boxes[b].world_from_box, exact[b].world_from_box, all),
                         after = error_of(result.poses->boxes[b].world_from_box, exact[b].world_from_box, all);
-        std::printf("box %s: %.4f m, %.3f deg before, %.4f m, %.3f deg after\n", exact[b].id.c_str(),
-                    before.median_m, before.median_deg, after.median_m, after.median_deg);
         EXPECT_LT(after.median_m, 0.5 * before.median_m);
     }
 }

@@ -100,8 +100,7 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     const auto [weak_before, others_before] = measure_accuracies(device(), run);
     run.drop_network = train_drops(device(), run);
     const auto [weak_after, others_after] = measure_accuracies(device(), run);
-    EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before))
-        << weak_before << " before, " << weak_after << " after";
+    EXPECT_LT(1.0 - weak_after, 0.65 * (1.0 - weak_before));
     EXPECT_GT(others_after, others_before) << "what training has not finished is corrected, too";
     run.config.refine.enabled = false;
     EXPECT_EQ(measure_accuracies(device(), run).first, weak_before) << "not asked for";
@@ -182,8 +181,7 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     const RayDropNetwork expected = train_drops(device(), run);
     const int of_epoch = run.config.refine.frames;
     train_until(device(), run, 2 * of_epoch + 1, checkpoints);
-    EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u)
-        << "of the second epoch's end and of where it stopped";
+    EXPECT_EQ(list_checkpoints(checkpoints).size(), 2u);
     const Checkpoint half = newest(checkpoints);
     EXPECT_EQ(half.iteration, 2 * of_epoch + 1);
     EXPECT_EQ(read_checkpoint(list_checkpoints(checkpoints).front()).iteration, 2 * of_epoch);
@@ -200,8 +198,7 @@ TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
 
     train_until(device(), run, 3 * of_epoch, checkpoints, &half);
     const Checkpoint later = newest(checkpoints);
-    EXPECT_EQ(train_drops(device(), run, {.start = &later}).parameters, expected.parameters)
-        << "stopped twice";
+    EXPECT_EQ(train_drops(device(), run, {.start = &later}).parameters, expected.parameters);
 }
 
 TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
@@ -256,10 +253,8 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     relidar::Run run = make_weak_run(device());
     int n_stop_calls = 0;
-    EXPECT_TRUE(train_drops(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty())
-        << "in the network's training";
-    EXPECT_TRUE(train_drops(device(), run, {.stop = [] { return true; }}).empty())
-        << "while frames are rendered";
+    EXPECT_TRUE(train_drops(device(), run, {.stop = [&] { return ++n_stop_calls > 15; }}).empty());
+    EXPECT_TRUE(train_drops(device(), run, {.stop = [] { return true; }}).empty());
     const auto message = [&] { return get_data_error_message([&] { train_drops(device(), run); }); };
     for (Frame& frame : run.sequence.frames) {
         frame.scan.rays.rows = 1;

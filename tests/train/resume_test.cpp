@@ -129,8 +129,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         }
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
         EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels,
-                  strategy != DensifyStrategy::none)
-            << "before the stop";
+                  strategy != DensifyStrategy::none);
         fs::remove_all(folder);
     }
 }
@@ -294,8 +293,7 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
     EXPECT_THAT(notes[0], test::Names("write ... iteration 10 ... iteration 5"));
     EXPECT_EQ(newest()->iteration, 5);
-    EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1)
-        << "nothing half written";
+    EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1);
 }
 
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {

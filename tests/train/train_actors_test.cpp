@@ -91,7 +91,6 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
     EXPECT_EQ(last, expected);
     EXPECT_EQ(last, 20 * int(run.split.train.size())) << "a car is seen in every frame";
     const double after = measure_error_on_cars();
-    std::printf("mean range of cars: %.3f m off before, %.3f m after\n", before, after);
     EXPECT_GT(before, 0.5) << "they must be thin, or there is nothing to learn";
     EXPECT_LT(after, 0.3 * before);
 

@@ -209,8 +209,6 @@ TEST_F(Train, ActorsBeatMasking) {
         std::nth_element(errors.begin(), errors.begin() + std::ptrdiff_t(errors.size() / 2), errors.end());
         error[classes] = errors[errors.size() / 2];
     }
-    std::printf("median range error in moving boxes: %.3f m as actors, %.3f m masked\n", error["Car"],
-                error[""]);
     EXPECT_LT(error["Car"], 0.15);
     EXPECT_LT(3.0 * error["Car"], error[""]);
 }
@@ -292,8 +290,6 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
         dropped += log_sensor_scan.image.drop_prob[i] > 0.5f;
         visible_to_other += other.image.drop_prob[i] < 0.5f;
     }
-    std::printf("%zu hidden rays, %zu dropped, %zu seen by another sensor\n", hidden, dropped,
-                visible_to_other);
     ASSERT_GT(hidden, 50u);
     EXPECT_GT(double(dropped), 0.8 * double(hidden));
     EXPECT_GT(double(visible_to_other), 0.8 * double(hidden)) << "another sensor has no such blind spot";
@@ -320,8 +316,6 @@ TEST_F(Train, ABlindSectorOfOneSweepIsRenderedBlind) {
             returned += scan.image.drop_prob[i] < 0.5f;
         }
     }
-    std::printf("%zu of %zu hidden rays dropped, %zu of %zu that see the ground returned\n", dropped, hidden,
-                returned, ground);
     EXPECT_GT(double(dropped), 0.97 * double(hidden)) << "discs around the sector reach into it";
     EXPECT_GT(double(returned), 0.95 * double(ground));
 }

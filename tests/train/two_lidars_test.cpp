@@ -44,17 +44,14 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     EXPECT_LT(result.log.back().loss, 0.7 * result.log.front().loss);
     EXPECT_EQ(result.scene.sensor_drop.channels, 24);
     ASSERT_TRUE(result.poses);
-    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u)
-        << "a pose for each sweep, not for each frame";
+    EXPECT_EQ(result.poses->world_from_vehicle.pose.size(), 11u);
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
         const double before = measure_held_out_error(device(), untrained.scene, config, street, frame),
                      after = measure_held_out_error(device(), result.scene, config, street, frame);
-        EXPECT_LT(after, 0.9 * before)
-            << "LiDAR " << frame.lidar << ": " << before << " m before, " << after << " m after";
+        EXPECT_LT(after, 0.9 * before);
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y += 3.0;
-        EXPECT_GT(measure_held_out_error(device(), result.scene, config, street, frame), 1.2 * after)
-            << "a wrong mounting shows";
+        EXPECT_GT(measure_held_out_error(device(), result.scene, config, street, frame), 1.2 * after);
         street.lidars[std::size_t(frame.lidar)].vehicle_from_sensor.translation.y -= 3.0;
     }
 }

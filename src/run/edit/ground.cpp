@@ -249,14 +249,6 @@ glm::dquat rotate_to_plane(const GroundPlane& plane, double yaw_rad) {
     return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
 }
 
-/// LiDARs that sweep at the same time have the same frame time.
-std::vector<double> frame_times(const Log& sequence) {
-    std::vector<double> times_s;
-    for (const Frame& frame : sequence.frames)
-        if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
-    return times_s;
-}
-
 }  // namespace
 
 std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, const std::string& track) {
@@ -272,7 +264,9 @@ NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const Groun
     const double yaw_rad =
         placement.yaw_rad ? *placement.yaw_rad : heading_rad(nearest_pose(sequence.world_from_vehicle, xy));
     std::vector<double> times_s;
-    if (placement.speed_mps != 0.0) times_s = frame_times(sequence);
+    if (placement.speed_mps != 0.0)
+        for (const Frame& frame : sequence.frames)  // LiDARs that sweep together have the same time
+            if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
     std::vector<glm::dvec2> positions{xy};
     for (const double time_s : times_s)
         positions.push_back(xy + placement.speed_mps * (time_s - times_s.front()) *

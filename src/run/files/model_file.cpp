@@ -43,13 +43,6 @@ glm::vec3 read_half_size_m(const JsonField& model) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// The walked distance after which the leg motion of a person repeats; 0 for a rigid
-/// model.
-float read_stride_m(const JsonField& model) {
-    return model.has_member("stride_m") ? static_cast<float>(model.at("stride_m").number_in(1e-3, 1e6))
-                                        : 0.0f;
-}
-
 constexpr const char* kSurfaceKey = "surface";
 
 /// Nothing if the file does not contain it.
@@ -85,8 +78,10 @@ void read_models(const JsonField& layout, Scene& scene) {
                     "expected {}, because the surfels of successive models follow each other without gaps",
                     next));
         next = first + count;
+        // The walked distance after which the leg motion repeats; 0 for a rigid model.
+        const double stride_m = m.has_member("stride_m") ? m.at("stride_m").number_in(1e-3, 1e6) : 0.0;
         scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
-                                static_cast<std::uint32_t>(count), read_half_size_m(m), read_stride_m(m),
+                                static_cast<std::uint32_t>(count), read_half_size_m(m), float(stride_m),
                                 read_surface(m)});
     }
     if (next != n)

@@ -150,8 +150,7 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     EXPECT_EQ(device().allocated_bytes(), before);
     ScanRenderer all(device(), one, config, log);
     all.render(sensor, 0.0);
-    EXPECT_LT(double(most), 0.8 * double(device().allocated_bytes() - before))
-        << "blocks that are far away are on the device";
+    EXPECT_LT(double(most), 0.8 * double(device().allocated_bytes() - before));
 }
 
 TEST_F(JoinedBlocks, EditedAndSavedElsewhereItRendersTheSame) {

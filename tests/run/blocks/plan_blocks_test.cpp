@@ -41,8 +41,7 @@ void expect_valid(const Log& log, const Split& split, const std::vector<Trajecto
                                     return std::find(split.test.begin(), split.test.end(), p) !=
                                            split.test.end();
                                 }),
-                  0)
-            << "held-out frames train";
+                  0);
     }
     std::vector<int> all(log.frames.size());
     std::iota(all.begin(), all.end(), 0);
@@ -70,8 +69,7 @@ TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
     const Split split = split_frames(log, 0);
     const std::vector<TrajectoryBlock> blocks = plan_blocks(log, split, {50.0, 10.0});
     expect_valid(log, split, blocks, 10.0);
-    EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1)
-        << "the sweeps of the way back see it too";
+    EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 299), 1);
     EXPECT_EQ(std::count(blocks[0].train.begin(), blocks[0].train.end(), 150), 0);
 }
 
@@ -151,8 +149,7 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
     EXPECT_EQ(first.config.init.actor_tracks, "near");
     EXPECT_THAT(third.sequence.boxes, SizeIs(0));
     EXPECT_EQ(third.config.init.actor_tracks, "");
-    EXPECT_EQ(third.config.init.actor_classes, "")
-        << "only tracks by name were wanted, and none of them is here";
+    EXPECT_EQ(third.config.init.actor_classes, "");
 }
 
 TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
@@ -181,8 +178,7 @@ TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
         }
         ASSERT_EQ(scene.models[1].first, scene.models[0].count);
         ASSERT_EQ(scene.surfels.size(), scene.models[0].count + actor.size());
-        EXPECT_EQ(scene.surfels.slice(scene.models[1].first, actor.size()).mean, actor.mean)
-            << "actors are as they were";
+        EXPECT_EQ(scene.surfels.slice(scene.models[1].first, actor.size()).mean, actor.mean);
     }
     EXPECT_EQ(n_remaining_surfels, all.models[0].count) << "each surfel in one block";
 }

@@ -244,8 +244,7 @@ TEST(Edit, ModelsKeepTheirBox) {
     }
     Scene twice = example().scene;
     twice.instances.push_back({2, "car-copy-1"});
-    EXPECT_EQ(unshare_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
-        << "a model of its own for the second placement";
+    EXPECT_EQ(unshare_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f));
 }
 
 TEST(Edit, KeepsOneSide) {

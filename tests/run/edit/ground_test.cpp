@@ -223,22 +223,15 @@ TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
     const Pose there = d.sequence.boxes[0].world_from_box.pose.front();
     const Pose pose = placed(d, there.translation.x, there.translation.y, 0.0);
     EXPECT_LT(glm::distance(pose.translation, there.translation), 0.1);
-    EXPECT_NE(refusal(d, {kWorldOffset_m.x - 8.0, kWorldOffset_m.y + 1.6}), "")
-        << "beside the van nothing is known";
+    EXPECT_NE(refusal(d, {kWorldOffset_m.x - 8.0, kWorldOffset_m.y + 1.6}), "");
 }
 
 TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
-    StreetOptions street;
-    street.n_frames = 6;
-    street.rows = 32;
-    street.columns = 512;
     SceneWithLog d;
-    d.sequence = make_street_log(street);
+    d.sequence = make_street_log({.n_frames = 6, .rows = 32, .columns = 512});
     InitOptions options;
     options.actor_min_points = 10;
-    std::vector<int> all;
-    for (int i = 0; i < 6; ++i) all.push_back(i);
-    d.scene = init_scene(d.sequence, all, options);
+    d.scene = init_scene(d.sequence, {0, 1, 2, 3, 4, 5}, options);
     ASSERT_FALSE(d.sequence.boxes.empty());
     const BoxTrack& car = d.sequence.boxes.front();
     const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;

@@ -124,10 +124,8 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
         return load_error();
     };
     const auto is_no_tree = test::Names("intensity_scatter.safetensors: ... node ... LiDAR 0 ... child");
-    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 2; }), is_no_tree)
-        << "its second child is not there";
-    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 0; }), is_no_tree)
-        << "it would never end";
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 2; }), is_no_tree);
+    EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 0; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].feature = 10000; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[2].count = 4; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[1].count = 0; }), is_no_tree);
@@ -295,8 +293,7 @@ TEST_F(RunFolder, TwoLidarsAtOneTimeShareAPose) {
     EXPECT_EQ(read.frames[2].lidar, 1);
     EXPECT_EQ(read.world_from_vehicle.time_s, s.world_from_vehicle.time_s);
     std::swap(s.frames[1], s.frames[2]);
-    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("frames[2].time_s"))
-        << "in the order of LiDARs";
+    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("frames[2].time_s"));
 }
 
 TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
@@ -413,8 +410,7 @@ TEST_F(RunFolder, RefusesWrongValues) {
     Json& spinning = many["lidars"][0]["sensor"]["spinning"];
     spinning["columns"] = 1000000;
     for (int i = 0; i < 200; ++i) spinning["beams"].insert(spinning["beams"].begin(), spinning["beams"][0]);
-    EXPECT_THAT(get_error_with(many), test::Names("1000000 columns ... 16777216 rays"))
-        << "sizes are bounded by their product too";
+    EXPECT_THAT(get_error_with(many), test::Names("1000000 columns ... 16777216 rays"));
     put(run.folder / "scene.json", "[1, 2]");
     EXPECT_THAT(load_error(), test::Names("scene.json ... array ... object"));
     put(run.folder / "scene.json", "{\"format\": 1e999}");

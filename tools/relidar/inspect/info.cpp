@@ -25,9 +25,9 @@ struct InfoOptions {
     bool all = false;
 };
 
-void print_run_info(const InfoOptions& options) {
-    const RunSummary summary = summarise(load_run(options.path));
-    print(options.json ? format_as_json(summary) : format_as_text(summary));
+template <class Summary>
+void print_summary(const Summary& summary, bool json) {
+    print(json ? format_as_json(summary) : format_as_text(summary));
 }
 
 void print_unfinished(const std::filesystem::path& folder) {
@@ -53,7 +53,7 @@ void print_log_info(const InfoOptions& options) {
         summary.lidars, [](const LidarSummary& lidar) { return lidar.n_frames > kMostScans; });
     // Some readers read all scans even if fewer are requested.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
-    print(options.json ? format_as_json(summary) : format_as_text(summary));
+    print_summary(summary, options.json);
 }
 
 }  // namespace
@@ -84,7 +84,8 @@ void add_info(CLI::App& app, ParsedCommand& selected_command) {
                 (options->all || !options->part.frames.empty() || !options->part.sequence.empty()))
                 fail<UsageError>("--frames, --sequence and --all can only be used with a log; {} is a run",
                                  options->path);
-            if (is_run_folder(options->path)) print_run_info(*options);
+            if (is_run_folder(options->path))
+                print_summary(summarise(load_run(options->path)), options->json);
             else if (contains_run(options->path)) print_unfinished(options->path);
             else print_log_info(*options);
         };
