@@ -14,7 +14,6 @@
 #include "base/random.hpp"
 #include "support/names.hpp"
 #include "support/same_surfels.hpp"
-#include "train/frames/grid_frame.hpp"
 
 namespace relidar {
 namespace {

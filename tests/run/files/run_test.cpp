@@ -6,10 +6,13 @@
 #include <algorithm>
 #include <limits>
 
+#include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
+#include "../../base/codecs/temporary_folder.hpp"
 #include "../../support/comma_locale.hpp"
-#include "saved_run.hpp"
+#include "../../support/file_size_limit.hpp"
+#include "example_run.hpp"
 #include "support/names.hpp"
 
 namespace relidar {
@@ -17,8 +20,14 @@ namespace {
 
 using Json = nlohmann::json;
 
-class RunFolder : public SavedRun {
+class RunFolder : public TemporaryFolder {
 protected:
+    void SetUp() override {
+        TemporaryFolder::SetUp();
+        run = make_example_run(folder / "run");
+        save_run(run);
+        scene = read_contents(run.folder / "scene.json");
+    }
     std::string load_error() {
         return get_data_error_message([&] { load_run(run.folder); });
     }
@@ -31,6 +40,9 @@ protected:
         changed[Json::json_pointer(pointer)] = value;
         return get_error_with(changed);
     }
+
+    relidar::Run run;
+    std::string scene;  ///< text of scene.json
 };
 
 void expect_equal(const Pose& first, const Pose& second) {
@@ -464,6 +476,43 @@ TEST_F(RunFolder, UnwritableFoldersFailEarly) {
         EXPECT_THAT(get_data_error_message([&] { prepare_folder(path); }), test::Names(reason));
     prepare_folder(folder / "a" / "b");
     EXPECT_TRUE(std::filesystem::is_empty(folder / "a" / "b"));
+}
+
+TEST_F(RunFolder, IsSavedCompleteOrNotAtAll) {
+    const std::string model = read_contents(run.folder / kModelFile);
+    relidar::Run grown = run;
+    grown.drop_network = make_example_network();
+    for (rlim_t n_bytes = 0; n_bytes < 40'000; n_bytes += 5'000) {
+        const test::FileSizeLimit full(n_bytes);
+        for (const char* name : {"new", "run"}) {
+            grown.folder = folder / name;
+            try {
+                save_run(grown);
+                EXPECT_FALSE(load_run(grown.folder).drop_network.empty());
+            } catch (const DataError& error) {
+                EXPECT_THAT(error.what(), testing::HasSubstr(grown.folder.string() + "/"));
+                EXPECT_THAT(error.what(), testing::Not(testing::HasSubstr(".tmp-")));
+                EXPECT_FALSE(std::filesystem::exists(folder / "new"));
+                EXPECT_EQ(read_contents(run.folder / "scene.json"), scene);
+                EXPECT_EQ(read_contents(run.folder / kModelFile), model);
+            }
+        }
+        std::filesystem::remove_all(folder / "new");
+    }
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(folder))
+        EXPECT_EQ(entry.path().string().find(".tmp-"), std::string::npos) << entry.path();
+}
+
+TEST_F(RunFolder, GivesItsFilesTheirNamesWhenAllAreWritten) {
+    bool was_called = false;
+    overwrite_run(run, [&] {
+        was_called = true;
+        EXPECT_FALSE(std::filesystem::exists(run.folder / "config.toml"))
+            << "a process that is killed here leaves what looks like a run";
+        EXPECT_TRUE(std::filesystem::exists(run.folder / kModelFile));
+    });
+    EXPECT_TRUE(was_called);
+    EXPECT_EQ(read_contents(load_run(run.folder).folder / "scene.json"), scene);
 }
 
 }  // namespace
