@@ -21,24 +21,24 @@ struct ParsedCommand {
     std::function<void()> run;  ///< Runs the chosen command. Throws an exception if the command fails.
 };
 
-void add_commands(CLI::App& app, ParsedCommand& selected_command);
+void add_commands(CLI::App& app, ParsedCommand& call);
 
-void add_list_devices(CLI::App& list_command, ParsedCommand& selected_command);
-void add_list_sensors(CLI::App& list_command, ParsedCommand& selected_command);
-void add_list_settings(CLI::App& list_command, ParsedCommand& selected_command);
-void add_list(CLI::App& app, ParsedCommand& selected_command);
-void add_convert(CLI::App& app, ParsedCommand& selected_command);
-void add_info(CLI::App& app, ParsedCommand& selected_command);
-void add_train(CLI::App& app, ParsedCommand& selected_command);
-void add_refine(CLI::App& app, ParsedCommand& selected_command);
-void add_serve(CLI::App& app, ParsedCommand& selected_command);
-void add_edit(CLI::App& app, ParsedCommand& selected_command);
-void add_assets(CLI::App& app, ParsedCommand& selected_command);
-void add_render(CLI::App& app, ParsedCommand& selected_command);
-void add_eval(CLI::App& app, ParsedCommand& selected_command);
-void add_export(CLI::App& app, ParsedCommand& selected_command);
-void add_demo(CLI::App& app, ParsedCommand& selected_command);
-void add_view(CLI::App& app, ParsedCommand& selected_command);
-void add_check(CLI::App& app, ParsedCommand& selected_command);
+void add_list_devices(CLI::App& list_command, ParsedCommand& call);
+void add_list_sensors(CLI::App& list_command, ParsedCommand& call);
+void add_list_settings(CLI::App& list_command, ParsedCommand& call);
+void add_list(CLI::App& app, ParsedCommand& call);
+void add_convert(CLI::App& app, ParsedCommand& call);
+void add_info(CLI::App& app, ParsedCommand& call);
+void add_train(CLI::App& app, ParsedCommand& call);
+void add_refine(CLI::App& app, ParsedCommand& call);
+void add_serve(CLI::App& app, ParsedCommand& call);
+void add_edit(CLI::App& app, ParsedCommand& call);
+void add_assets(CLI::App& app, ParsedCommand& call);
+void add_render(CLI::App& app, ParsedCommand& call);
+void add_eval(CLI::App& app, ParsedCommand& call);
+void add_export(CLI::App& app, ParsedCommand& call);
+void add_demo(CLI::App& app, ParsedCommand& call);
+void add_view(CLI::App& app, ParsedCommand& call);
+void add_check(CLI::App& app, ParsedCommand& call);
 
 }  // namespace relidar::cli

@@ -3,10 +3,10 @@
 
 namespace relidar::cli {
 
-void add_commands(CLI::App& app, ParsedCommand& selected_command) {
+void add_commands(CLI::App& app, ParsedCommand& call) {
     for (const auto& add : {add_demo, add_train, add_refine, add_render, add_view, add_serve, add_edit,
                             add_assets, add_eval, add_export, add_convert, add_info, add_list, add_check})
-        add(app, selected_command);
+        add(app, call);
 }
 
 }  // namespace relidar::cli

@@ -178,7 +178,7 @@ Example: relidar demo --out demo)";
 
 }  // namespace
 
-void add_demo(CLI::App& app, ParsedCommand& selected_command) {
+void add_demo(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
     command->add_option("--out", options->out, "folder for all results (default: demo)")->type_name("DIR");
@@ -188,11 +188,8 @@ void add_demo(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kDemoHelp);
-    command->callback([&selected_command, options] {
-        selected_command.run = [&selected_command, options] {
-            run_demo(*options, selected_command.command_line);
-        };
-    });
+    command->callback(
+        [&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
 }
 
 }  // namespace relidar::cli

@@ -9,7 +9,7 @@
 
 namespace relidar::cli {
 
-CheckResult check_adam(CheckedDevice& tested_device) {
+CheckResult check_adam(CheckedDevice& tested) {
     constexpr std::size_t kAdamValues = 1000;
     constexpr double kLearningRate = 1e-2;
     const AdamOptions options;
@@ -18,7 +18,7 @@ CheckResult check_adam(CheckedDevice& tested_device) {
     std::vector<float> start(kAdamValues), gradient(kAdamValues);
     for (float& x : start) x = normal(random);
     std::vector<double> expected(start.begin(), start.end()), m(kAdamValues, 0.0), v(kAdamValues, 0.0);
-    Device& device = tested_device.default_device();
+    Device& device = tested.default_device();
     ArrayAdam adam(device, kAdamValues, options);
     const Array<float> values(device, std::span<const float>(start), "values");
     Array<float> gradients(device, kAdamValues, "gradients");

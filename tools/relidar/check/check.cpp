@@ -54,11 +54,11 @@ const char* outcome_name(CheckResult::CheckOutcome outcome_kind) {
 
 /// If the driver reports an error, the result is "wrong".
 /// @param is_device_lost output
-NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested_device, bool& is_device_lost) {
+NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested, bool& is_device_lost) {
     NamedCheckResult row{check.name, {}, 0.0};
     const Clock::time_point start = Clock::now();
     try {
-        row.finding = check.run(tested_device);
+        row.finding = check.run(tested);
     } catch (const DeviceLost& error) {
         is_device_lost = true;
         row.finding = failed_check(make_one_line(error.what()));
@@ -155,7 +155,7 @@ Examples:
 
 }  // namespace
 
-void add_check(CLI::App& app, ParsedCommand& selected_command) {
+void add_check(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("check", "check that a device computes correct results, or measure its speed");
     const auto options = std::make_shared<CheckOptions>();
@@ -174,8 +174,7 @@ void add_check(CLI::App& app, ParsedCommand& selected_command) {
     command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
     add_device_options(*command, options->device);
     command->footer(kCheckHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_check(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_check(*options); }; });
 }
 
 }  // namespace relidar::cli

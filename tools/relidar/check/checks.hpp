@@ -48,19 +48,19 @@ struct DeviceCheck {
 };
 std::span<const DeviceCheck> builtin_checks();
 
-CheckResult check_atomics(CheckedDevice& tested_device);
-CheckResult check_compare_swap(CheckedDevice& tested_device);
-CheckResult check_subgroups(CheckedDevice& tested_device);
-CheckResult check_prefix_sum(CheckedDevice& tested_device);
-CheckResult check_radix_sort(CheckedDevice& tested_device);
-CheckResult check_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend);
-CheckResult check_gradients(CheckedDevice& tested_device, RayTracingBackend backend);
-CheckResult check_adam(CheckedDevice& tested_device);
-CheckResult check_network(CheckedDevice& tested_device);
-CheckResult check_points(CheckedDevice& tested_device);
-CheckResult check_buffer(CheckedDevice& tested_device);
-CheckResult check_memory(CheckedDevice& tested_device);
-CheckResult check_dispatch(CheckedDevice& tested_device);
+CheckResult check_atomics(CheckedDevice& tested);
+CheckResult check_compare_swap(CheckedDevice& tested);
+CheckResult check_subgroups(CheckedDevice& tested);
+CheckResult check_prefix_sum(CheckedDevice& tested);
+CheckResult check_radix_sort(CheckedDevice& tested);
+CheckResult check_ray_hits(CheckedDevice& tested, RayTracingBackend backend);
+CheckResult check_gradients(CheckedDevice& tested, RayTracingBackend backend);
+CheckResult check_adam(CheckedDevice& tested);
+CheckResult check_network(CheckedDevice& tested);
+CheckResult check_points(CheckedDevice& tested);
+CheckResult check_buffer(CheckedDevice& tested);
+CheckResult check_memory(CheckedDevice& tested);
+CheckResult check_dispatch(CheckedDevice& tested);
 /// The reference renderer uses double precision.
 CheckResult check_run_scene(CheckedDevice& tested, RayTracingBackend backend, const BenchCase& tested_case);
 

@@ -8,13 +8,13 @@
 
 namespace relidar::cli {
 
-CheckResult check_dispatch(CheckedDevice& tested_device) {
+CheckResult check_dispatch(CheckedDevice& tested) {
     constexpr double kDispatchTime_s = 0.25;
-    test_atomic_adds(tested_device.default_device(), true);
+    test_atomic_adds(tested.default_device(), true);
     // Ends at a dispatch of 0.25 s, so the last one takes about one second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
-        const double error = test_swap_adds(tested_device.default_device(), n_threads, seconds);
+        const double error = test_swap_adds(tested.default_device(), n_threads, seconds);
         if (error != 0.0)
             return failed_check(
                 fmt::format("after a computation of {:.2f} s, found sums with a relative error of {:.1e}, "

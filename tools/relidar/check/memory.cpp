@@ -38,8 +38,8 @@ bool is_filled_with(const Buffer& buffer, std::uint32_t expected_word) {
 
 }  // namespace
 
-CheckResult check_buffer(CheckedDevice& tested_device) {
-    Device& device = tested_device.default_device();
+CheckResult check_buffer(CheckedDevice& tested) {
+    Device& device = tested.default_device();
     const std::uint64_t limit = device.impl().largest_buffer.n_bytes,
                         n_bytes = std::min(limit, memory_budget_bytes(device)) / 64 * 64;
     if (n_bytes < kMiB) return unsupported_check("less than 1 MiB of device memory is free");
@@ -57,8 +57,8 @@ CheckResult check_buffer(CheckedDevice& tested_device) {
                             : ", which is the limit of the device")};
 }
 
-CheckResult check_memory(CheckedDevice& tested_device) {
-    Device& device = tested_device.default_device();
+CheckResult check_memory(CheckedDevice& tested) {
+    Device& device = tested.default_device();
     constexpr std::uint64_t kPieceBytes = 256 * kMiB;
     const std::uint64_t allowed = memory_budget_bytes(device);
     std::vector<std::unique_ptr<Buffer>> pieces;

@@ -79,8 +79,8 @@ double convolution_error(Device& device, int n_kernel_taps) {
 
 }  // namespace
 
-CheckResult check_network(CheckedDevice& tested_device) {
-    Device& device = tested_device.default_device();
+CheckResult check_network(CheckedDevice& tested) {
+    Device& device = tested.default_device();
     if (const std::string missing = missing_for_networks(device); !missing.empty())
         return unsupported_check("missing " + missing);
     return compare_error(std::max(convolution_error(device, 1), convolution_error(device, 9)), 1e-5);

@@ -48,8 +48,8 @@ bool is_sorted_right(Device& device, std::uint32_t n_keys, std::uint32_t capacit
 
 }  // namespace
 
-CheckResult check_prefix_sum(CheckedDevice& tested_device) {
-    Device& device = tested_device.default_device();
+CheckResult check_prefix_sum(CheckedDevice& tested) {
+    Device& device = tested.default_device();
     PrefixSum prefix_sum(device);
     Stream stream(device);
     for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
@@ -68,8 +68,8 @@ CheckResult check_prefix_sum(CheckedDevice& tested_device) {
     return {CheckResult::CheckOutcome::right, "exact"};
 }
 
-CheckResult check_radix_sort(CheckedDevice& tested_device) {
-    Device& device = tested_device.default_device();
+CheckResult check_radix_sort(CheckedDevice& tested) {
+    Device& device = tested.default_device();
     if (!device.info().can_require_subgroup_size)
         return unsupported_check("the device does not report its subgroup size");
     const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;

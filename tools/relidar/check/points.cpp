@@ -12,14 +12,14 @@
 
 namespace relidar::cli {
 
-CheckResult check_points(CheckedDevice& tested_device) {
-    const DeviceInfo& info = tested_device.default_device().info();
+CheckResult check_points(CheckedDevice& tested) {
+    const DeviceInfo& info = tested.default_device().info();
     if (!info.software && !info.ray_query)
         return unsupported_check("the device cannot trace rays, neither by ray query nor in software");
     const Log log = make_street_log({.n_frames = 3, .rows = 16, .columns = 128});
     const Scene scene = init_scene(log, {0, 1, 2}, {});
     const Config config;
-    ScanRenderer renderer(tested_device.default_device(), scene, config, log);
+    ScanRenderer renderer(tested.default_device(), scene, config, log);
     const SimulatedSensor sensor = choose_sensor("VLP-16:128x10", config, log);
     const PoseTrack track = shift_track(log.lidar_track(0), log.world_offset_m);
     const double time_s = log.frames[1].time_s;

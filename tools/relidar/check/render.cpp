@@ -110,11 +110,11 @@ std::string why_unsupported(const DeviceInfo& device_info, RayTracingBackend bac
                                                    : device_info.why_not_software;
 }
 
-CheckResult check_ray_hits(CheckedDevice& tested_device, RayTracingBackend backend) {
-    const std::string missing = why_unsupported(tested_device.default_device().info(), backend);
+CheckResult check_ray_hits(CheckedDevice& tested, RayTracingBackend backend) {
+    const std::string missing = why_unsupported(tested.default_device().info(), backend);
     if (!missing.empty()) return unsupported_check("missing " + missing);
-    const int n_built = count_wrong_rays(tested_device.device_with(backend), AccelTreeState::built),
-              n_refitted = count_wrong_rays(tested_device.device_with(backend), AccelTreeState::refitted);
+    const int n_built = count_wrong_rays(tested.device_with(backend), AccelTreeState::built),
+              n_refitted = count_wrong_rays(tested.device_with(backend), AccelTreeState::refitted);
     if (n_built + n_refitted == 0)
         return {CheckResult::CheckOutcome::right,
                 "all rays hit the same surfels as in a search of all surfels"};
@@ -124,10 +124,10 @@ CheckResult check_ray_hits(CheckedDevice& tested_device, RayTracingBackend backe
                     n_built, n_refitted));
 }
 
-CheckResult check_gradients(CheckedDevice& tested_device, RayTracingBackend backend) {
-    const std::string missing = why_unsupported(tested_device.default_device().info(), backend);
+CheckResult check_gradients(CheckedDevice& tested, RayTracingBackend backend) {
+    const std::string missing = why_unsupported(tested.default_device().info(), backend);
     if (!missing.empty()) return unsupported_check("missing " + missing);
-    const RenderAndGradients pass = run_passes(tested_device.device_with(backend));
+    const RenderAndGradients pass = run_passes(tested.device_with(backend));
     const reference::BruteForce brute(pass.scene.world, pass.settings.image,
                                       reference::Precision::double_record);
     const CheckResult image = compare_error(image_error(pass, brute), std::sqrt(test::kKernelNmse)),

@@ -20,25 +20,25 @@ CheckResult exact_result(double relative_error) {
 
 }  // namespace
 
-CheckResult check_atomics(CheckedDevice& tested_device) {
-    if (!tested_device.default_device().info().float_atomics)
+CheckResult check_atomics(CheckedDevice& tested) {
+    if (!tested.default_device().info().float_atomics)
         return unsupported_check(
             "the driver has no VK_EXT_shader_atomic_float, or its sums are known to be wrong");
-    return exact_result(test_atomic_adds(tested_device.default_device(), false));
+    return exact_result(test_atomic_adds(tested.default_device(), false));
 }
 
-CheckResult check_compare_swap(CheckedDevice& tested_device) {
-    return exact_result(test_atomic_adds(tested_device.default_device(), true));
+CheckResult check_compare_swap(CheckedDevice& tested) {
+    return exact_result(test_atomic_adds(tested.default_device(), true));
 }
 
-CheckResult check_subgroups(CheckedDevice& tested_device) {
-    const DeviceInfo& info = tested_device.default_device().info();
+CheckResult check_subgroups(CheckedDevice& tested) {
+    const DeviceInfo& info = tested.default_device().info();
     if (!info.can_require_subgroup_size)
         return unsupported_check("the device does not report its subgroup size");
-    const std::vector<int> sizes = subgroup_sizes(tested_device.default_device());
+    const std::vector<int> sizes = subgroup_sizes(tested.default_device());
     for (const int lanes : sizes) {
         const ScopedDeviceTestResults trusting(DeviceTestResults{.subgroup_size = lanes});
-        Device device(tested_device.device_options());
+        Device device(tested.device_options());
         const std::string text = test_subgroups(device);
         if (!text.empty()) return failed_check(fmt::format("subgroups of {} lanes: {}", lanes, text));
     }

@@ -272,7 +272,7 @@ Examples:
 
 }  // namespace
 
-void add_assets(CLI::App& app, ParsedCommand& selected_command) {
+void add_assets(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
     const auto options = std::make_shared<AssetOptions>();
@@ -285,8 +285,7 @@ void add_assets(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kAssetsHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_assets(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_assets(*options); }; });
 }
 
 }  // namespace relidar::cli

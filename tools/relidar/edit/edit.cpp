@@ -117,7 +117,7 @@ Examples:
 
 }  // namespace
 
-void add_edit(CLI::App& app, ParsedCommand& selected_command) {
+void add_edit(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels from a PLY file");
     const auto options = std::make_shared<EditOptions>();
@@ -142,8 +142,7 @@ void add_edit(CLI::App& app, ParsedCommand& selected_command) {
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     add_quiet_option(*command, options->quiet);
     command->footer(kEditHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_edit(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
 }
 
 }  // namespace relidar::cli

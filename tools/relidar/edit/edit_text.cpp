@@ -79,7 +79,7 @@ struct ActorToInsert {
 
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
 NewActorMotion parse_motion(const EditArgument& edit_for_errors, const std::string& pose_and_speed_text,
-                            const SceneWithLog& driving_scene, const ActorToInsert& actor) {
+                            const SceneWithLog& edited, const ActorToInsert& actor) {
     const std::size_t colon = pose_and_speed_text.find(':');
     const double speed_mps =
         colon == std::string::npos
@@ -90,13 +90,13 @@ NewActorMotion parse_motion(const EditArgument& edit_for_errors, const std::stri
     if (std::optional<GroundPlacement> ground = parse_ground(edit_for_errors, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
-        return stand_on_ground({driving_scene.scene, driving_scene.sequence}, *ground,
+        return stand_on_ground({edited.scene, edited.sequence}, *ground,
                                {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
     const std::vector<double> pose = parse_numbers(edit_for_errors, position_text, 4, 6);
     if (pose.size() == 5) fail_edit(edit_for_errors, value_syntax(edit_for_errors));
     const Pose start = make_pose(pose);
-    if (!(glm::distance(start.translation, driving_scene.sequence.world_offset_m) < kFarOff_m))
+    if (!(glm::distance(start.translation, edited.sequence.world_offset_m) < kFarOff_m))
         fail_edit(edit_for_errors, "a position less than 1e6 m from the log");
     return {start, speed_mps};
 }
@@ -126,18 +126,16 @@ std::string join_notes(const std::vector<std::string>& notes) {
     return text;
 }
 
-const std::string& last_track_id(const SceneWithLog& driving_scene) {
-    return driving_scene.scene.instances.back().track;
+const std::string& last_track_id(const SceneWithLog& edited) { return edited.scene.instances.back().track; }
+
+EditResult apply_remove(SceneWithLog edited, const EditArgument& edit) {
+    return {remove_track(std::move(edited), edit.value), "removed " + edit.value, ""};
 }
 
-EditResult apply_remove(SceneWithLog driving_scene, const EditArgument& edit) {
-    return {remove_track(std::move(driving_scene), edit.value), "removed " + edit.value, ""};
-}
-
-EditResult apply_move_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_move_edit(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, offset] = split_text(edit, edit.value, edit.value.rfind(':'));
-    driving_scene = move_track(std::move(driving_scene), track, make_pose(parse_numbers(edit, offset, 3, 4)));
-    return {std::move(driving_scene), "moved " + track, ""};
+    edited = move_track(std::move(edited), track, make_pose(parse_numbers(edit, offset, 3, 4)));
+    return {std::move(edited), "moved " + track, ""};
 }
 
 /// @param original track of the actor before the edit; null for a new actor
@@ -154,36 +152,35 @@ std::string warn_absent(const SceneWithLog& driving, const std::string& id, cons
     return original ? describe_absence(*original, driving.sequence) : "";
 }
 
-BoxTrack find_box_track(const SceneWithLog& driving_scene, const std::string& track_id) {
-    const BoxTrack* box = find_box(driving_scene.sequence, track_id);
+BoxTrack find_box_track(const SceneWithLog& edited, const std::string& track_id) {
+    const BoxTrack* box = find_box(edited.sequence, track_id);
     // The function that edits an unknown actor reports the error.
     return box ? *box : BoxTrack{};
 }
 
-EditResult apply_delay(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_delay(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, seconds] = split_text(edit, edit.value, edit.value.rfind(':'));
-    const BoxTrack before = find_box_track(driving_scene, track);
-    driving_scene = delay_track(std::move(driving_scene), track, parse_numbers(edit, seconds, 1, 1)[0]);
-    const std::string note = warn_absent(driving_scene, track, &before);
-    return {std::move(driving_scene), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
+    const BoxTrack before = find_box_track(edited, track);
+    edited = delay_track(std::move(edited), track, parse_numbers(edit, seconds, 1, 1)[0]);
+    const std::string note = warn_absent(edited, track, &before);
+    return {std::move(edited), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
-EditResult apply_trajectory(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_trajectory(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, file] = split_text(edit, edit.value, edit.value.find(':'));
-    const BoxTrack before = find_box_track(driving_scene, track);
-    driving_scene = replace_track(std::move(driving_scene), track, read_trajectory(file));
-    const std::string note = warn_absent(driving_scene, track, &before);
-    return {std::move(driving_scene), fmt::format("{} follows {}", track, file), note};
+    const BoxTrack before = find_box_track(edited, track);
+    edited = replace_track(std::move(edited), track, read_trajectory(file));
+    const std::string note = warn_absent(edited, track, &before);
+    return {std::move(edited), fmt::format("{} follows {}", track, file), note};
 }
 
-EditResult apply_copy_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_copy_edit(SceneWithLog edited, const EditArgument& edit) {
     const auto [track, place] = split_text(edit, edit.value, edit.value.rfind('@'));
-    const NewActorMotion start = parse_motion(edit, place, driving_scene, {driving_scene, track, {}});
-    driving_scene = copy_track(std::move(driving_scene), track, start);
-    return {
-        driving_scene,
-        fmt::format("copied {} as {}{}", track, last_track_id(driving_scene), describe_ground(start, place)),
-        warn_unobserved(start, last_track_id(driving_scene))};
+    const NewActorMotion start = parse_motion(edit, place, edited, {edited, track, {}});
+    edited = copy_track(std::move(edited), track, start);
+    return {edited,
+            fmt::format("copied {} as {}{}", track, last_track_id(edited), describe_ground(start, place)),
+            warn_unobserved(start, last_track_id(edited))};
 }
 
 struct ExternalActor {
@@ -199,13 +196,13 @@ ExternalActor load_actor(const EditArgument& context, const std::string& source)
         named ? split_text(context, source, source.rfind('#')) : std::pair(source, std::string());
     Run run = load_run(folder);
     const std::string track = named ? named_track : only_track(run);
-    SceneWithLog owner = run.driving_scene();
+    SceneWithLog owner = run.edited();
     return {folder, track, std::move(run), std::move(owner)};
 }
 
-std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& driving_scene) {
+std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& edited) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
-                         &run_sensor = driving_scene.sequence.lidars[0].sensor;
+                         &run_sensor = edited.sequence.lidars[0].sensor;
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
@@ -216,26 +213,24 @@ std::string warn_other_sensor(const ExternalActor& actor, const SceneWithLog& dr
         actor.track);
 }
 
-EditResult apply_insert(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_insert(SceneWithLog edited, const EditArgument& edit) {
     const auto [what, place] = split_text(edit, edit.value, edit.value.rfind('@'));
     const ExternalActor actor = load_actor(edit, what);
     const NewActorMotion start =
-        parse_motion(edit, place, driving_scene, {actor.owner, actor.track, read_clearance(actor.run)});
-    const std::string sensor = warn_other_sensor(actor, driving_scene);
-    driving_scene = insert_track(std::move(driving_scene), actor.owner, actor.track, start);
-    const std::string note = join_notes({sensor, warn_unobserved(start, last_track_id(driving_scene))});
+        parse_motion(edit, place, edited, {actor.owner, actor.track, read_clearance(actor.run)});
+    const std::string sensor = warn_other_sensor(actor, edited);
+    edited = insert_track(std::move(edited), actor.owner, actor.track, start);
+    const std::string note = join_notes({sensor, warn_unobserved(start, last_track_id(edited))});
     const std::string placed = describe_ground(start, place);
-    return {driving_scene,
-            fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track_id(driving_scene),
-                        placed),
-            note};
+    return {
+        edited,
+        fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track_id(edited), placed),
+        note};
 }
 
-EditResult apply_keep_only(SceneWithLog driving_scene, const EditArgument& edit) {
-    if (edit.value == "background")
-        return {remove_actors(std::move(driving_scene)), "kept only the background", ""};
-    if (edit.value == "actors")
-        return {remove_background(std::move(driving_scene)), "kept only the actors", ""};
+EditResult apply_keep_only(SceneWithLog edited, const EditArgument& edit) {
+    if (edit.value == "background") return {remove_actors(std::move(edited)), "kept only the background", ""};
+    if (edit.value == "actors") return {remove_background(std::move(edited)), "kept only the actors", ""};
     fail_edit(edit, "background or actors");
 }
 
@@ -262,7 +257,7 @@ const std::vector<EditOption>& edit_options() {
     return options;
 }
 
-EditResult apply_edit(SceneWithLog driving_scene, const EditArgument& edit) {
+EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
         {"--remove", apply_remove},         {"--move", apply_move_edit}, {"--retime", apply_delay},
@@ -271,7 +266,7 @@ EditResult apply_edit(SceneWithLog driving_scene, const EditArgument& edit) {
     const auto function = std::find_if(functions.begin(), functions.end(),
                                        [&](const auto& f) { return f.first == edit.option; });
     try {
-        return function->second(std::move(driving_scene), edit);
+        return function->second(std::move(edited), edit);
     } catch (const UsageError& error) {
         // so that the user knows which of several edits failed
         const std::string message = error.what();

@@ -29,6 +29,6 @@ struct EditResult {
 /// @throws UsageError naming option and value if the value is malformed or the track does
 /// not exist
 /// @throws DataError if a file is malformed
-EditResult apply_edit(SceneWithLog driving_scene, const EditArgument& edit);
+EditResult apply_edit(SceneWithLog edited, const EditArgument& edit);
 
 }  // namespace relidar::cli

@@ -258,7 +258,7 @@ Examples:
 
 }  // namespace
 
-void add_eval(CLI::App& app, ParsedCommand& selected_command) {
+void add_eval(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("eval", "score the held-out frames of a run against its log");
     const auto options = std::make_shared<EvalOptions>();
     command
@@ -297,11 +297,9 @@ void add_eval(CLI::App& app, ParsedCommand& selected_command) {
         ->type_size(1)
         ->allow_extra_args(false);
     command->footer(kEvalHelp);
-    command->callback([&selected_command, options, command] {
+    command->callback([&call, options, command] {
         if (!options->tables.empty()) check_table_options(*command);
-        selected_command.run = [&selected_command, options] {
-            run_eval(*options, selected_command.command_line);
-        };
+        call.run = [&call, options] { run_eval(*options, call.command_line); };
     });
 }
 

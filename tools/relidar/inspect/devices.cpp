@@ -72,7 +72,7 @@ void print_table(const std::vector<DeviceInfo>& devices) {
 
 }  // namespace
 
-void add_list_devices(CLI::App& list_command, ParsedCommand& selected_command) {
+void add_list_devices(CLI::App& list_command, ParsedCommand& call) {
     CLI::App* command = list_command.add_subcommand(
         "devices", "list all Vulkan devices, their features and the traversal that relidar would use");
     const auto json = std::make_shared<bool>(false);
@@ -81,8 +81,8 @@ void add_list_devices(CLI::App& list_command, ParsedCommand& selected_command) {
         "The first column is the number for the option --device. \"traversal\" is the method to trace rays "
         "that\nrelidar selects. \"software\" says whether relidar can trace rays on the device without ray "
         "queries.\nExample: relidar list devices");
-    command->callback([&selected_command, json] {
-        selected_command.run = [json] {
+    command->callback([&call, json] {
+        call.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();
             if (devices.empty())
                 throw DeviceError(

@@ -58,7 +58,7 @@ void print_log_info(const InfoOptions& options) {
 
 }  // namespace
 
-void add_info(CLI::App& app, ParsedCommand& selected_command) {
+void add_info(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("info", "print a summary of a log or a run");
     const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
@@ -72,8 +72,8 @@ void add_info(CLI::App& app, ParsedCommand& selected_command) {
         "Examples:\n"
         "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"
         "  relidar info run --json");
-    command->callback([&selected_command, options] {
-        selected_command.run = [options] {
+    command->callback([&call, options] {
+        call.run = [options] {
             const bool is_of_run = is_run_folder(options->path) || contains_run(options->path);
             check_settings_used(options->settings.sets,
                                 is_of_run

@@ -7,12 +7,12 @@
 
 namespace relidar::cli {
 
-void add_list(CLI::App& app, ParsedCommand& selected_command) {
+void add_list(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings and their properties");
     command->require_subcommand(1);
-    add_list_devices(*command, selected_command);
-    add_list_sensors(*command, selected_command);
-    add_list_settings(*command, selected_command);
+    add_list_devices(*command, call);
+    add_list_sensors(*command, call);
+    add_list_settings(*command, call);
     command->footer(
         "Examples:\n"
         "  relidar list devices\n"

@@ -121,7 +121,7 @@ void run_list_sensors(const SensorsOptions& options) {
 
 }  // namespace
 
-void add_list_sensors(CLI::App& list_command, ParsedCommand& selected_command) {
+void add_list_sensors(CLI::App& list_command, ParsedCommand& call) {
     CLI::App* command = list_command.add_subcommand(
         "sensors", "list the sensors that can be simulated, or show the properties of one sensor");
     const auto options = std::make_shared<SensorsOptions>();
@@ -140,8 +140,7 @@ void add_list_sensors(CLI::App& list_command, ParsedCommand& selected_command) {
         "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
         "  relidar list sensors metadata.json\n"
         "  relidar render run --out scans --sensor OS1-128:2048x10");
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_list_sensors(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_list_sensors(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -11,7 +11,7 @@
 
 namespace relidar::cli {
 
-void add_list_settings(CLI::App& list_command, ParsedCommand& selected_command) {
+void add_list_settings(CLI::App& list_command, ParsedCommand& call) {
     CLI::App* command =
         list_command.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
     const auto settings = std::make_shared<SettingsCommandOptions>();
@@ -23,8 +23,8 @@ void add_list_settings(CLI::App& list_command, ParsedCommand& selected_command) 
         "Later settings replace earlier ones in this order: preset, config file, --set.\nExamples:\n  "
         "relidar list settings --preset quick\n  relidar list settings --preset paper --set loss.depth=0.2 > "
         "mine.toml");
-    command->callback([&selected_command, settings, all] {
-        selected_command.run = [settings, all] {
+    command->callback([&call, settings, all] {
+        call.run = [settings, all] {
             print(*all ? to_toml(make_config(*settings)) : to_short_toml(make_config(*settings)));
         };
     });

@@ -122,7 +122,7 @@ Examples:
 
 }  // namespace
 
-void add_convert(CLI::App& app, ParsedCommand& selected_command) {
+void add_convert(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("convert", "convert a log to npz, text and JSON files, or to sensor packets");
     const auto options = std::make_shared<ConvertOptions>();
@@ -136,8 +136,7 @@ void add_convert(CLI::App& app, ParsedCommand& selected_command) {
     command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     add_quiet_option(*command, options->quiet);
     command->footer(kConvertHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_convert(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_convert(*options); }; });
 }
 
 }  // namespace relidar::cli

@@ -98,7 +98,7 @@ Examples:
 
 }  // namespace
 
-void add_export(CLI::App& app, ParsedCommand& selected_command) {
+void add_export(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("export", "write surfels as PLY for 3D Gaussian splatting, or the sensor's path");
     const auto options = std::make_shared<ExportOptions>();
@@ -115,8 +115,7 @@ void add_export(CLI::App& app, ParsedCommand& selected_command) {
         ->type_name("A:B");
     add_quiet_option(*command, options->quiet);
     command->footer(kExportHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_export(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
 }
 
 }  // namespace relidar::cli

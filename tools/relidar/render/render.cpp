@@ -457,7 +457,7 @@ std::string channels_help() {
 
 }  // namespace
 
-void add_render(CLI::App& app, ParsedCommand& selected_command) {
+void add_render(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("render", "render scans of a trained run");
     const auto options = std::make_shared<RenderOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
@@ -513,7 +513,7 @@ void add_render(CLI::App& app, ParsedCommand& selected_command) {
                     "  relidar render run --out fog --weather fog=50 --sample 1 --format ply\n"
                     "  mpirun -n 8 relidar render run --out scans --frames all");
     const auto run = [options] { run_render(*options); };
-    command->callback([&selected_command, run] { selected_command.run = run; });
+    command->callback([&call, run] { call.run = run; });
 }
 
 }  // namespace relidar::cli

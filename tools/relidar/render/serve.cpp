@@ -130,7 +130,7 @@ Examples:
 
 }  // namespace
 
-void add_serve(CLI::App& app, ParsedCommand& selected_command) {
+void add_serve(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators through gRPC");
     const auto options = std::make_shared<ServeCommandOptions>();
     command
@@ -180,8 +180,7 @@ void add_serve(CLI::App& app, ParsedCommand& selected_command) {
     add_device_options(*command, options->device);
     add_quiet_option(*command, options->quiet);
     command->footer(kServeHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_serve(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });
 }
 
 }  // namespace relidar::cli

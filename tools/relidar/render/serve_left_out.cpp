@@ -7,14 +7,14 @@
 
 namespace relidar::cli {
 
-void add_serve(CLI::App& app, ParsedCommand& selected_command) {
+void add_serve(CLI::App& app, ParsedCommand& call) {
     CLI::App* command =
         app.add_subcommand("serve", "render scans for simulators through gRPC (not in this build)");
     command->allow_extras();
     command->footer(
         "Example:\n  tools/dev/setup --serve && cmake --preset release && cmake --build --preset release");
-    command->callback([&selected_command] {
-        selected_command.run = [] {
+    command->callback([&call] {
+        call.run = [] {
             throw UsageError(
                 "serve is not available, because relidar was built without gRPC; run `tools/dev/setup "
                 "--serve` and build relidar again");

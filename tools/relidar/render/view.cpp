@@ -132,7 +132,7 @@ Examples:
 
 }  // namespace
 
-void add_view(CLI::App& app, ParsedCommand& selected_command) {
+void add_view(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser and move the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
@@ -161,8 +161,7 @@ void add_view(CLI::App& app, ParsedCommand& selected_command) {
                       "do not use the ray-drop network of the run; the surfels alone decide which rays drop");
     add_quiet_option(*command, options->quiet);
     command->footer(kViewHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_view(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
 }
 
 }  // namespace relidar::cli

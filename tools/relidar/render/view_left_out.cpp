@@ -7,11 +7,11 @@
 
 namespace relidar::cli {
 
-void add_view(CLI::App& app, ParsedCommand& selected_command) {
+void add_view(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("view", "show a run in the browser (not in this build)");
     command->allow_extras();
-    command->callback([&selected_command] {
-        selected_command.run = [] {
+    command->callback([&call] {
+        call.run = [] {
             throw UsageError(
                 "view is not available, because relidar was built without Boost.Beast; install libboost-dev "
                 "(Debian) and run cmake with -DRELIDAR_VIEW=ON");

@@ -126,7 +126,7 @@ Examples:
 
 }  // namespace
 
-void add_refine(CLI::App& app, ParsedCommand& selected_command) {
+void add_refine(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("refine", "train the network that corrects the ray-drop of a run");
     const auto options = std::make_shared<RefineCommandOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
@@ -137,8 +137,7 @@ void add_refine(CLI::App& app, ParsedCommand& selected_command) {
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames after the training");
     add_quiet_option(*command, options->quiet);
     command->footer(kRefineHelp);
-    command->callback(
-        [&selected_command, options] { selected_command.run = [options] { run_refine(*options); }; });
+    command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
 }
 
 }  // namespace relidar::cli

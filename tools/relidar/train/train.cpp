@@ -423,7 +423,7 @@ Examples:
 
 }  // namespace
 
-void add_train(CLI::App& app, ParsedCommand& selected_command) {
+void add_train(CLI::App& app, ParsedCommand& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
@@ -448,12 +448,10 @@ void add_train(CLI::App& app, ParsedCommand& selected_command) {
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     add_quiet_option(*command, options->quiet);
     command->footer(kTrainHelp);
-    command->callback([&selected_command, options, command] {
+    command->callback([&call, options, command] {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;
-        selected_command.run = [&selected_command, options] {
-            run_train(*options, selected_command.command_line);
-        };
+        call.run = [&call, options] { run_train(*options, call.command_line); };
     });
 }
 

@@ -34,9 +34,9 @@ std::string progress_json(const TrainProgress& progress_entry) {
     return json.dump() + "\n";
 }
 
-std::string format_log(const std::vector<TrainProgress>& log_entries) {
+std::string format_log(const std::vector<TrainProgress>& entries) {
     std::string text;
-    for (const TrainProgress& p : log_entries) text += progress_json(p);
+    for (const TrainProgress& p : entries) text += progress_json(p);
     return text;
 }
 
@@ -56,10 +56,10 @@ public:
                         "continues without it",
                         path_.string()));
     }
-    void repair(const std::vector<TrainProgress>& log_entries) {
+    void repair(const std::vector<TrainProgress>& entries) {
         if (!lost_) return;
         try {
-            write_text_file(path_, format_log(log_entries));
+            write_text_file(path_, format_log(entries));
         } catch (const DataError& error) {
             print_warning(error.what());
         }
@@ -190,8 +190,8 @@ void append_stage_times(const fs::path& folder, const StageTimes& stage_times) {
                                   (folder / "log.jsonl").string()));
 }
 
-void write_log(const fs::path& folder, const std::vector<TrainProgress>& log_entries) {
-    write_text_file(folder / "log.jsonl", format_log(log_entries));
+void write_log(const fs::path& folder, const std::vector<TrainProgress>& entries) {
+    write_text_file(folder / "log.jsonl", format_log(entries));
 }
 
 std::vector<TrainProgress> read_log(const fs::path& folder) {

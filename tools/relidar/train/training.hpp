@@ -39,7 +39,7 @@ void append_stage_times(const std::filesystem::path& folder, const StageTimes& s
 
 /// log.jsonl of a run. Reading skips invalid lines, because a killed process may leave an
 /// incomplete last line.
-void write_log(const std::filesystem::path& folder, const std::vector<TrainProgress>& log_entries);
+void write_log(const std::filesystem::path& folder, const std::vector<TrainProgress>& entries);
 std::vector<TrainProgress> read_log(const std::filesystem::path& folder);
 
 /// 0 if log.jsonl contains no iteration
