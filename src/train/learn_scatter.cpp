@@ -15,7 +15,7 @@ constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 }  // namespace
 
 std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
-                                                 const ScatterFitCallbacks& session) {
+                                                 const ScanCallbacks& session) {
     Config config = run.config;
     config.sensor.sub_rays = config.sensor.returns = 1;
     ScanRenderer renderer(device, run.scene, config, run.sequence);

@@ -92,8 +92,8 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
     return result;
 }
 
-/// Starts a new section if its blocks would have more than kMaxSectionSurfels surfels. Each
-/// section has at least one frame.
+/// Starts a new section if its blocks would have more than kMaxSectionSurfels surfels.
+/// Each section has at least one frame.
 std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> stretches(1);
     for (const int position : run.split.train) {

@@ -127,9 +127,9 @@ void prepare_log(Log& log, const Split& split, const Config& config, LogPreparat
 TrainResult train(Device& device, const Log& sequence, const Split& split, const Config& config,
                   const TrainProgressCallback& progress = {}, const TrainSession& session = {});
 
-struct HeldOutPoseCallbacks {
+struct ScanCallbacks {
     Progress progress = {};
-    /// Called before each scan. If it returns true, no pose changes.
+    /// Called before each scan. Returns true to stop.
     std::function<bool()> stop = {};
 };
 
@@ -145,7 +145,7 @@ struct HeldOutPoseReport {
 /// Does nothing if the settings do not register the sensor (train.refine_poses), or for
 /// 3D Gaussians, which have no normals. Sets Run::held_out_placed. If it was
 /// stopped, no pose changes.
-HeldOutPoseReport register_held_out(Device& device, Run& run, const HeldOutPoseCallbacks& session = {});
+HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallbacks& session = {});
 
 struct RayDropTrainingSession {
     Progress progress = {};  ///< Function that receives the progress of rendering the training frames.
@@ -187,18 +187,12 @@ void check_drop_resume(const Checkpoint& checkpoint, const Run& run);
 /// @throws UsageError for a setting that this version does not know
 void read_drop_settings(const Checkpoint& checkpoint, Config& config);
 
-struct ScatterFitCallbacks {
-    Progress progress = {};
-    /// Called before each frame. Returns true to stop.
-    std::function<bool()> stop = {};
-};
-
 /// Models the measured intensities, given the rendered intensities of some training
 /// frames. Run::sequence must contain the measured scans of these frames.
 /// @return [lidars] models. A model is empty if its LiDAR has too few returns. The vector
-/// is empty if ScatterFitCallbacks::stop has stopped the fit
+/// is empty if ScanCallbacks::stop has stopped the fit
 std::vector<IntensityScatterModel> learn_scatter(Device& device, const Run& run,
-                                                 const ScatterFitCallbacks& session = {});
+                                                 const ScanCallbacks& session = {});
 
 /// `stopped`: by a callback
 enum class TrainingEndReason { finished, stopped };

@@ -20,15 +20,26 @@ constexpr int kMaxCheckpoints = 2;
 }  // namespace
 
 CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest_iteration,
-                                   std::string iteration_noun,
-                                   const std::function<void(const std::string&)>& report_note)
+                                   std::string iteration_noun, double minutes,
+                                   const std::function<void(const std::string&)>& report_note,
+                                   std::function<Texts()> texts)
     : folder_(std::move(folder)),
       newest_(newest_iteration),
       count_(std::move(iteration_noun)),
-      note_(report_note) {}
+      minutes_(minutes),
+      note_(report_note) {
+    if (is_enabled()) texts_ = std::async(std::launch::async, std::move(texts));
+}
 
-void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& add_state) {
-    const int iteration = checkpoint.iteration;
+bool CheckpointFolder::is_time_due() const {
+    const std::chrono::duration<double> since_last = Clock::now() - last_;
+    return minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
+}
+
+void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)>& add_state) {
+    // Set before writing: if the disk is full, the next attempt is one interval later.
+    last_ = Clock::now();
+    Checkpoint checkpoint{iteration, texts_.get(), {}};
     const auto failed = [&](const std::string& why) {
         const std::string safe =
             newest_ > 0 ? fmt::format("the last checkpoint was written at {} {}", count_, newest_)
@@ -57,27 +68,20 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
 CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Config& config,
                                    const TrainSession& session)
     : config_(config.train),
-      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration", session.note) {
-    if (folder_.is_enabled())
-        texts_ = std::async(std::launch::async, [&log, &split, &config] {
-            return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
-        });
-}
+      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "iteration",
+              config.train.checkpoint_minutes, session.note, [&log, &split, &config] {
+                  return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
+              }) {}
 
 bool CheckpointKeeper::is_due(int step) const {
     if (!folder_.is_enabled()) return false;
-    const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;
-    const bool by_time =
-        config_.checkpoint_minutes > 0.0 && since_last.count() >= 60.0 * config_.checkpoint_minutes;
-    return by_count || by_time || (step == config_.iterations && folder_.newest() > 0);
+    return by_count || folder_.is_time_due() || (step == config_.iterations && folder_.newest() > 0);
 }
 
 void CheckpointKeeper::save_state(TrainLoop& loop, const TrainResult& result, double training_time_s) {
-    // Set before writing: if the disk is full, the next attempt is one interval later.
-    last_ = Clock::now();
     if (!folder_.is_enabled()) return;
-    folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
+    folder_.save(result.iterations, [&](Checkpoint& checkpoint) {
         CheckpointWriter write(checkpoint);
         loop.save_to(checkpoint);
         write_log(write, result, training_time_s);

@@ -19,24 +19,35 @@ class TrainLoop;
 
 class CheckpointFolder {
 public:
+    using Texts = std::map<std::string, std::string>;
     /// Keeps the two newest checkpoints, because a failure of the machine can damage the
     /// newest.
     /// @param folder  if empty, no checkpoint is written
     /// @param newest_iteration  of the checkpoints in the folder, 0 if there is none
+    /// @param minutes  interval of is_time_due(), never if 0
+    /// @param texts  settings and hashes that every checkpoint contains; called by a
+    /// separate thread, because hashing a log takes some time
     CheckpointFolder(std::filesystem::path folder, int newest_iteration, std::string iteration_noun,
-                     const std::function<void(const std::string&)>& report_note);
+                     double minutes, const std::function<void(const std::string&)>& report_note,
+                     std::function<Texts()> texts);
 
     bool is_enabled() const { return !folder_.empty(); }
     int newest() const { return newest_; }
     /// If the disk or the memory is full, prints a note and training continues.
     /// @throws DataError if the state contains NaN or infinity
-    void save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& add_state);
+    void save(int iteration, const std::function<void(Checkpoint&)>& add_state);
+    /// Counted from the last save(), or from the start.
+    bool is_time_due() const;
 
 private:
+    using Clock = std::chrono::steady_clock;
     const std::filesystem::path folder_;
     int newest_;
     const std::string count_;
+    const double minutes_;
     const std::function<void(const std::string&)> note_;
+    std::shared_future<Texts> texts_;
+    Clock::time_point last_ = Clock::now();
 };
 
 class CheckpointKeeper {
@@ -49,13 +60,8 @@ public:
     void save_state(TrainLoop& loop, const TrainResult& result, double training_time_s);
 
 private:
-    using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
     CheckpointFolder folder_;
-    /// Settings and hashes that every checkpoint of this training contains. Computed by a
-    /// separate thread, because hashing a log takes some time.
-    std::shared_future<std::map<std::string, std::string>> texts_;
-    Clock::time_point last_ = Clock::now();
 };
 
 }  // namespace relidar

@@ -34,24 +34,16 @@ std::vector<ConfigKey> list_network_settings(const Config& config) {
 }  // namespace
 
 RayDropCheckpointKeeper::RayDropCheckpointKeeper(const Run& run, const RayDropTrainingSession& session)
-    : minutes_(run.config.train.checkpoint_minutes),
-      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
-              session.note) {
-    if (!folder_.is_enabled()) return;
-    texts_ = std::async(std::launch::async, [&run] {
-        return make_resume_texts(list_network_settings(run.config), fingerprint_run(run));
-    });
+    : folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
+              run.config.train.checkpoint_minutes, session.note,
+              [&run] { return make_resume_texts(list_network_settings(run.config), fingerprint_run(run)); }) {
 }
 
 void RayDropCheckpointKeeper::save_due(const RayDropTrainProgress& progress, bool is_stopping,
                                        const std::function<RayDropTrainState()>& get_state) {
     const bool ends_epoch = progress.step % (progress.n_steps / progress.n_epochs) == 0;
-    const std::chrono::duration<double> since_last = Clock::now() - last_;
-    const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
-    if (!folder_.is_enabled() || !(ends_epoch || by_time || is_stopping)) return;
-    // Set before writing: if the disk is full, the next attempt is one interval later.
-    last_ = Clock::now();
-    folder_.save({progress.step, texts_.get(), {}},
+    if (!folder_.is_enabled() || !(ends_epoch || folder_.is_time_due() || is_stopping)) return;
+    folder_.save(progress.step,
                  [&](Checkpoint& checkpoint) { get_state().visit_state(CheckpointWriter(checkpoint)); });
 }
 

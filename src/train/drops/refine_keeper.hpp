@@ -1,11 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <chrono>
 #include <functional>
-#include <future>
-#include <map>
-#include <string>
 
 #include <relidar/diff/network.hpp>
 #include <relidar/run/run.hpp>
@@ -24,13 +20,7 @@ public:
                   const std::function<RayDropTrainState()>& get_state);
 
 private:
-    using Clock = std::chrono::steady_clock;
-    const double minutes_;
     CheckpointFolder folder_;
-    /// Settings and hashes that every checkpoint of this training contains. Computed by a
-    /// separate thread, because hashing a log takes some time.
-    std::shared_future<std::map<std::string, std::string>> texts_;
-    Clock::time_point last_ = Clock::now();
 };
 
 /// @throws DataError if the checkpoint is not from the training of a network

@@ -32,8 +32,8 @@ public:
     /// move_rays() for the same frame before.
     void record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                      const Array<float, shared::DeviceRayGradients>& ray_gradients);
-    /// [kGroupsPerPose, maximum number of poses in a frame, 6] one row for each of the `kGroupsPerPose`
-    /// workgroups that share the work for a pose
+    /// [kGroupsPerPose, maximum number of poses in a frame, 6] one row for each of the
+    /// `kGroupsPerPose` workgroups that share the work for a pose
     const Array<float>& gradient_sums() const { return rows_; }
     std::vector<PoseGradient> sum_gradients(std::span<const float> sums,
                                             const TrainingFrameData& frame) const;

@@ -64,7 +64,7 @@ private:
 
 }  // namespace
 
-HeldOutPoseReport register_held_out(Device& device, Run& run, const HeldOutPoseCallbacks& session) {
+HeldOutPoseReport register_held_out(Device& device, Run& run, const ScanCallbacks& session) {
     HeldOutPoseReport result;
     const Config& config = run.config;
     if (!config.train.place_held_out || !registers_sensors(config.train) ||

@@ -16,8 +16,8 @@
 namespace relidar::cli {
 namespace {
 
-// A picture shows one actor in up to kStripFrames frames, side by side. Actors with fewer than
-// kMinPointsPerFrame points per frame on average are not drawn.
+// A picture shows one actor in up to kStripFrames frames, side by side. Actors with fewer
+// than kMinPointsPerFrame points per frame on average are not drawn.
 constexpr std::size_t kStripFrames = 8, kMinPointsPerFrame = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDotSize_px = 3;
