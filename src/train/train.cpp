@@ -54,12 +54,12 @@ void report_evicted(const TrainingFrames& frames, const Config& config, const Tr
 }
 
 /// The pose of a single sweep is not constrained relative to the other sweeps.
-Config with_useful_poses(Config config, const Log& sequence, const Split& split, const Scene& initial,
-                         const TrainSession& session) {
-    const auto get_sweep = [&](int frame) { return sequence.frames[std::size_t(frame)].index; };
+Config with_useful_poses(Config config, const Log& log, const Split& split, const Scene& initial,
+                         const TrainSession& calls) {
+    const auto get_sweep = [&](int frame) { return log.frames[std::size_t(frame)].index; };
     const auto is_in_first_sweep = [&](int frame) { return get_sweep(frame) == get_sweep(split.train[0]); };
     const auto report = [&](const char* note) {
-        if (session.note) session.note(note);
+        if (calls.note) calls.note(note);
     };
     if (config.train.refines("sensor") && std::ranges::all_of(split.train, is_in_first_sweep)) {
         config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
@@ -72,20 +72,20 @@ Config with_useful_poses(Config config, const Log& sequence, const Split& split,
     return config;
 }
 
-void fill_result(TrainLoop& loop, Device& device, const Log& sequence, const Split& split,
-                 const Config& config, const TrainSession& session, TrainResult& result) {
+void fill_result(TrainLoop& loop, Device& device, const Log& log, const Split& split, const Config& config,
+                 const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
     result.scene = loop.download_scene();
     result.poses = loop.refined_poses();
     begin_stage(session.stages, "drops");
     if (config.train.sensor_drop && !result.interrupted)
-        result.scene.sensor_drop = loop.sensor_drop_rates(device, sequence);
+        result.scene.sensor_drop = loop.sensor_drop_rates(device, log);
     begin_stage(session.stages, "coverage");
-    const PoseTrack& poses = result.poses ? result.poses->world_from_vehicle : sequence.world_from_vehicle;
+    const PoseTrack& poses = result.poses ? result.poses->world_from_vehicle : log.world_from_vehicle;
     result.coverage =
-        observe_coverage(sequence, poses, split.train, with_max_range(config, sequence).dataset.max_range_m);
-    const std::vector<BoxTrack>& boxes = result.poses ? result.poses->boxes : sequence.boxes;
-    result.classes = map_classes(sequence, poses, boxes, split.train);
+        observe_coverage(log, poses, split.train, with_max_range(config, log).dataset.max_range_m);
+    const std::vector<BoxTrack>& boxes = result.poses ? result.poses->boxes : log.boxes;
+    result.classes = map_classes(log, poses, boxes, split.train);
 }
 
 }  // namespace

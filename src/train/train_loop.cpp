@@ -196,11 +196,10 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
     return frame;
 }
 
-void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets,
-                             const LossTermRow& loss_terms) {
+void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms) {
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
     for (const std::unique_ptr<Loss>& loss : losses_)
-        loss->add_ray_losses(stream_, differentiable_.last_batch(), targets, loss_terms);
+        loss->add_ray_losses(stream_, differentiable_.last_batch(), targets, terms);
     differentiable_.record_backward();  // computes the gradients (equation 9)
 }
 
@@ -364,12 +363,12 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     return drops;
 }
 
-void TrainLoop::count_drops(RayDropCounts& counts, const Log& sequence, const TrainingFrameData& frame,
+void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                             const SampledBatch& batch) {
     // Minimum blending weight of a ray that hits a solid surface. Other rays count only
     // in sectors that training ignores.
     constexpr float kMinSolidWeight = 0.9f;
-    const Frame& sweep = sequence.frames[std::size_t(frame.position)];
+    const Frame& sweep = log.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.mask_rules().observed_drops;
     renderer_.record_forward(batch.rays);
     stream_.submit_and_wait();
@@ -377,7 +376,7 @@ void TrainLoop::count_drops(RayDropCounts& counts, const Log& sequence, const Tr
     for (std::uint32_t j = 0; j < batch.rays.n_rays; ++j) {
         const std::size_t ray = batch.frame_ray(j);
         if (r.hit_logit[j] > r.drop_logit[j] &&
-            (r.weight[j] > kMinSolidWeight || is_blind_ray(observed, sequence, sweep, ray)))
+            (r.weight[j] > kMinSolidWeight || is_blind_ray(observed, log, sweep, ray)))
             counts.add_ray(sweep, ray);
     }
 }

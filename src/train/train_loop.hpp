@@ -136,7 +136,7 @@ private:
     /// Records the rays of a frame and the poses of its instances.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
-    void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& loss_terms);
+    void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms);
     void check_reports(int last_step);
     void start_readback(int step, bool is_last_of_log_interval);
     /// Increases the capacity of the hit buffer if more than half of it was used.
@@ -144,7 +144,7 @@ private:
     void grow_hit_capacity(const IterationReports::IterationGroupReport& report);
     /// Rays with more hits than stored are slow, because they must be traced twice.
     void resize_stored_hits(const IterationReports::IterationGroupReport& report);
-    void count_drops(RayDropCounts& counts, const Log& sequence, const TrainingFrameData& frame,
+    void count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                      const SampledBatch& batch);
 };
 

@@ -62,7 +62,6 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         }
         EXPECT_EQ(result.scene.surfels.size(), n);
         EXPECT_GE(n, strategy == DensifyStrategy::none ? 1u : result.log.front().n_surfels * 11 / 10);
-        std::printf("strategy %d: %u surfels, loss %.5f\n", int(strategy), n, loss[strategy]);
     }
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
 }

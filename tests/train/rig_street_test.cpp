@@ -7,7 +7,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iostream>
 
 #include "../support/device.hpp"
 #include "../support/rig_street.hpp"
@@ -93,10 +92,6 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     EXPECT_LT(double(wide.invented), 0.55 * double(wide.reported));
     for (std::size_t l = 0; l < 4; ++l) {
         Score& s = scores[l];
-        std::cout << street.lidars[l].name << ": median " << s.median_m() << " m, drops right "
-                  << double(s.drops_right) / double(s.rays) << ", second returns " << s.second_returns
-                  << ", found " << s.detected << ", of " << s.reported << " reported invented " << s.invented
-                  << "\n";
         EXPECT_LT(s.median_m(), 0.015) << street.lidars[l].name;
         EXPECT_GT(double(s.drops_right), 0.9 * double(s.rays)) << street.lidars[l].name;
         EXPECT_GT(s.errors_m.size(), s.rays / 3) << street.lidars[l].name;
@@ -138,7 +133,6 @@ TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     prepare_log(log, split, make_rig_config(0), {});
     const double with = measure_missed_ground(device(), log, split, options, 2.0),
                  without = measure_missed_ground(device(), log, split, options, 0.0);
-    std::cout << "ground missed: " << with << ", by round discs " << without << "\n";
     EXPECT_LT(with, 0.1);
     EXPECT_GT(without, 3.0 * with);
 }

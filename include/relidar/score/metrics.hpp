@@ -107,11 +107,10 @@ MetricValues evaluate_points(const RangeImage& rendered, const RangeImage& real,
 ///   classes/accuracy   fraction of these rays with equal classes
 ///   classes/mean_iou   mean over the labels that occur: rays that have the class in both
 ///                      scans, divided by the rays that have it in at least one scan
-/// @param rendered_classes [n] values of the channel `class`
-/// @param real_classes [n] labels
+/// @param rendered [n] values of the channel `class`
+/// @param real [n] labels
 /// @return an empty row if no ray has a label
-MetricValues score_classes(const std::vector<std::int32_t>& rendered_classes,
-                           std::span<const SurfaceClass> real_classes);
+MetricValues score_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real);
 
 struct RangeImageComparison {
     const RangeImage* rendered = nullptr;
@@ -139,8 +138,7 @@ enum class BoxPointMotion { stay, follow };
 /// read
 /// @param train_frames  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
-Scan predict_scan(const Log& sequence, int index, const std::vector<int>& train_frames,
-                  BoxPointMotion box_motion);
+Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frames, BoxPointMotion motion);
 
 /// Assigns each point to the ray with the smallest angle to the point. If several points
 /// belong to a ray, the nearest point is kept. Skips points that are more than half a

@@ -57,15 +57,14 @@ void link_file(const fs::path& source_file, const fs::path& target_file) {
     });
 }
 
-std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target_folder,
-                                    bool skip_files_already_in_run_folder) {
+std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target, bool skip_linked) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
         std::error_code failed;
-        if (!skip_files_already_in_run_folder || !fs::equivalent(blocks[i].file, run.folder / file, failed))
-            link_file(blocks[i].file, target_folder / file);
-        blocks[i].file = target_folder / file;
+        if (!skip_linked || !fs::equivalent(blocks[i].file, run.folder / file, failed))
+            link_file(blocks[i].file, target / file);
+        blocks[i].file = target / file;
     }
     return blocks;
 }
@@ -138,29 +137,28 @@ void rename_file(const fs::path& source, const fs::path& target) {
         fail("cannot write '{}': renaming the temporary file failed: {}", target.string(), failed.message());
 }
 
-/// Keeps the old config.toml unless it differs or `remove_old_files` is set, so that
+/// Keeps the old config.toml unless it differs or `remove_old` is set, so that
 /// training can be resumed even if the process is killed during the move.
-void move_files(const fs::path& staging_folder, const fs::path& run_folder,
-                const std::function<void()>& remove_old_files) {
-    const std::string config = read_file(staging_folder / kConfigFile);
+void move_files(const fs::path& staging, const fs::path& folder, const std::function<void()>& remove_old) {
+    const std::string config = read_file(staging / kConfigFile);
     const bool same_config =
-        does_path_exist(run_folder / kConfigFile) && read_file(run_folder / kConfigFile) == config;
-    if (!same_config || remove_old_files) fs::remove(run_folder / kConfigFile);
-    fs::remove(run_folder / kSceneFile);
-    if (remove_old_files) remove_old_files();
+        does_path_exist(folder / kConfigFile) && read_file(folder / kConfigFile) == config;
+    if (!same_config || remove_old) fs::remove(folder / kConfigFile);
+    fs::remove(folder / kSceneFile);
+    if (remove_old) remove_old();
     for (const char* name : {kDropNetworkFile, kSweepsFile, kCoverageFile, kClassesFile, kScatterFile})
-        if (!does_path_exist(staging_folder / name)) fs::remove(run_folder / name);
+        if (!does_path_exist(staging / name)) fs::remove(folder / name);
     std::vector<fs::path> files;
-    for (const auto& entry : fs::recursive_directory_iterator(staging_folder))
-        if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staging_folder));
+    for (const auto& entry : fs::recursive_directory_iterator(staging))
+        if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(staging));
     std::erase(files, kSceneFile);
     std::erase(files, kConfigFile);
     for (const fs::path& file : files) {
-        create_folder((run_folder / file).parent_path());
-        rename_file(staging_folder / file, run_folder / file);
+        create_folder((folder / file).parent_path());
+        rename_file(staging / file, folder / file);
     }
-    rename_file(staging_folder / kSceneFile, run_folder / kSceneFile);
-    if (!same_config || remove_old_files) rename_file(staging_folder / kConfigFile, run_folder / kConfigFile);
+    rename_file(staging / kSceneFile, folder / kSceneFile);
+    if (!same_config || remove_old) rename_file(staging / kConfigFile, folder / kConfigFile);
 }
 
 }  // namespace

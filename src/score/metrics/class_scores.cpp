@@ -5,20 +5,19 @@
 
 namespace relidar {
 
-MetricValues score_classes(const std::vector<std::int32_t>& rendered_classes,
-                           std::span<const SurfaceClass> real_classes) {
+MetricValues score_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real) {
     std::array<double, kSurfaceClasses> n_both{}, n_either{}, n_real{};
     double n = 0.0, n_equal = 0.0;
-    for (std::size_t i = 0; i < real_classes.size(); ++i) {
-        if (real_classes[i] == SurfaceClass::unknown) continue;
-        const auto label = std::size_t(real_classes[i]);
+    for (std::size_t i = 0; i < real.size(); ++i) {
+        if (real[i] == SurfaceClass::unknown) continue;
+        const auto label = std::size_t(real[i]);
         n += 1.0;
         n_real[label] += 1.0;
         n_either[label] += 1.0;
-        if (rendered_classes[i] == std::int32_t(label)) {
+        if (rendered[i] == std::int32_t(label)) {
             n_equal += 1.0;
             n_both[label] += 1.0;
-        } else if (rendered_classes[i] >= 0) n_either[std::size_t(rendered_classes[i])] += 1.0;
+        } else if (rendered[i] >= 0) n_either[std::size_t(rendered[i])] += 1.0;
     }
     if (n == 0.0) return {};
     double sum = 0.0, n_classes = 0.0;

@@ -139,21 +139,20 @@ struct RayTableNeighbours {
 
 }  // namespace
 
-Scan predict_scan(const Log& sequence, int index, const std::vector<int>& train_frames,
-                  BoxPointMotion box_motion) {
-    const Frame& sweep = sequence.frames.at(std::size_t(index));
+Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frames, BoxPointMotion motion) {
+    const Frame& sweep = log.frames.at(std::size_t(index));
     std::vector<const BoxTrack*> moving;
-    for (const BoxTrack& box : sequence.boxes)
-        if (box_motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
+    for (const BoxTrack& box : log.boxes)
+        if (motion == BoxPointMotion::follow && box.is_moving()) moving.push_back(&box);
     Scan points;
-    for (const int neighbour : find_neighbours(sequence, index, train_frames)) {
-        const Frame& frame = sequence.frames.at(std::size_t(neighbour));
+    for (const int neighbour : find_neighbours(log, index, train_frames)) {
+        const Frame& frame = log.frames.at(std::size_t(neighbour));
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            WorldReturn w = locate_return(sequence, frame, ray);
+            WorldReturn w = locate_return(log, frame, ray);
             // the measured range includes the range offset of the beam
             w.point_m +=
-                double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
+                double(frame.scan.range_m[ray] - surface_return(log, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             const auto containing_box = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
                 return box->is_observed(w.time_s) && box->contains_point(w.point_m, w.time_s, 0.0);
@@ -167,7 +166,7 @@ Scan predict_scan(const Log& sequence, int index, const std::vector<int>& train_
                 world_m = box.world_from_box.pose_at(then_s) *
                           (inverse(box.world_from_box.pose_at(w.time_s)) * w.point_m);
             }
-            append_point(points, world_to_sensor(sequence, world_m, sweep), frame.scan.intensity[ray]);
+            append_point(points, world_to_sensor(log, world_m, sweep), frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;

@@ -32,10 +32,9 @@ Log copy_without_scans(const Log& sequence) {
 }
 
 /// Pending iterations need separate buffers.
-void allocate_readbacks(std::vector<ReadbackBuffer>& readbacks, Device& device, std::size_t n_floats,
+void allocate_readbacks(std::vector<ReadbackBuffer>& buffers, Device& device, std::size_t n,
                         const char* text) {
-    while (int(readbacks.size()) < kReadbackLag)
-        readbacks.emplace_back(device, n_floats * sizeof(float), text);
+    while (int(buffers.size()) < kReadbackLag) buffers.emplace_back(device, n * sizeof(float), text);
 }
 
 template <class T>

@@ -95,11 +95,7 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
 }
 
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
-    run.split = {{}, {}};
-    for (int i = 0; i < kFrames; ++i) {
-        run.split.train.push_back(i);
-        run.split.test.push_back(i);
-    }
+    run.split = {positions, positions};
     std::vector<ScoredFrame> reported_frames;
     const Evaluation evaluation =
         evaluate_baseline("nearest", run.config, run.sequence, run.split, {},

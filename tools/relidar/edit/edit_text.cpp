@@ -29,22 +29,19 @@ const char* value_syntax(const EditArgument& edit) {
         ->form;
 }
 
-/// Leaves out the character at `separator_position`. Throws an error if a part is empty.
-std::pair<std::string, std::string> split_text(const EditArgument& edit_for_errors, const std::string& text,
-                                               std::size_t separator_position) {
-    if (separator_position == std::string::npos || separator_position == 0 ||
-        separator_position + 1 == text.size())
-        fail_edit(edit_for_errors, value_syntax(edit_for_errors));
-    return {text.substr(0, separator_position), text.substr(separator_position + 1)};
+/// Leaves out the character at `at`. Throws an error if a part is empty.
+std::pair<std::string, std::string> split_text(const EditArgument& edit, const std::string& text,
+                                               std::size_t at) {
+    if (at == std::string::npos || at == 0 || at + 1 == text.size()) fail_edit(edit, value_syntax(edit));
+    return {text.substr(0, at), text.substr(at + 1)};
 }
 
-std::vector<double> parse_numbers(const EditArgument& edit_for_errors, const std::string& text,
-                                  std::size_t min_count, std::size_t max_count) {
-    const std::vector<double> values = parse_list(edit_for_errors.option, text);
-    if (values.size() < min_count || values.size() > max_count)
-        fail_edit(edit_for_errors, value_syntax(edit_for_errors));
+std::vector<double> parse_numbers(const EditArgument& edit, const std::string& text, std::size_t min_count,
+                                  std::size_t max_count) {
+    const std::vector<double> values = parse_list(edit.option, text);
+    if (values.size() < min_count || values.size() > max_count) fail_edit(edit, value_syntax(edit));
     for (const double v : values)
-        if (std::abs(v) > 1e9) fail_edit(edit_for_errors, "numbers from -1e9 to 1e9");
+        if (std::abs(v) > 1e9) fail_edit(edit, "numbers from -1e9 to 1e9");
     return values;
 }
 
@@ -58,16 +55,15 @@ Pose make_pose(const std::vector<double>& xyz_yaw_pitch_roll) {
 
 /// "x,y,ground[,yaw_deg]"; no value if the third field is a number, because the text is
 /// then a full pose.
-std::optional<GroundPlacement> parse_ground(const EditArgument& edit_for_errors, const std::string& text) {
+std::optional<GroundPlacement> parse_ground(const EditArgument& edit, const std::string& text) {
     constexpr std::string_view kGroundWord = ",ground";
     const std::size_t at = text.find(kGroundWord);
     if (at == std::string::npos) return {};
-    const std::vector<double> xy = parse_numbers(edit_for_errors, text.substr(0, at), 2, 2);
+    const std::vector<double> xy = parse_numbers(edit, text.substr(0, at), 2, 2);
     GroundPlacement placement{{xy[0], xy[1]}};
     const std::string rest = text.substr(at + kGroundWord.size());
-    if (!rest.empty() && rest[0] != ',') fail_edit(edit_for_errors, value_syntax(edit_for_errors));
-    if (!rest.empty())
-        placement.yaw_rad = parse_numbers(edit_for_errors, rest.substr(1), 1, 1)[0] * kPi / 180.0;
+    if (!rest.empty() && rest[0] != ',') fail_edit(edit, value_syntax(edit));
+    if (!rest.empty()) placement.yaw_rad = parse_numbers(edit, rest.substr(1), 1, 1)[0] * kPi / 180.0;
     return placement;
 }
 
@@ -78,26 +74,24 @@ struct ActorToInsert {
 };
 
 /// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
-NewActorMotion parse_motion(const EditArgument& edit_for_errors, const std::string& pose_and_speed_text,
-                            const SceneWithLog& edited, const ActorToInsert& actor) {
-    const std::size_t colon = pose_and_speed_text.find(':');
+NewActorMotion parse_motion(const EditArgument& edit, const std::string& text, const SceneWithLog& edited,
+                            const ActorToInsert& actor) {
+    const std::size_t colon = text.find(':');
     const double speed_mps =
-        colon == std::string::npos
-            ? 0.0
-            : parse_numbers(edit_for_errors, pose_and_speed_text.substr(colon + 1), 1, 1)[0];
-    if (std::abs(speed_mps) > kFarOff_m) fail_edit(edit_for_errors, "a speed from -1e6 to 1e6 m/s");
-    const std::string position_text = pose_and_speed_text.substr(0, colon);
-    if (std::optional<GroundPlacement> ground = parse_ground(edit_for_errors, position_text)) {
+        colon == std::string::npos ? 0.0 : parse_numbers(edit, text.substr(colon + 1), 1, 1)[0];
+    if (std::abs(speed_mps) > kFarOff_m) fail_edit(edit, "a speed from -1e6 to 1e6 m/s");
+    const std::string position_text = text.substr(0, colon);
+    if (std::optional<GroundPlacement> ground = parse_ground(edit, position_text)) {
         ground->speed_mps = speed_mps;
         ground->clearance_m = actor.clearance_m;
         return stand_on_ground({edited.scene, edited.sequence}, *ground,
                                {actor.owner.scene, actor.owner.sequence}, actor.track);
     }
-    const std::vector<double> pose = parse_numbers(edit_for_errors, position_text, 4, 6);
-    if (pose.size() == 5) fail_edit(edit_for_errors, value_syntax(edit_for_errors));
+    const std::vector<double> pose = parse_numbers(edit, position_text, 4, 6);
+    if (pose.size() == 5) fail_edit(edit, value_syntax(edit));
     const Pose start = make_pose(pose);
     if (!(glm::distance(start.translation, edited.sequence.world_offset_m) < kFarOff_m))
-        fail_edit(edit_for_errors, "a position less than 1e6 m from the log");
+        fail_edit(edit, "a position less than 1e6 m from the log");
     return {start, speed_mps};
 }
 

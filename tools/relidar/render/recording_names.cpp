@@ -51,14 +51,11 @@ void check_recording_names(const RecordingNames& name_templates,
     check("--frame-id", name_templates.frame_id);
 }
 
-void apply_names(ScanOutputOptions& output_options, const std::string& sensor_name,
-                 const RecordingNames& name_templates) {
-    relidar::name_topics(output_options, sensor_name);
-    const std::string name = sensor_name.empty() ? output_options.frame_id : sensor_name;
-    if (!name_templates.topic.empty())
-        output_options.topic = replace_name(name_templates.topic, to_topic_name(name));
-    if (!name_templates.frame_id.empty())
-        output_options.frame_id = replace_name(name_templates.frame_id, name);
+void apply_names(ScanOutputOptions& format, const std::string& sensor, const RecordingNames& names) {
+    relidar::name_topics(format, sensor);
+    const std::string name = sensor.empty() ? format.frame_id : sensor;
+    if (!names.topic.empty()) format.topic = replace_name(names.topic, to_topic_name(name));
+    if (!names.frame_id.empty()) format.frame_id = replace_name(names.frame_id, name);
 }
 
 }  // namespace relidar::cli

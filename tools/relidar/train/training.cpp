@@ -18,19 +18,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::string progress_json(const TrainProgress& progress_entry) {
-    nlohmann::ordered_json json = {{"iteration", progress_entry.iteration},
-                                   {"seconds", progress_entry.seconds},
-                                   {"iterations_per_second", progress_entry.iterations_per_second},
-                                   {"loss", progress_entry.loss}};
-    for (std::size_t k = 0; k < progress_entry.terms.size(); ++k)
-        json[kLossTermNames[k]] = progress_entry.terms[k];
-    json["surfels"] = progress_entry.n_surfels;
-    if (const DensifyReport& d = progress_entry.densified; d.added || d.n_removed())
+std::string progress_json(const TrainProgress& p) {
+    nlohmann::ordered_json json = {{"iteration", p.iteration},
+                                   {"seconds", p.seconds},
+                                   {"iterations_per_second", p.iterations_per_second},
+                                   {"loss", p.loss}};
+    for (std::size_t k = 0; k < p.terms.size(); ++k) json[kLossTermNames[k]] = p.terms[k];
+    json["surfels"] = p.n_surfels;
+    if (const DensifyReport& d = p.densified; d.added || d.n_removed())
         json["densified"] = {{"added", d.added},     {"clones_wanted", d.clones}, {"splits_wanted", d.splits},
                              {"invalid", d.invalid}, {"faint", d.faint},          {"large", d.large},
                              {"outside", d.outside}};
-    if (!progress_entry.densified.note.empty()) json["note"] = progress_entry.densified.note;
+    if (!p.densified.note.empty()) json["note"] = p.densified.note;
     return json.dump() + "\n";
 }
 
