@@ -5,6 +5,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
+#include <relidar/score/metrics.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 

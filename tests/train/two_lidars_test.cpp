@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <relidar/score/metrics.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 

@@ -190,7 +190,7 @@ ExternalActor load_actor(const EditArgument& context, const std::string& source)
         named ? split_text(context, source, source.rfind('#')) : std::pair(source, std::string());
     Run run = load_run(folder);
     const std::string track = named ? named_track : only_track(run);
-    SceneWithLog owner = run.edited();
+    SceneWithLog owner = run.driving_scene();
     return {folder, track, std::move(run), std::move(owner)};
 }
 
