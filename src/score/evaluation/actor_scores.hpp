@@ -7,8 +7,8 @@
 
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/sequence.hpp>
-#include <relidar/score/metrics.hpp>
 #include <relidar/score/evaluation.hpp>
+#include <relidar/score/metrics.hpp>
 
 namespace relidar {
 
