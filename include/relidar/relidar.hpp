@@ -27,8 +27,8 @@
 #include <relidar/run/edit.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/scene/scene.hpp>
-#include <relidar/score/metrics.hpp>
 #include <relidar/score/evaluation.hpp>
+#include <relidar/score/metrics.hpp>
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/place_points.hpp>
 #include <relidar/simulate/point_files.hpp>

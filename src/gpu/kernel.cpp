@@ -156,8 +156,7 @@ std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, co
 const char* constant_name(SpecialisationConstantId constant_id) {
     switch (constant_id) {
 #define RELIDAR_CONSTANT_ID(name, number) \
-    case SpecialisationConstantId::name:  \
-        return #name;
+    case SpecialisationConstantId::name: return #name;
         RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #undef RELIDAR_CONSTANT_ID
     }

@@ -26,9 +26,7 @@ public:
         if (type_entry == types_.end()) return;
         const SpirvInstruction t = type_entry->second;
         switch (t[0] & 0xffffu) {
-            case kOpTypePointer:
-                offsets.push_back(offset);
-                break;
+            case kOpTypePointer: offsets.push_back(offset); break;
             case kOpTypeArray:
                 for (std::uint32_t k = 0; k < constants_.at(t[3]); ++k)
                     append_pointers(t[2], offset + k * strides_.at(type_id), offsets);

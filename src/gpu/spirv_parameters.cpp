@@ -136,14 +136,10 @@ private:
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
             case kOpTypeInt:
-            case kOpTypeFloat:
-                return t[2] / 8;
-            case kOpTypeVector:
-                return alignment_bytes(t[2]);
-            case kOpTypePointer:
-                return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
-            default:
-                return std::nullopt;
+            case kOpTypeFloat: return t[2] / 8;
+            case kOpTypeVector: return alignment_bytes(t[2]);
+            case kOpTypePointer: return t[2] == kPhysicalStorage ? std::optional(8u) : std::nullopt;
+            default: return std::nullopt;
         }
     }
     std::uint32_t declare_pointer(std::map<std::uint32_t, std::uint32_t>& types, std::uint32_t storage_class,

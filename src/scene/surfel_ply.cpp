@@ -82,10 +82,8 @@ float property_value(const PlyProperty& property, const Surfels& surfels, std::s
             return property.group->values(surfels)[i * property.group->count_floats() + property.index];
         case PlyProperty::normal:
             return quaternion_normal(surfels.rotation[i])[static_cast<int>(property.index)];
-        case PlyProperty::thickness:
-            return kFlatLogScale;
-        case PlyProperty::model:
-            return float(model);
+        case PlyProperty::thickness: return kFlatLogScale;
+        case PlyProperty::model: return float(model);
     }
     return 0.0f;
 }

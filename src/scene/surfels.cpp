@@ -25,10 +25,8 @@ bool has_group(SurfelParameterSet parameters, const SurfelParameterGroup& group)
     switch (group.of) {
         case SurfelParameterGroup::SceneRequirement::third_scale:
             return properties_of(parameters.primitive).third_scale;
-        case SurfelParameterGroup::SceneRequirement::bends:
-            return parameters.bends;
-        default:
-            return true;
+        case SurfelParameterGroup::SceneRequirement::bends: return parameters.bends;
+        default: return true;
     }
 }
 

@@ -104,9 +104,7 @@ private:
 
     void visit(std::uint32_t code, std::span<const std::uint32_t> operands) {
         switch (code) {
-            case kOpName:
-                names_[operands[0]] = read_spirv_string(operands.subspan(1));
-                break;
+            case kOpName: names_[operands[0]] = read_spirv_string(operands.subspan(1)); break;
             case kOpMemberName:
                 member_names_[operands[0]][operands[1]] = read_spirv_string(operands.subspan(2));
                 break;
@@ -116,18 +114,10 @@ private:
             case kOpTypeStruct:
                 struct_members_[operands[0]].assign(operands.begin() + 1, operands.end());
                 break;
-            case kOpTypePointer:
-                pointers_[operands[0]] = {operands[1], operands[2]};
-                break;
-            case kOpConstant:
-                constants_[operands[1]] = operands[2];
-                break;
-            case kOpVariable:
-                type_of_[operands[1]] = operands[0];
-                break;
-            case kOpAccessChain:
-                chain(operands);
-                break;
+            case kOpTypePointer: pointers_[operands[0]] = {operands[1], operands[2]}; break;
+            case kOpConstant: constants_[operands[1]] = operands[2]; break;
+            case kOpVariable: type_of_[operands[1]] = operands[0]; break;
+            case kOpAccessChain: chain(operands); break;
             case kOpLoad:
                 access(operands[2], false);
                 type_of_[operands[1]] = operands[0];
@@ -139,15 +129,10 @@ private:
                 origins_[operands[1]] = origins_[operands[2]];
                 origins_[operands[1]].coherent = is_pointer_to_coherent(operands[0]);
                 break;
-            case kOpStore:
-                access(operands[0], true);
-                break;
+            case kOpStore: access(operands[0], true); break;
             case kOpControlBarrier:
-            case kOpMemoryBarrier:
-                barrier_ = true;
-                break;
-            default:
-                break;
+            case kOpMemoryBarrier: barrier_ = true; break;
+            default: break;
         }
     }
 };

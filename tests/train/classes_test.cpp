@@ -21,20 +21,13 @@ namespace fs = std::filesystem;
 
 std::uint32_t get_label(SurfaceClass surface) {
     switch (surface) {
-        case SurfaceClass::vehicle:
-            return 10;
-        case SurfaceClass::road:
-            return 40;
-        case SurfaceClass::sidewalk:
-            return 48;
-        case SurfaceClass::building:
-            return 50;
-        case SurfaceClass::vegetation:
-            return 70;
-        case SurfaceClass::pole:
-            return 80;
-        default:
-            return 0;
+        case SurfaceClass::vehicle: return 10;
+        case SurfaceClass::road: return 40;
+        case SurfaceClass::sidewalk: return 48;
+        case SurfaceClass::building: return 50;
+        case SurfaceClass::vegetation: return 70;
+        case SurfaceClass::pole: return 80;
+        default: return 0;
     }
 }
 

@@ -169,9 +169,7 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
              kFarthestRange_m);
     sensor.limits.min_m = read("min_range_m", message.min_range_m(), 0.0, sensor.limits.max_m);
     switch (message.pattern_case()) {
-        case v1::SensorSpec::kRays:
-            sensor.pattern = read_ray_table(message.rays(), field + ".rays");
-            break;
+        case v1::SensorSpec::kRays: sensor.pattern = read_ray_table(message.rays(), field + ".rays"); break;
         case v1::SensorSpec::kSpinning:
             sensor.pattern = read_spinning(message.spinning(), field + ".spinning");
             break;

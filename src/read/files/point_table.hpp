@@ -54,26 +54,16 @@ public:
     template <class Callback>
     void with_reader(const Callback& callback) const {
         switch (type_) {
-            case ScalarType::f4:
-                return callback(value_reader<float>());
-            case ScalarType::f8:
-                return callback(value_reader<double>());
-            case ScalarType::i1:
-                return callback(value_reader<std::int8_t>());
-            case ScalarType::i2:
-                return callback(value_reader<std::int16_t>());
-            case ScalarType::i4:
-                return callback(value_reader<std::int32_t>());
-            case ScalarType::i8:
-                return callback(value_reader<std::int64_t>());
-            case ScalarType::u1:
-                return callback(value_reader<std::uint8_t>());
-            case ScalarType::u2:
-                return callback(value_reader<std::uint16_t>());
-            case ScalarType::u4:
-                return callback(value_reader<std::uint32_t>());
-            case ScalarType::u8:
-                return callback(value_reader<std::uint64_t>());
+            case ScalarType::f4: return callback(value_reader<float>());
+            case ScalarType::f8: return callback(value_reader<double>());
+            case ScalarType::i1: return callback(value_reader<std::int8_t>());
+            case ScalarType::i2: return callback(value_reader<std::int16_t>());
+            case ScalarType::i4: return callback(value_reader<std::int32_t>());
+            case ScalarType::i8: return callback(value_reader<std::int64_t>());
+            case ScalarType::u1: return callback(value_reader<std::uint8_t>());
+            case ScalarType::u2: return callback(value_reader<std::uint16_t>());
+            case ScalarType::u4: return callback(value_reader<std::uint32_t>());
+            case ScalarType::u8: return callback(value_reader<std::uint64_t>());
         }
     }
     /// Calls visit(i, value) for the first n points.

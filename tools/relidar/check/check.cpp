@@ -43,12 +43,9 @@ struct NamedCheckResult {
 
 const char* outcome_name(CheckResult::CheckOutcome outcome_kind) {
     switch (outcome_kind) {
-        case CheckResult::CheckOutcome::right:
-            return "right";
-        case CheckResult::CheckOutcome::wrong:
-            return "WRONG";
-        default:
-            return "not supported";
+        case CheckResult::CheckOutcome::right: return "right";
+        case CheckResult::CheckOutcome::wrong: return "WRONG";
+        default: return "not supported";
     }
 }
 

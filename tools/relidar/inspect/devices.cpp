@@ -17,12 +17,9 @@ namespace {
 
 std::string backend_name(const DeviceInfo& device_info) {
     switch (best_backend(device_info)) {
-        case RayTracingBackend::ray_query:
-            return "ray_query";
-        case RayTracingBackend::software:
-            return "software";
-        default:
-            return "none";
+        case RayTracingBackend::ray_query: return "ray_query";
+        case RayTracingBackend::software: return "software";
+        default: return "none";
     }
 }
 
