@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Tests batches of rays, which the kernel train/gather_columns collects.
 #include "train/frames/batch.hpp"
 
 #include <set>
