@@ -171,7 +171,7 @@ class Alternating:
 
     def __init__(self, name, arrays, cycle_us, start_us):
         self.name, self.cycle_us, self.start_us = name, cycle_us, start_us
-        layouts = (TABLES.parents[1] / "readers" / "bag" / "packets" / "block_layouts.hpp").read_text()
+        layouts = (TABLES.parents[2] / "read" / "packets" / "block_layouts.hpp").read_text()
         self.offset_us = np.array([[int(v) / 1000 for v in layouts.split(f"LaserFiringTimes {array} = {{")[1].split("}")[0].split(",")] for array in arrays])
         self.elevation, self.azimuth = np.zeros((2, self.lasers))
         for row in read_beams(name):

@@ -128,7 +128,7 @@ check("scenes", scene.encode() in call("get_available_scenes")[1])
 check("cameras", call("get_available_cameras", [(1, scene)]) == {})
 check("ego masks", call("get_available_ego_masks") == {})
 code, line = status("render_rgb", [(1, scene)])
-check(f"render_rgb: {code} {line}", code == grpc.StatusCode.UNIMPLEMENTED and "camera" in line)
+check(f"render_rgb: {code} {line}", code == grpc.StatusCode.UNIMPLEMENTED and "render_lidar" in line)
 ways = [decode(decode(way)[2][0]) for way in call("get_available_trajectories", [(1, scene)])[1]]
 log = []   # track of the LiDAR, which follows the track of the vehicle; the wire format omits time 0
 for entry in map(decode, ways[1][1]):
