@@ -50,9 +50,9 @@ def sweep(number):
     """Returns points in the sensor's frame (x right, y forward) and their times. The head turns
     clockwise, and times range from -0.05 s to 0.05 s relative to the sweep."""
     with open(SOURCE / "src/log/sensor/tables/Pandar64.csv") as file:
-        columns = {name: values for name, *values in csv.reader(file)}
-    elevation = np.radians(np.array(columns["elevation_deg"], float))[:, None]
-    offset = np.radians(np.array(columns["azimuth_offset_deg"], float))[:, None]
+        beams = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    elevation = np.radians([float(b["elevation_deg"]) for b in beams])[:, None]
+    offset = np.radians([float(b["azimuth_offset_deg"]) for b in beams])[:, None]
     step = np.arange(COLUMNS)[None, :] + 0.5
     forward = np.pi - 2 * np.pi * step / COLUMNS + offset   # angle to the left of y
     t = np.broadcast_to(0.1 * number + 0.1 * (step / COLUMNS - 0.5), forward.shape)
