@@ -37,13 +37,15 @@
 namespace relidar::packets {
 namespace {
 
+// Values of the return mode: two returns per firing (a range of values), or three.
 constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3E, kTriple = 0x3D;
 constexpr int kNoRing = -1;
 constexpr double kRadPerDegree = kPi / 180.0;
 constexpr double kLargestStep_deg = 5.0;  // maximum rotation between two blocks
 
-/// A ray keeps at most two returns. A third return replaces the darker of the two, if it
-/// is brighter and differs in range from both.
+/// Stores a return of a ray, which keeps at most two. A third return replaces the darker
+/// of the two, if it is brighter and differs in range from both.
+/// @param index  number of the return in the packet, from 0
 void keep_brightest(std::array<DecodedReturn, 2>& returns, std::size_t index, const DecodedReturn& added) {
     if (index < 2) {
         returns[index] = added;
@@ -89,6 +91,8 @@ public:
         auto sensor = std::get<SpinningSensor>(
             find_built_in(layout_.sensor, columns_per_revolution, rotation_rate_hz)->pattern);
         const double turned_rad_us = 2e-6 * kPi * rotation_rate_hz;
+        // Beams of the data sheet. Replaces their angles if a correction file was read.
+        // Azimuth offsets include the rotation of the head until the laser fires.
         const std::vector<Beam> nominal = sensor.beams;
         sensor.beams.clear();
         for (const PacketBeam& row : beams_) {
@@ -175,7 +179,7 @@ private:
         if (files.empty()) angles_about_ += reasons;
     }
 
-    /// Returns which of two sets of lasers fires, 0 or 1.
+    /// Returns which of two alternating sets of lasers fires, 0 or 1.
     /// @param firing_index  index of the firing in the packet
     int read_sequence(std::string_view packet_bytes, std::size_t firing_index, std::size_t n_returns) const {
         if (layout_.part_rule == FiringSequenceRule::none) return 0;
@@ -190,6 +194,8 @@ private:
         return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
     }
 
+    /// Reads the time of a packet on the sensor's clock in nanoseconds. Packets in
+    /// big-endian order store milliseconds and microseconds separately.
     std::int64_t read_clock_ns(std::string_view packet_bytes) const {
         codecs::ByteReader reader(packet_bytes.substr(layout_.time_at));
         if (!layout_.is_big_endian) return std::int64_t(1000) * reader.read_number<std::uint32_t>();
@@ -197,6 +203,8 @@ private:
         return 1'000'000 * passed_ms + 1000 * passed_us;
     }
 
+    /// Reads the flag and the azimuth of a block. Returns the azimuth in degrees from the
+    /// sensor's x axis, 0 to 360.
     double read_azimuth_deg(codecs::ByteReader& reader, std::size_t block_in_firing) const {
         const unsigned flag = 0xEEFF - 0x1100 * unsigned(block_in_firing);
         if (layout_.flagged && reader.read_number<std::uint16_t>() != flag)
@@ -208,6 +216,7 @@ private:
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
     }
 
+    /// Reads the ranges and reflectivities of all lasers of a block.
     /// @param ring_of_laser  [lasers of the block]
     /// @param returns_of_each_ring  [rings] output
     void read_echoes(codecs::ByteReader& reader, double range_unit_m, std::size_t return_index,
@@ -222,8 +231,8 @@ private:
         }
     }
 
-    /// If a block contains several firings, it stores only one azimuth, so the other
-    /// azimuths are interpolated.
+    /// Computes the time of each firing in a packet. If a block contains several firings,
+    /// it stores only one azimuth, so the other azimuths are interpolated.
     void set_firings(DecodedPacket& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks
@@ -238,7 +247,7 @@ private:
             if (slot % per_block == 0 && next < packet.firings.size()) {
                 const double to_next =
                     std::remainder(packet.firings[next].azimuth_deg - firing.azimuth_deg, 360.0);
-                // Ignores a sector in which the sensor does not fire.
+                // A larger step spans a sector in which the sensor does not fire.
                 if (std::abs(to_next) < kLargestStep_deg) step_deg = to_next;
             }
             firing.azimuth_deg = std::fmod(

@@ -21,8 +21,9 @@ constexpr double kMostAngle_rad = 1.0 * kPi / 180.0;
 constexpr double kMostRange = 65535.0;
 constexpr std::size_t kNoBeam = std::size_t(-1);  // for a laser that does not fire
 
-/// Throws if the beam angles of a sensor differ from those of the product, with which
-/// drivers compute points.
+/// Throws if the beam angles of a sensor differ from those of the product. Drivers
+/// compute points with the angles of the product, so other angles would give wrong
+/// points.
 void check_beams(const PacketLayout& layout, const std::vector<PacketBeam>& product_beams,
                  const SpinningSensor& sensor) {
     const auto nominal = std::get<SpinningSensor>(find_built_in(layout.sensor)->pattern);
@@ -86,7 +87,8 @@ BlockWriter::BlockWriter(const PacketLayout& layout, const SpinningSensor& senso
     }
 }
 
-/// Mean delay of a laser after the start of a firing sequence, over all its sequences.
+/// Returns the mean delay of a laser after the start of a firing sequence, over all
+/// sequences in which the laser fires.
 double BlockWriter::mean_delay_us(std::size_t laser) const {
     double sum_us = 0.0, n = 0.0;
     for (const PacketBeam& beam : beams_) {
@@ -126,6 +128,8 @@ std::vector<FiringColumn> BlockWriter::merge_columns(std::vector<FiringColumn> s
     return firings;
 }
 
+/// Appends the range and the reflectivity of each laser of a block. A laser without a
+/// return gets zeros.
 void BlockWriter::append_returns(std::string& bytes, const FiringColumn& firing,
                                  const BlockIndex& block_position, double range_unit_m) const {
     for (std::size_t k = 0; k < layout_.block_lasers; ++k) {
@@ -134,11 +138,14 @@ void BlockWriter::append_returns(std::string& bytes, const FiringColumn& firing,
         LaserReturn echo;
         if (!firing.returns.empty() && ring != kNoBeam) {
             const auto& [first, second] = firing.returns[ring];
+            // With two returns, block 0 of a pair holds the last (farther) return, block
+            // 1 the other.
             const bool is_far = second.range_m > first.range_m;
             echo =
                 is_dual() && second.range_m > 0.0f && is_far == (block_position.number == 0) ? second : first;
         }
         const double range = std::round(double(echo.range_m) / range_unit_m);
+        // Range numbers up to last_marker mean that the laser has no return.
         const bool is_valid = range > layout_.last_marker && range <= kMostRange;
         append_raw(bytes, is_valid ? std::uint16_t(range) : std::uint16_t(0));
         append_raw(bytes, is_valid ? to_reflectivity(echo) : std::uint8_t(0));
@@ -152,6 +159,8 @@ std::size_t BlockWriter::sequence_of_block(std::size_t block_index, std::uint32_
            block_index / (layout_.banks * std::size_t(returns_)) % n_here;
 }
 
+/// Appends all blocks of a packet. A block has a flag (for some products), the azimuth in
+/// 0.01 degrees, and the returns of its firings.
 void BlockWriter::append_blocks(std::string& bytes, std::span<const FiringColumn> firings,
                                 std::uint32_t packet_number, double range_unit_m) const {
     const std::size_t n_returns = std::size_t(returns_);
@@ -160,6 +169,7 @@ void BlockWriter::append_blocks(std::string& bytes, std::span<const FiringColumn
         const auto block_firings = firings.subspan(block / n_joined * layout_.firings, layout_.firings);
         const BlockIndex block_index{sequence_of_block(block, packet_number),
                                      block / n_returns % layout_.banks, block % n_returns};
+        // The flag names the group of lasers: FF EE, FF DD, FF CC or FF BB.
         if (layout_.flagged) append_raw(bytes, std::uint16_t(0xEEFF - 0x1100 * block_index.bank));
         const double azimuth_deg =
             block_firings.front().azimuth_deg + double(block_index.part) * sequence_deg_;

@@ -27,6 +27,7 @@ bool equals_no_case(std::string_view text, std::string_view lowercase_text) {
     });
 }
 
+/// Returns true if a file is a small CSV table with the columns of an angle correction.
 bool is_angle_file(const fs::path& file) {
     std::error_code failed;
     if (!equals_no_case(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
@@ -39,6 +40,8 @@ bool is_angle_file(const fs::path& file) {
            equals_no_case(header[2], "azimuth");
 }
 
+/// Reads all angle correction files in a folder. A damaged file is added with its error
+/// instead of lasers.
 void add_angle_files(const fs::path& folder, std::vector<AngleCorrection>& corrections) {
     std::vector<fs::path> files;
     std::error_code failed;

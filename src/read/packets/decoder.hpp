@@ -72,6 +72,7 @@ struct FiringTiming {
 class PacketDecoder {
 public:
     virtual ~PacketDecoder() = default;
+    /// Decodes a packet of the product that this decoder supports.
     /// @throws DataError if the packet is invalid
     virtual DecodedPacket decode_packet(std::string_view packet_bytes) const = 0;
     virtual const FiringTiming& timing() const = 0;
@@ -96,13 +97,15 @@ struct AngleCorrection {
     std::string problem = {};         ///< why the file cannot be read; empty if it was read
 };
 
+/// Parses an angle correction file.
 /// @param place  name of the file, for error messages
 /// @throws DataError if a line is invalid, or if a laser is missing
 AngleCorrection parse_angles(const std::string& csv_text, const std::string& place);
 
-/// Reads the .csv files that have the names of the recording's files. If there are none,
-/// reads all .csv files in the folder of the recording (for a ROS 2 bag, also in the
-/// folder above) that begin like an angle correction. A damaged file has no lasers.
+/// Finds and reads the angle correction files of a recording. Reads the .csv files that
+/// have the names of the recording's files. If there are none, reads all .csv files in
+/// its folder that begin like an angle correction. For a ROS 2 bag, also searches the
+/// folder above. A damaged file has no lasers.
 /// @throws DataError if the file with the name of the recording is damaged
 std::vector<AngleCorrection> find_angle_files(const std::vector<std::filesystem::path>& recording_files);
 
@@ -128,7 +131,8 @@ struct LidarProduct {
     /// driver that the user can use if relidar cannot decode the packets
     const char* driver = "";
 };
-/// Returns null if no product has packets of this size and header.
+/// Finds the product that sent a packet by the size and the header of the packet. For an
+/// Ouster, compares the size with its metadata. Returns null if no product matches.
 const LidarProduct* find_product(std::string_view packet_bytes, const DecoderCalibration& calibration);
 /// Returns the error message for packets that relidar cannot decode.
 std::string unsupported_text(const LidarProduct* product, std::string_view packet_bytes);

@@ -41,8 +41,9 @@ private:
     std::vector<int> shift_;
 };
 
-/// Returns the difference between the latest and the earliest time in each firing after
-/// subtracting `beam_delays_us`, summed over all firings. 0: the delays fit perfectly.
+/// Returns how badly the delays fit: after subtracting `beam_delays_us`, all rays of a
+/// firing should have the same time. Sums the difference between the latest and the
+/// earliest time over all firings.
 double time_spread_us(const Scan& scan, const FiringRays& rays, const std::vector<double>& beam_delays_us) {
     double sum_us = 0.0;
     for (int firing = 0; firing < rays.n_firings(); ++firing) {

@@ -106,6 +106,8 @@ Scan make_fixed_scan(TurnPoints& revolution_points, const std::vector<bool>& col
 
 }  // namespace
 
+/// Decodes a packet for the second time, to build the scan. The first time was when the
+/// index was built.
 /// @param message_index  index in `packets_of_message`
 DecodedPacket PacketIndex::decode_entry(
     std::size_t message_index, const Entry& packet_entry,
@@ -152,7 +154,8 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = full_scale();
     const int n_columns = int(timing.fires.size());
     const std::uint32_t first_message = first_message_of(revolution);
-    std::size_t before = 0;  // firings of the revolution before this packet, also lost ones
+    // Number of firings of the revolution before this packet, including lost firings.
+    std::size_t before = 0;
     int previous_number = -1;
     bool is_inside = false;
     for (std::size_t p = revolution.first; p <= revolution.last; ++p) {
@@ -162,6 +165,8 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
         DecodedPacket packet = decode_entry(entry.message - first_message, entry, packets_of_message);
         const std::size_t begin = entry.first_firing, end = begin + entry.n_firings;
         if (packet.firings.size() < end) continue;
+        // Sensors with fixed azimuths are timed by their clock, others by the time of
+        // receipt.
         const std::int64_t begin_ns =
             timing.fires.empty() ? entry.stamp_ns : entry.clock_ns + revolution.stamp_less_clock_ns;
         const double begin_s = 1e-9 * double(begin_ns - time_origin_ns),
@@ -171,13 +176,15 @@ Scan PacketIndex::decode(const PacketRevolution& revolution,
             const LaserFiring& firing = packet.firings[f];
             azimuth += f > begin ? step : 0.0;
             if (f + 1 < end) step = rotation_deg(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
-            // time since the first firing of the column
+            // Time since the first firing of the column. It is subtracted, because
+            // `timing.offset_us` counts from the first firing.
             const double late_us = timing.cycle_us * double(firing.part);
             const double start_deg = azimuth - late_us * mean_deg_us;
             const int slot = int(before) + firing.slot - entry.first_slot;
             const int number = n_columns > 0 ? column_of(revolution, azimuth)
                                              : (slot - firing.part + timing.parts) / timing.parts;
-            // All firings of a column belong to the revolution of the first one.
+            // Tests only the first firing of a column, because all its firings belong to
+            // the same revolution. `number` is the number of the column.
             if (number != previous_number)
                 is_inside = n_columns > 0 ? number >= 0 && number < n_columns
                                           : start_deg >= revolution.begin_deg &&

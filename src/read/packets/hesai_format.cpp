@@ -75,8 +75,8 @@ public:
         std::vector<std::string> lines(layout().n_lasers());
         for (std::size_t ring = 0; ring < sensor_.beams.size(); ++ring) {
             const Beam& beam = sensor_.beams[ring];
-            // Azimuth at which the laser is mounted in the head, without the rotation of
-            // the head during the firing delay of the laser.
+            // Azimuth at which the laser is mounted in the head. The offset of the beam
+            // also includes the rotation during the firing delay of the laser.
             const double azimuth_rad =
                 -beam.azimuth_offset_rad - 2e-6 * kPi / sensor_.period_s * offsets_us[ring];
             const std::size_t laser = laser_of_ring(ring);
@@ -129,7 +129,8 @@ private:
     const HesaiProduct& product_;
     SpinningSensor sensor_;
 
-    /// Also writes which firing sequence each block of the packet contains.
+    /// Writes the operation mode of the sensor. If the lasers fire in two alternating
+    /// sequences, also writes which sequence each block of the packet contains.
     void write_mode(std::string& bytes, std::uint32_t packet_number) const {
         const PacketLayout& layout = this->layout();
         bytes.back() = char(product_.operation_mode);
@@ -140,6 +141,7 @@ private:
             bytes[layout.part_at + 1] |= char(sequence_of_block(block, packet_number) << (6 - 2 * block));
     }
 
+    /// Appends year, month, day, hour, minute and second in UTC, with one byte each.
     void append_utc(std::string& bytes, std::int64_t unix_s) const {
         using namespace std::chrono;
         const sys_seconds time{seconds(unix_s)};

@@ -48,13 +48,15 @@ glm::vec3 read_position_m(codecs::ByteReader& reader, int point_type) {
                                           std::cos(from_z_rad)));
 }
 
-/// Limited to one hour in both directions.
+/// Returns the time from the first to the second time. Limits it to one hour in both
+/// directions, because damaged times could overflow.
 std::int64_t clamped_step_ns(std::int64_t first_ns, std::int64_t second_ns) {
     constexpr std::int64_t kMaxStep_ns = 3'600'000'000'000;
     const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
     return std::clamp(passed_ns, -kMaxStep_ns, kMaxStep_ns);
 }
 
+/// Appends the points of a packet to a cloud, in the layout of Livox's driver.
 /// @param offset_ns  time of the first point minus the time of the cloud
 /// @return number of points
 std::uint32_t append_points(std::string& point_bytes, std::string_view packet, std::int64_t offset_ns) {
@@ -66,6 +68,7 @@ std::uint32_t append_points(std::string& point_bytes, std::string_view packet, s
     for (int i = 0; i < int(n); ++i) {
         const glm::vec3 p = read_position_m(reader, kind);
         const std::string_view reflectivity_and_tag = reader.read_bytes(2);
+        // A ray without a return is stored as a point at the origin.
         if (p == glm::vec3(0.0f)) continue;
         append_raw(point_bytes, std::uint32_t(std::max(offset_ns + std::llround(step_ns * i), 0ll)));
         append_raw(point_bytes, p.x);

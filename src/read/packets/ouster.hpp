@@ -48,6 +48,7 @@ using MetadataList = std::vector<std::shared_ptr<const OusterMetadata>>;
 
 /// Returns true if a text looks like metadata of an Ouster sensor, valid or not.
 bool is_metadata(std::string_view json_text);
+/// Parses the metadata of an Ouster sensor.
 /// @param place  name of the file or topic, for error messages
 /// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterMetadata> parse_metadata(const std::string& json_text, const std::string& place);

@@ -30,7 +30,8 @@ constexpr std::uint32_t kEncoderTicks = 90112;
 /// in which the sensor fires. The window may cross the end of the range image.
 std::array<int, 2> find_window(const std::vector<bool>& column_has_fired) {
     const int n = int(column_has_fired.size());
-    // Finds the longest gap without firings. `begin` is the first column after it.
+    // Finds the longest gap without firings. The window is the rest of the circle, and
+    // `begin` is the first column after the gap.
     int begin = 0, longest = 0;
     for (int start = 0; start < n; ++start) {
         int length = 0;
@@ -101,6 +102,8 @@ public:
         return {".json", write_metadata(sensor_, format_->profile->name, find_window(fired))};
     }
 
+    /// Encodes the columns of one packet. A column has a time stamp, its number, a status
+    /// and its pixels. Legacy packets have no header and no footer.
     SensorPacket encode_packet(std::span<const FiringColumn> columns, std::uint32_t number) const override {
         const auto packets_per_revolution =
             std::uint32_t(format_->sensor.columns / format_->columns_per_packet);
@@ -117,6 +120,7 @@ public:
         for (const FiringColumn& column : columns) {
             const std::int64_t time_ns = to_unix_ns(column.time_s, start_ns_);
             const int n = format_->sensor.columns;
+            // Number of the column; column 0 faces backward (180 degrees).
             const auto position = int((std::lround((column.azimuth_deg - 180.0) / 360.0 * n) + n) % n);
             append_raw(packet.bytes, std::uint64_t(std::max<std::int64_t>(time_ns, 0)));
             append_raw(packet.bytes, std::uint16_t(position));
@@ -144,6 +148,7 @@ private:
         return options.returns == 2 ? "RNG19_RFL8_SIG16_NIR16_DUAL" : "RNG19_RFL8_SIG16_NIR16";
     }
 
+    /// Appends the pixels of a column, in the order of beams in the metadata.
     void append_pixels(std::string& bytes, const FiringColumn& column) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
@@ -155,8 +160,9 @@ private:
         }
     }
 
-    /// Ouster measures ranges from the axis of rotation. Therefore the distance of the
-    /// beam origin from the axis is added.
+    /// Writes the range and the reflectivity of a return into a pixel. Ouster measures
+    /// ranges from the axis of rotation, so the distance of the beam origin from the axis
+    /// is added.
     void write_pixel(char* pixel, const LaserReturn& laser_return, double beam_origin_offset_m) const {
         const OusterProfile& profile = *format_->profile;
         if (laser_return.range_m <= 0.0f) return;
@@ -164,6 +170,8 @@ private:
             std::round((double(laser_return.range_m) + beam_origin_offset_m) / profile.range_unit_m);
         if (!(range >= 1.0 && range <= double(profile.range_bits))) return;
         const auto number = std::uint32_t(range);
+        // Writes only bytes that are not 0, because the next byte can belong to another
+        // value.
         for (std::size_t k = 0; k < 4 && number >> (8 * k) != 0; ++k) pixel[k] = char(number >> (8 * k));
         pixel[profile.reflectivity_at] = char(to_reflectivity(laser_return));
     }

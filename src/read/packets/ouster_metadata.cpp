@@ -43,6 +43,9 @@ constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
 // Byte offsets of the serial number in the packet header, for old and new firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
+/// Returns the size of a packet in bytes. Legacy columns have 16 bytes before and 4 bytes
+/// after the pixels. Other packets have a header and a footer of 32 bytes, and 12 bytes
+/// before the pixels of each column.
 std::size_t count_bytes(const OusterProfile& profile, int pixels_per_column, int columns_per_packet) {
     const std::size_t column = std::size_t(pixels_per_column) * profile.pixel_bytes;
     return profile.is_legacy ? std::size_t(columns_per_packet) * (16 + column + 4)
@@ -67,6 +70,7 @@ std::string read_text(const Json& json, const std::string& place, const std::str
     return part.has_member(key) && part.at(key).is_string() ? part.at(key).short_text(80) : default_value;
 }
 
+/// Returns the packet profile in the metadata, or LEGACY if old metadata name none.
 const OusterProfile& find_profile(const Json& json, const std::string& place) {
     const std::string name = read_text(json, place, "udp_profile_lidar", "LEGACY");
     const auto* matching_profile = std::ranges::find(kOusterProfiles, name, &OusterProfile::name);
@@ -246,6 +250,8 @@ private:
         return column;
     }
 
+    /// Returns the azimuth of a column in degrees. Throws if it does not follow the
+    /// previous column of the packet.
     double column_azimuth_deg(const ColumnHeader& column, const std::vector<LaserFiring>& previous_firings,
                               int slot_in_packet) const {
         const int columns = format_->sensor.columns;
@@ -263,6 +269,8 @@ private:
         return azimuth_deg;
     }
 
+    /// Reads the returns of all beams of a column. Ouster measures ranges from the axis
+    /// of rotation, so the distance of the beam origin from the axis is subtracted.
     void read_pixels(codecs::ByteReader& reader, std::array<DecodedReturn, 2>* returns_of_each_ring) const {
         const OusterProfile& profile = *format_->profile;
         for (const std::size_t ring : format_->ring_of) {
@@ -370,6 +378,7 @@ std::shared_ptr<const OusterMetadata> find_metadata(const MetadataList& metadata
             continue;
         left.push_back(format);
     }
+    // Keeps only the candidates that meet a condition, if any candidate meets it.
     const auto narrow = [&](auto is_its) {
         if (left.size() > 1 && std::ranges::any_of(left, is_its))
             std::erase_if(left, [&](const auto& format) { return !is_its(format); });

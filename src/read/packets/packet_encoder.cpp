@@ -23,6 +23,7 @@ constexpr double kMostStepError = 0.02;
 // Some sensors fire only at fixed azimuths. Limit for |azimuth of a firing - nearest
 // fixed azimuth| / step between two fixed azimuths.
 constexpr double kMostColumnError = 0.1;
+// If firing times deviate by more from even steps, a new packet begins in the recording.
 constexpr double kMinPacketJump_us = 1.0;
 constexpr double kBehindSensor_deg = 180.0;
 
@@ -41,6 +42,7 @@ struct PacketEncoder::Impl {
     std::unique_ptr<PacketFormat> format;
     std::vector<double> offsets_us;
 
+    /// A firing whose time and azimuth are known. Others are computed from it.
     struct FiringClockAnchor {
         std::int64_t position;
         double time_s, azimuth_deg;
@@ -61,7 +63,8 @@ struct PacketEncoder::Impl {
     int n_fixed() const { return format->fixed_columns(); }
     bool has_fixed_columns() const { return n_fixed() > 0; }
 
-    /// Only for a sensor that fires at fixed azimuths.
+    /// Returns the column of a firing. Throws if its azimuth is between two columns. Only
+    /// for a sensor that fires at fixed azimuths; its column 0 faces backward.
     std::int64_t find_column(const FiringColumn& firing) const {
         const double fractional_column = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * n_fixed();
         if (std::abs(fractional_column - std::round(fractional_column)) > kMostColumnError)
@@ -71,7 +74,10 @@ struct PacketEncoder::Impl {
         return (std::llround(fractional_column) + n_fixed()) % n_fixed();
     }
 
-    /// Returns the rounded number of firing periods from `anchor` to `firing`.
+    /// Returns the rounded number of firing periods from `anchor` to `firing`; 0 or
+    /// negative if `firing` is not in a later period. If possible, uses azimuths, which
+    /// are more exact than recorded times. The time then only gives the number of full
+    /// turns.
     double count_steps(const FiringClockAnchor& anchor, const FiringColumn& firing) const {
         const double by_time = (firing.time_s - anchor.time_s) / firing_period_s();
         if (has_fixed_columns()) {
@@ -100,9 +106,11 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the position of the first firing within its packet. In a recorded log,
-    /// firing times jump between two packets. New packets begin at the same firings.
+    /// firing times jump at the border between two packets. This function finds the
+    /// jumps, so that new packets begin at the same firings as the recorded packets.
     std::int64_t find_first_slot(const std::vector<FiringColumn>& firings_of_scan) const {
         if (has_fixed_columns()) return find_column(firings_of_scan.front());
+        // Drivers need a firing before the first revolution, so position 0 stays empty.
         if (!options.times_jitter) return 1;
         std::vector<int> n_jumps(std::size_t(per_packet()), 0);
         std::int64_t firing_index = 0;
@@ -117,8 +125,8 @@ struct PacketEncoder::Impl {
         return per_packet() - start;
     }
 
-    /// The sensor's clock has even steps. The times in the log are uneven, because they
-    /// depend on when packets were received.
+    /// Sets the time of a firing on the sensor's clock, which has even steps. The times
+    /// in the log are uneven, because they depend on when packets were received.
     void set_clock(FiringColumn& firing, std::int64_t firing_index) {
         firing.clock_s = firing.time_s;
         if (!options.times_jitter || has_fixed_columns()) return;
@@ -126,6 +134,8 @@ struct PacketEncoder::Impl {
             clock_start
                 ? clock_start->time_s + double(firing_index - clock_start->position) * firing_period_s()
                 : 0.0;
+        // Starts a new even clock if it has drifted from the log by more than a
+        // revolution.
         if (!clock_start || std::abs(even_s - firing.time_s) > sensor.period_s)
             clock_start = {firing_index, firing.time_s, firing.azimuth_deg};
         else firing.clock_s = even_s;
@@ -146,8 +156,9 @@ struct PacketEncoder::Impl {
         pending[std::size_t(firing_index % per_packet())] = std::move(firing);
     }
 
-    /// Adds firings without returns between the last firing and `next_firing`, with an
-    /// even rotation. Only for sensors that fire at any azimuth.
+    /// Adds firings without returns between the last firing and `next_firing`. Assumes
+    /// that the head rotates evenly between them. Only for sensors that fire at any
+    /// azimuth.
     void fill_gap(const FiringColumn& next_firing, std::int64_t next_firing_index) {
         const double turned_deg = std::remainder(next_firing.azimuth_deg - last->azimuth_deg, 360.0);
         const double n = double(next_firing_index - last->position);
@@ -163,6 +174,8 @@ struct PacketEncoder::Impl {
         }
     }
 
+    /// Adds a firing to its packet, after it fills the gap since the last firing.
+    /// @param first_firing_index  position of the firing if it is the first of all scans
     void add_firing(FiringColumn firing, std::int64_t first_firing_index) {
         std::int64_t position = last ? last->position + steps_from_last(firing) : first_firing_index;
         if (last && position == last->position) return;
@@ -209,6 +222,9 @@ struct PacketEncoder::Impl {
         }
     }
 
+    /// Encodes the pending packet, or several packets if each firing sequence has a
+    /// packet. With fixed azimuths, packet numbers also count packets that the sensor
+    /// does not send.
     void write_packet() {
         fill_packet();
         for (int k = 0; k < format->packets_per_firing(); ++k, ++n_written)

@@ -49,21 +49,25 @@ public:
     virtual ~PacketFormat() = default;
     virtual int udp_port() const = 0;
     virtual int firings_per_packet() const = 0;
+    /// Returns the time between two firings in microseconds.
     virtual double firing_period_us() const = 0;
-    /// Packets of a firing: above 1 if each of several firing sequences has a packet.
+    /// Returns the number of packets of a firing. It is above 1 if the lasers fire in
+    /// several sequences and each sequence has a packet.
     virtual int packets_per_firing() const { return 1; }
-    /// Scan columns of a firing (all lasers at one azimuth): 2 if the lasers fire in two
-    /// sequences and the scan stores each as a column, otherwise 1.
+    /// Returns the number of scan columns of a firing (all lasers at one azimuth): 2 if
+    /// the lasers fire in two sequences and the scan stores each as a column, otherwise
+    /// 1.
     virtual int columns_per_firing() const { return 1; }
-    /// Joins the two columns of a firing. Removes simulated rays of lasers that do not
-    /// fire in the sequence of their column.
+    /// Converts scan columns to firings. Joins the two columns of a firing and removes
+    /// simulated rays of lasers that do not fire in the sequence of their column.
     virtual std::vector<FiringColumn> merge_columns(std::vector<FiringColumn> scan_columns) const {
         return scan_columns;
     }
     /// Number of azimuths per turn at which the sensor fires, column 0 at its back; 0 if
     /// it can fire at any azimuth.
     virtual int fixed_columns() const { return 0; }
-    /// [rings] delay of each beam after the first laser of a column
+    /// Returns for each ring the delay of its beam in microseconds after the first laser
+    /// of a column.
     virtual std::vector<double> beam_delays() const = 0;
     /// Returns the calibration file that other programs need to decode the packets.
     /// @param fired  [columns] true if the sensor fires at this column; empty
@@ -71,18 +75,20 @@ public:
     virtual PacketCalibrationFile make_calibration([[maybe_unused]] const std::vector<bool>& fired) const {
         return {};
     }
-    /// The bytes contain the time on the sensor's clock.
+    /// Encodes one packet. Its bytes contain the time on the sensor's clock.
     /// @param number  sequence number of the packet, from 0
     virtual SensorPacket encode_packet(std::span<const FiringColumn> firings, std::uint32_t number) const = 0;
 };
 
-// Return null if the sensor is from another manufacturer.
+// Create the packet format of a manufacturer, or return null if the sensor is from
+// another manufacturer.
 std::unique_ptr<PacketFormat> make_velodyne(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_hesai(const SpinningSensor& sensor, const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_ouster(const SpinningSensor& sensor, const PacketOptions& options);
 
-/// See PacketFormat::columns_per_firing(). Scans that were decoded from packets
-/// store both sequences in one column.
+/// Returns the number of scan columns that form one firing, like
+/// PacketFormat::columns_per_firing(). Scans that were decoded from packets store both
+/// sequences in one column.
 int count_columns(const PacketLayout& layout, const SpinningSensor& sensor);
 
 /// Packets of Velodyne and Hesai, which consist of the same kind of blocks.

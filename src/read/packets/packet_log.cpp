@@ -17,8 +17,11 @@ namespace {
 
 constexpr int kMostFirings = 40000;  // more than in a revolution of two seconds
 constexpr std::int64_t kMaxRevolution_ns = 2000000000;
+// PacketIndexEntry stores the index of a packet in its message in 16 bits.
 constexpr std::size_t kMostInMessage = 0xFFFF;
+// Revolutions begin at the rear, so that no scan is split in front of the vehicle.
 constexpr double kRear_deg = 180.0;
+// Largest 16-bit reflectivity, in units of 1/255.
 constexpr double kMostBright = 65535.0;
 // A larger azimuth step between two firings means that the sensor skips a sector.
 constexpr double kMinAzimuthJump_deg = 5.0;
@@ -38,6 +41,8 @@ void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::i
                               const bag::MessagePosition& message_position,
                               const DecoderCalibration& calibration) {
     messages_.push_back({message_position, recording_time_ns});
+    // The packets of an RS-LiDAR-16 do not state their number of returns, so the first
+    // message decides.
     DecoderCalibration of_first = calibration;
     of_first.has_two_returns = !product_ && is_dual_rs16(packets);
     if (packets.size() > kMostInMessage)
@@ -48,6 +53,8 @@ void PacketIndex::add_packets(const std::vector<ReceivedPacket>& packets, std::i
     }
 }
 
+/// Creates the decoder for the product of the first packet. Throws if a later packet
+/// comes from another product.
 void PacketIndex::set_product(const ReceivedPacket& packet, const DecoderCalibration& calibration) {
     if (product_ && product_ == find_product(packet.bytes, calibration_)) return;
     const LidarProduct* product = find_product(packet.bytes, calibration);
@@ -60,9 +67,12 @@ void PacketIndex::set_product(const ReceivedPacket& packet, const DecoderCalibra
     calibration_ = calibration;
 }
 
-/// Only for a sensor that fires at fixed azimuths.
+/// Returns the azimuth step between two columns. Only for a sensor that fires at fixed
+/// azimuths.
 double PacketIndex::column_step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
 
+/// Decodes a packet and adds it to the index. If the sensor skips a sector within the
+/// packet, adds an entry for each side, because time and azimuth jump there.
 void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t index_in_message) {
     const DecodedPacket packet = decoder_->decode_packet(packet_view.bytes);
     if (packet.firings.empty()) {
@@ -73,12 +83,15 @@ void PacketIndex::index_packet(const ReceivedPacket& packet_view, std::uint16_t 
     const auto message = std::uint32_t(messages_.size() - 1);
     const auto hash = std::uint32_t(std::hash<std::string_view>()(packet_view.bytes));
     const std::size_t n = packet.firings.size();
+    // True if the time stamp of the packet refers to its last firing.
     const bool is_at_end = packet.firings.back().after_us < -packet.firings.front().after_us;
     // azimuth step from firing f to the next firing
     const auto step_deg = [&](std::size_t f) {
         return rotation_deg(packet.firings[f].azimuth_deg, packet.firings[f + 1].azimuth_deg);
     };
     const bool may_skip = decoder_->timing().fires.empty();
+    // Width of the sectors between the time stamp and the current entry. It is negative
+    // if the sectors follow the entry.
     double skipped_deg = 0.0;
     for (std::size_t f = 0; is_at_end && may_skip && f + 1 < n; ++f)
         skipped_deg -= step_deg(f) > kMinAzimuthJump_deg ? step_deg(f) : 0.0;
@@ -121,6 +134,8 @@ void PacketIndex::unwrap_clock(Entry& entry) const {
     entry.clock_ns += std::llround(1e3 * wrap_us * std::round((passed_stamp_us - passed_us) / wrap_us));
 }
 
+/// Adds the returns of a packet to the histogram from which full_scale() computes the
+/// scale.
 void PacketIndex::count_intensities(const DecodedPacket& packet) {
     n_bright_.resize(kMostBright + 1);
     for (const auto& returns : packet.echoes)
@@ -132,6 +147,8 @@ void PacketIndex::count_intensities(const DecodedPacket& packet) {
 
 void PacketIndex::finish() {
     if (packets_.empty()) return;
+    // Azimuths can only be unwrapped in the order of sending. The skipped sector and the
+    // revolutions are then found from continuous azimuths.
     faults_ = sort_packets(packets_);
     n_packets_ = std::size_t(std::ranges::count(packets_, 0, &Entry::first_firing));
     const FiringTiming& timing = decoder_->timing();
@@ -141,8 +158,9 @@ void PacketIndex::finish() {
     find_revolutions();
 }
 
-/// Only for a sensor that fires at fixed azimuths. Returns the number of packets sent
-/// since the previous packet; 1 if no packet was lost.
+/// Returns the number of packets that the sensor sent since the previous packet; 1 if
+/// none was lost. Computes it from the azimuths. Only for a sensor that fires at fixed
+/// azimuths.
 std::size_t PacketIndex::count_sent(std::size_t packet_index) const {
     const Entry &entry = packets_[packet_index], &before = packets_[packet_index - 1];
     const double n = ((entry.azimuth_deg - before.azimuth_deg) / column_step_deg() - entry.first_slot +
@@ -162,13 +180,16 @@ double PacketIndex::count_lost_firings(std::size_t packet_index) const {
     return slots - (skipped_deg > 0.0 ? skipped_deg / (deg_us_ * cycle_us) : 0.0) - before.n_slots;
 }
 
-/// Does not count packets without a firing, because the sensor may not send them.
+/// Returns the number of packets that were lost before this packet. Does not count
+/// packets without a firing, because the sensor may not send them.
 std::size_t PacketIndex::count_lost_packets(std::size_t packet_index) const {
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty())
         return std::size_t(
             std::clamp(std::round(count_lost_firings(packet_index) / double(n_slots_)), 0.0, 1e9));
     const std::size_t n = count_sent(packet_index) - 1;
+    // After more than two revolutions, counts all packets, because the loop below would
+    // be slow.
     if (n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     // A received packet without a firing is not lost.
     const std::size_t n_lost = n - std::min<std::size_t>(n, packets_[packet_index].n_empty_before);
@@ -203,8 +224,9 @@ void PacketIndex::store_lost_packets(PacketRevolution& revolution) const {
     revolution.has_gaps = n_missing > 0.0;
 }
 
-/// Returns the recorded range of head azimuths. Includes azimuths just before the start
-/// and just after the end at which the sensor never fires.
+/// Returns the range of head azimuths that were recorded, from start to end. Includes
+/// azimuths just before and after it at which the sensor never fires, because no packets
+/// are missing there.
 std::pair<double, double> PacketIndex::azimuth_range_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
@@ -227,6 +249,8 @@ std::pair<double, double> PacketIndex::azimuth_range_deg() const {
     return {kRear_deg + column_step_deg() * double(begin), kRear_deg + column_step_deg() * double(end)};
 }
 
+/// Divides the recording into revolutions that begin when the head faces backward, and
+/// keeps the usable ones. Counts the others by reason for the notes.
 void PacketIndex::find_revolutions() {
     const auto [first_deg, end] = azimuth_range_deg();
     double begin = kRear_deg + 360.0 * std::ceil((first_deg - kRear_deg) / 360.0);
@@ -253,6 +277,8 @@ void PacketIndex::find_revolutions() {
         }
         store_lost_packets(revolution);
         set_times(revolution);
+        // Half as many lost as received packets means that a third of all packets is
+        // missing.
         if (2 * revolution.n_missing >= revolution.last - revolution.first) ++left_out_.n_lost;
         else if (!has_steady_clock(revolution)) ++left_out_.n_jumps;
         else revolutions_.push_back(revolution);
@@ -285,9 +311,10 @@ std::string PacketIndex::describe_faults() const {
     return fmt::format("{}", fmt::join(texts, "; "));
 }
 
-/// Sets `forward_ns`, `log_ns` and `stamp_less_clock_ns`. If the sensor fires at fixed
-/// azimuths, `forward_ns` is the time on the sensor's clock plus this offset. For a clock
-/// that wraps, the offset is at most half of the interval.
+/// Sets `forward_ns` (when the head faces forward), `log_ns` (when the packet of that
+/// moment was recorded) and `stamp_less_clock_ns` (time stamp minus sensor clock). If the
+/// sensor fires at fixed azimuths, `forward_ns` is the time on the sensor's clock plus
+/// this offset. For a clock that wraps, the offset is at most half of the interval.
 void PacketIndex::set_times(PacketRevolution& revolution) const {
     const double forward = revolution.begin_deg + 180.0;
     const auto behind =
@@ -302,6 +329,8 @@ void PacketIndex::set_times(PacketRevolution& revolution) const {
         revolution.stamp_less_clock_ns =
             std::llround(std::remainder(double(before.stamp_ns - before.clock_ns), 1e3 * timing.wrap_us));
     if (timing.fires.empty()) return;
+    // The packet with the least network delay shows the difference between the clocks
+    // best.
     revolution.stamp_less_clock_ns = before.stamp_ns - before.clock_ns;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
         revolution.stamp_less_clock_ns =
@@ -309,7 +338,8 @@ void PacketIndex::set_times(PacketRevolution& revolution) const {
     revolution.forward_ns += before.clock_ns + revolution.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Also returns false if the revolution is too long.
+/// Returns true if the sensor's clock advances in each packet by at least half of the
+/// nominal time. Returns false if the revolution is too long.
 bool PacketIndex::has_steady_clock(const PacketRevolution& revolution) const {
     const double slot_ns = 1e3 * decoder_->timing().cycle_us;
     for (std::size_t i = revolution.first + 1; i <= revolution.last; ++i) {
@@ -319,8 +349,8 @@ bool PacketIndex::has_steady_clock(const PacketRevolution& revolution) const {
     return packets_[revolution.last].clock_ns - packets_[revolution.first].clock_ns <= kMaxRevolution_ns;
 }
 
-/// Searches all packets of the revolution, because their messages can be in another
-/// order.
+/// Returns the index of the earliest message that contains packets of a revolution.
+/// Packets are sorted by time, but their messages can be in another order.
 std::uint32_t PacketIndex::first_message_of(const PacketRevolution& revolution) const {
     std::uint32_t first = packets_[revolution.first].message;
     for (std::size_t i = revolution.first; i <= revolution.last; ++i)
@@ -335,6 +365,8 @@ std::vector<PacketIndex::MessageSource> PacketIndex::messages_of(const PacketRev
     return {messages_.begin() + first_message_of(revolution), messages_.begin() + last + 1};
 }
 
+/// Returns the mean azimuth step between two firings of a revolution, including lost
+/// firings. Excludes the sector in which the sensor never fires.
 double PacketIndex::mean_step_deg(const PacketRevolution& revolution) const {
     std::size_t n = 0;
     for (std::size_t i = revolution.first; i < revolution.last; ++i)
@@ -357,7 +389,7 @@ SpinningSensor PacketIndex::make_sensor() const {
     return decoder_->make_sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// 255 means intensity 1.
+/// Returns the highest intensity of all packets, where 255 means intensity 1.
 double PacketIndex::max_raw_intensity() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;

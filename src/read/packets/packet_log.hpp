@@ -47,6 +47,7 @@ struct PacketIndexEntry {
 /// degrees. Negative if encoder noise makes the next azimuth slightly smaller.
 double rotation_deg(double from_azimuth_deg, double to_azimuth_deg);
 
+/// Number of packets that were received twice, or after packets that were sent later.
 struct PacketFaultCounts {
     std::size_t n_repeated = 0, n_late = 0;
 };
@@ -98,7 +99,8 @@ public:
     /// packets came from another product
     void add_packets(const std::vector<ReceivedPacket>& packets, std::int64_t recording_time_ns,
                      const bag::MessagePosition& message_position, const DecoderCalibration& calibration);
-    /// Call it once, after the last add_packets().
+    /// Sorts the packets and finds the complete revolutions. Call it once, after the last
+    /// add_packets().
     void finish();
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return n_packets_; }
@@ -113,6 +115,7 @@ public:
         bag::MessagePosition message_position;
         std::int64_t log_ns;
     };
+    /// Returns the range of messages that contains all packets of a revolution.
     std::vector<MessageSource> messages_of(const PacketRevolution& revolution) const;
     /// Returns the sensor model with the measured rotation rate.
     SpinningSensor make_sensor() const;

@@ -14,9 +14,13 @@ constexpr double kMaxEncoderNoise_deg = 1.0;  // A smaller decrease of the encod
 constexpr std::int64_t kMaxDelay_ns = 100000000;
 // If two packets are farther apart in time than this, the recording was paused.
 constexpr std::int64_t kMinPause_ns = 200000000;
+// Number of azimuth bins (0.5 degrees each) in which the skipped sector is searched.
 constexpr std::size_t kSectorBins = 720;
+// A narrower gap between firings does not count as a skipped sector.
 constexpr double kLeastSector_deg = 10.0;
 
+/// Returns the mean rotation rate of the head in degrees per microsecond; 0 if unknown.
+/// Ignores packets next to a skipped sector, pauses, and clocks that were set back.
 double rotation_deg_per_us(const std::vector<PacketIndexEntry>& packets) {
     double turned_deg = 0.0, passed_us = 0.0;
     for (std::size_t p = 1; p < packets.size(); ++p) {
@@ -44,11 +48,16 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
     for (std::size_t p = 0; p < packets.size(); ++p) {
         PacketIndexEntry entry = packets[p];
         const auto is_later = [&](std::size_t index) { return packets[index].clock_ns > entry.clock_ns; };
+        // Moves the packet before packets with a later sensor clock. If its clock is
+        // earlier by more than a network delay, the clock was set back, so it stays last.
         std::size_t at = n;  // where the packet belongs
         while (at > 0 && is_later(at - 1) && packets[at - 1].clock_ns - entry.clock_ns <= kMaxDelay_ns) --at;
         if (at > 0 && is_later(at - 1)) at = n;
+        // A repeated packet has the same time and the same bytes, of which the index has
+        // the hash.
         bool is_repeated = false;
-        // Many packets have the same time if the sensor's clock stands still.
+        // Limits the comparison, because many packets have the same time if the sensor's
+        // clock stands still.
         constexpr std::size_t kMostCompared = 64;
         for (std::size_t k = at, n_compared = 0;
              k > 0 && !is_repeated && n_compared < kMostCompared && packets[k - 1].clock_ns == entry.clock_ns;
@@ -80,6 +89,7 @@ PacketFaultCounts sort_packets(std::vector<PacketIndexEntry>& packets) {
 
 double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTiming& timing) {
     double deg_us = timing.fires.empty() ? 0.0 : 360.0 / double(timing.fires.size()) / timing.cycle_us;
+    // Time in which the head passes the sectors of PacketIndexEntry::skipped_deg.
     const auto skipped_us = [&](const PacketIndexEntry& entry) {
         return deg_us > 0.0 ? double(entry.skipped_deg) / deg_us : 0.0;
     };
@@ -99,6 +109,7 @@ double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTimin
         entry.azimuth_deg =
             azimuth_deg + 360.0 * std::max(0.0, std::round((expected_deg - azimuth_deg) / 360.0));
     }
+    // The mean over the recording is more exact than the rate within the last packet.
     if (const double mean = rotation_deg_per_us(packets); mean > 0.0) deg_us = mean;
     for (std::size_t p = 0; p < packets.size() && deg_us > 0.0; ++p) {
         PacketIndexEntry& entry = packets[p];
@@ -118,7 +129,8 @@ double unwrap_azimuths(std::vector<PacketIndexEntry>& packets, const FiringTimin
 }
 
 double SkippedSector::overlap_deg(double from_deg, double to_deg) const {
-    // degrees of the sector on the way from its start to an azimuth
+    // Returns how many degrees of the sector the head passes from the start of the sector
+    // to an azimuth. Each full turn adds `width_deg`.
     const auto until = [&](double azimuth_deg) {
         const double turns = std::floor((azimuth_deg - begin_deg) / 360.0);
         return turns * width_deg + std::min(azimuth_deg - begin_deg - 360.0 * turns, width_deg);
@@ -148,6 +160,7 @@ SkippedSector find_skipped_sector(const std::vector<PacketIndexEntry>& packets, 
     // Angles relative to the middle of the sector without firings. before_deg: from the
     // last firing before the sector. behind_deg: to the first firing after the sector.
     double before_deg = 360.0, behind_deg = 360.0;
+    // Number of revolutions in which the head passes the middle of the sector.
     std::size_t n_skips = 0;
     for (std::size_t p = 0; p < packets.size(); ++p) {
         const PacketIndexEntry& entry = packets[p];
