@@ -23,7 +23,8 @@ class WorldPoseLookup {
 public:
     explicit WorldPoseLookup(const BoxContext& places) : transform_context_(places) {}
 
-    /// Returns nothing if the bag does not contain the pose at this time.
+    /// Returns the pose of a coordinate frame in the world frame, or nothing if the bag
+    /// does not contain the pose at this time.
     std::optional<Pose> find_pose(const std::string& frame_id, double t_s) {
         if (transform_context_.is_world_of_poses && frame_id == transform_context_.poses.world) return Pose{};
         auto cached_entry = apart_.find(frame_id);
@@ -81,6 +82,8 @@ public:
                double((is_recorded ? recording_time_ns : header_stamp_ns) - transform_context_.box_zero_ns);
     }
 
+    /// Adds the boxes of a message in the world frame. Ignores boxes outside the log, and
+    /// boxes without a track id, which cannot be joined to a track.
     void add_labels(const BoxListMessage& box_list, std::int64_t recording_time_ns) {
         for (const BoxMessage& box : box_list.boxes) {
             const double t_s = log_time_s(box.header.stamp_ns, recording_time_ns);
@@ -96,6 +99,7 @@ public:
         }
     }
 
+    /// Joins the labels of each object to a track. Adds notes about skipped boxes.
     LoadedBoxes make_tracks() {
         LoadedBoxes result;
         if (n_unplaced_ > 0)

@@ -26,8 +26,8 @@ bool is_pcap_file(const fs::path& file) {
     return ending == ".pcap" || ending == ".pcapng";
 }
 
-/// Returns the files that rosbag2's metadata.yaml lists, in the layout that rosbag2
-/// writes.
+/// Returns the files that rosbag2's metadata.yaml lists. Reads line by line and accepts
+/// only the layout that rosbag2 writes.
 std::vector<std::string> read_file_list(const fs::path& file) {
     std::vector<std::string> files;
     bool in_files = false;
@@ -133,6 +133,8 @@ void BagRecording::add_note_once(const std::string& text) {
     if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
 }
 
+/// Reads the messages of all files, one file after another. Unpacks compressed messages
+/// of the requested topics. Replaces impossible recording times, with a note.
 void BagRecording::read_messages(const TopicFilter& filter, const MessageCallback& callback,
                                  const Progress& progress) {
     std::map<std::size_t, bool> noted_topics;  ///< topics with a note about recording times

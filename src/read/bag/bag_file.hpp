@@ -112,6 +112,7 @@ std::unique_ptr<BagFile> open_sqlite_bag(const std::filesystem::path& file);
 /// A recording that consists of one or several files.
 class BagRecording {
 public:
+    /// Opens a recording: a ROS bag or a network capture.
     /// @param path  a file, or a folder of files with or without metadata.yaml
     /// @throws DataError that names the file
     BagRecording(const std::filesystem::path& path, bool skip_broken);

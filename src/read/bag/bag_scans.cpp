@@ -31,6 +31,8 @@ std::string BagScans::frame_name(std::size_t frame) const {
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
+/// Reads the points of a frame. If a revolution was recorded as several clouds, reads and
+/// joins all of them.
 LidarPoints BagScans::read_points(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     if (at.entry.parts.empty()) return read_points(frame, at.entry, at.cloud_s);
@@ -75,6 +77,8 @@ read::PointTable BagScans::read_table(std::size_t frame, const MessagePosition& 
     }
 }
 
+/// Reads the points of one cloud, with point times relative to the frame. If the points
+/// were motion-compensated, moves each point back to the sensor frame at its own time.
 LidarPoints BagScans::read_points(std::size_t frame, const CloudEntry& cloud, double time_s) const {
     const FrameCloud& at = clouds_[frame];
     const read::PointCloudUnits& units = lidars_[at.lidar].units;
@@ -85,6 +89,7 @@ LidarPoints BagScans::read_points(std::size_t frame, const CloudEntry& cloud, do
     double zero_s = at.time_s - time_s;
     if (units.zero == read::PointTimeReference::epoch)
         zero_s += 1e-9 * double(cloud.stamp_ns + cloud.correction_ns);
+    // The sensor's clock is unrelated to the stamp, so the first point gets the stamp.
     if (units.zero == read::PointTimeReference::sensor_clock) {
         read::unwrap_times(table, false);
         zero_s += units.time_unit_s * read::find_time_range(table).value_or(std::array{0.0, 0.0})[0];

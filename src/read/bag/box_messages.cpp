@@ -42,7 +42,8 @@ constexpr DetectionMessageLayout kDetectionLayouts[] = {
     {false, true, true, true},    // newer version for ROS 1
 };
 
-/// Returns the class with the highest score.
+/// Reads the classification results of a detection. Returns the class with the highest
+/// score.
 std::string read_best_class(MessageReader& reader, const DetectionMessageLayout& layout) {
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovarianceDoubles);
     std::string best;
@@ -62,6 +63,8 @@ std::string read_best_class(MessageReader& reader, const DetectionMessageLayout&
     return best;
 }
 
+/// Reads the message as one version of vision_msgs. Throws if it does not end where this
+/// version ends.
 BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout& layout) {
     constexpr std::size_t kLeastDetection = 8 * 10;
     BoxListMessage list{read_header(reader), {}, 0};
@@ -88,6 +91,8 @@ BoxListMessage read_by_layout(MessageReader reader, const DetectionMessageLayout
     return list;
 }
 
+/// Reads a vision_msgs/Detection3DArray. The message does not state its version, so this
+/// tries all versions until one fits exactly.
 BoxListMessage read_detections(const MessageReader& reader) {
     std::string why;
     for (const DetectionMessageLayout& layout : kDetectionLayouts) {
@@ -154,6 +159,7 @@ void read_shape(MessageReader& reader, BoxMessage& box, PoseComponents& pose) {
     box.size_m = {most - least, box.size_m.z};
 }
 
+/// Reads a list of tracked objects of Autoware.
 /// @param is_autoware_auto  true for autoware_auto_perception_msgs, whose objects have
 /// the additional flag "heading is available"
 BoxListMessage read_objects(MessageReader& reader, bool is_autoware_auto) {

@@ -18,7 +18,8 @@ struct MessageTimes {
     std::int64_t stamp_ns = 0, log_ns = 0;
 };
 
-/// Ignores entries without a time stamp.
+/// Returns the times of entries with `stamp_ns` and `log_ns`. Ignores entries without a
+/// time stamp.
 template <class Entries>
 std::vector<MessageTimes> list_times(const Entries& entries) {
     std::vector<MessageTimes> times;
@@ -57,6 +58,7 @@ struct ChosenClouds {
     std::size_t main = 0;
     std::vector<std::string> notes;
 };
+/// Selects the topics whose clouds are loaded, one for each LiDAR, and the main LiDAR.
 /// @param requested_topics  names of topics; empty: automatic selection
 /// @throws DataError if no topic contains clouds
 /// @throws UsageError if a requested topic contains no clouds
@@ -86,6 +88,7 @@ struct ChosenPoses {
     std::string clock_note;  ///< text about a clock offset between clouds and poses; may be empty
     std::vector<std::string> notes;
 };
+/// Selects the source of the vehicle poses and the clock of the log.
 /// @param main_lidar_clouds  the poses must cover their times. Damaged times are
 /// corrected or their clouds removed
 /// @param requested_frame_or_topic  frame or pose topic; empty: automatic selection

@@ -46,7 +46,8 @@ constexpr PacketDriver kPacketDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Returns the end of the error message for a bag without clouds.
+/// Returns the end of the error message for a bag without clouds. The text explains why
+/// topics that may contain clouds could not be read.
 /// @param requested_topic  topic to explain; empty: all topics
 std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
                               const std::string& requested_topic = "") {
@@ -85,8 +86,9 @@ std::string explain_no_clouds(const BagRecording& bag, const BagIndex& index,
     return text;
 }
 
-/// Packets have the highest score, then clouds with times, rings and return numbers, then
-/// clouds with many points.
+/// Returns a score that is higher if a topic has raw measurements. Packets have the
+/// highest score, then clouds with times, rings and return numbers, then clouds with many
+/// points.
 double score_raw_data(const CloudTopic& cloud_topic) {
     if (!cloud_topic.packets.empty()) return 200.0;
     const bool timed = cloud_topic.has_field(read::PointAttribute::time);
@@ -97,6 +99,7 @@ double score_raw_data(const CloudTopic& cloud_topic) {
            std::log10(1.0 + double(cloud_topic.median_points()));
 }
 
+// Usual names of frames. Clouds in a world frame are maps, not scans.
 constexpr std::array kOfWorld = {"map", "odom", "world", "earth"},
                      kOfVehicle = {"base_link", "base_footprint", "vehicle", "ego"};
 
@@ -126,7 +129,8 @@ void check_cloud_frame(const std::string& topic_name, const CloudTopic& clouds, 
             topic_name, clouds.frame));
 }
 
-/// The message rate is higher if a sweep consists of several messages.
+/// Returns the number of sweeps per second. The message rate is higher if a sweep
+/// consists of several messages.
 double sweep_rate_hz(const BagIndex& index, const CloudTopic& cloud_topic) {
     const TopicStatistics& facts = index.facts[cloud_topic.topic];
     return facts.rate_hz() * double(cloud_topic.clouds.size()) /
@@ -153,8 +157,8 @@ std::vector<std::size_t> find_topics(const BagRecording& bag, const BagIndex& in
     return lidars;
 }
 
-/// Returns the frame_id that identifies the LiDAR of a topic: that of the packets, if a
-/// driver computed the clouds from packets in the same bag.
+/// Returns the frame_id that identifies the LiDAR of a topic. If a driver computed the
+/// clouds from packets in the same bag, this is the frame_id of the packets.
 const std::string& lidar_frame(const BagIndex& index, const CloudTopic& cloud_topic) {
     for (const CloudTopic& other : index.clouds)
         if (!other.revolutions.empty() &&
@@ -164,7 +168,7 @@ const std::string& lidar_frame(const BagIndex& index, const CloudTopic& cloud_to
 }
 
 /// If several topics have the same frame, selects the one with the least processed data,
-/// because the others are usually copies.
+/// because the others are usually copies. Adds a note about the other topics.
 std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagIndex& index,
                                            std::vector<std::string>& notes) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
@@ -199,6 +203,8 @@ std::vector<std::size_t> select_raw_topics(const BagRecording& bag, const BagInd
     return lidars;
 }
 
+/// Returns the index of the main LiDAR, whose clouds define the frames of the log.
+/// Prefers packets and clouds with times, then the LiDAR with the most points.
 std::size_t choose_main(const BagIndex& index, const std::vector<std::size_t>& cloud_topic_indices) {
     const auto most = std::ranges::max_element(cloud_topic_indices, {}, [&](std::size_t c) {
         const CloudTopic& clouds = index.clouds[c];

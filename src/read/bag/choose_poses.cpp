@@ -19,8 +19,9 @@ struct PoseSource {
     std::string about;
 };
 
-/// Returns the first frame from the sensor to `ancestor_frame` that moves relative to its
-/// parent, or the sensor's frame.
+/// Follows the parent frames from the sensor to `ancestor_frame`. Returns the first frame
+/// that moves relative to its parent, which is the vehicle. If no frame moves, returns
+/// the sensor's frame.
 std::string find_vehicle_frame(const FrameTree& frame_tree,
                                const std::vector<std::string>& frame_path_to_root,
                                const std::string& ancestor_frame) {
@@ -51,6 +52,8 @@ PoseSource make_tf_source(const FrameTree& frame_tree, const std::vector<std::st
     return source;
 }
 
+/// Returns a pose topic as source of the vehicle poses. If the mounting of the LiDAR on
+/// the vehicle is unknown, uses the poses as poses of the LiDAR, with a note.
 PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tree,
                              const PoseTopic& pose_topic, const std::string& lidar_frame,
                              std::vector<std::string>& notes) {
@@ -69,6 +72,8 @@ PoseSource make_topic_source(const BagRecording& bag, const FrameTree& frame_tre
     return source;
 }
 
+/// Returns the source that the user requests: a parent frame of the sensor, or a pose
+/// topic. Returns nothing if the user requests none.
 std::optional<PoseSource> find_source(const BagRecording& bag, const BagIndex& index,
                                       const std::vector<std::string>& frame_path_to_root,
                                       const std::string& requested_frame_or_topic,
@@ -89,6 +94,8 @@ std::optional<PoseSource> find_source(const BagRecording& bag, const BagIndex& i
         available_sources.empty() ? "none" : fmt::format("{}", fmt::join(available_sources, ", ")));
 }
 
+/// Selects a source automatically: moving transforms, then a pose topic, then constant
+/// transforms to a world frame. Prefers the frame "map", because it has no drift.
 std::optional<PoseSource> select_source(const BagRecording& bag, const BagIndex& index,
                                         const std::vector<std::string>& frame_path_to_root,
                                         std::vector<std::string>& notes) {
@@ -130,8 +137,8 @@ const std::vector<StampedPose>* find_samples(const BagIndex& index, const PoseSo
     return source.topic ? &source.topic->samples : index.frames.fastest_samples(source.outer, source.vehicle);
 }
 
-/// Corrects a clock offset between clouds and poses if it is certain, and if more clouds
-/// then have a pose.
+/// Sets the pose path of a source. Corrects a clock offset between clouds and poses only
+/// if it is certain, and if more clouds then have a pose.
 void set_poses(ChosenPoses& choice, const BagIndex& index, const CloudTopic& clouds,
                const PoseSource& source) {
     choice.poses_zero_ns = choice.zero_ns;
@@ -193,6 +200,8 @@ ChosenPoses choose_poses(const BagRecording& bag, const BagIndex& index, CloudTo
     choice.world = source->outer;
     choice.vehicle = source->vehicle;
     choice.about = source->about;
+    // Uses the recording times if fewer than half of the clouds have a pose at their
+    // stamp.
     const std::size_t n = count_posed(main_lidar_clouds, *choice.path, choice.clock, choice.zero_ns);
     if (choice.clock == LogClock::recorder || 2 * n >= main_lidar_clouds.clouds.size()) return choice;
     const std::int64_t zero_ns = first_cloud_ns(main_lidar_clouds, LogClock::recorder);

@@ -42,8 +42,9 @@ std::int64_t round_offset(std::int64_t measured_ns) {
                                                                                 : measured_ns;
 }
 
-/// Poses that were computed from clouds have their time stamps. So equal time stamps show
-/// one clock and late messages, unless even more are equal with the offset.
+/// Returns true if most messages have the time stamps of reference messages, as poses
+/// that were computed from clouds. Both then have one clock, and messages are late,
+/// unless the offset makes even more time stamps equal.
 bool share_stamps(const std::vector<MessageTimes>& messages, const std::vector<MessageTimes>& reference,
                   std::int64_t offset_ns) {
     std::set<std::int64_t> stamps;
@@ -144,6 +145,7 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     const auto passed_ns = [&](std::int64_t MessageTimes::*time) {
         return std::abs(double(messages.back().*time) - double(messages.front().*time));
     };
+    // Recording times from a conversion do not show delays, so they are not compared.
     if (offsets_ns.size() < kMinMessages ||
         passed_ns(&MessageTimes::log_ns) < kLeastPace * passed_ns(&MessageTimes::stamp_ns))
         return {};
@@ -162,6 +164,8 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
     ClockOffset clock;
     const std::int64_t least_ns = is_ahead(0, n) ? kMaxAhead_ns : kLeastOffset_ns;
     const std::int64_t median_ns = find_median(offsets_ns, 0, n);
+    // A drift is the change of the median offset from the first to the last tenth of
+    // messages.
     if (n_tenth >= kMinMessages) {
         const std::int64_t first_ns = find_median(offsets_ns, 0, n_tenth),
                            last_ns = find_median(offsets_ns, n - n_tenth, n);
@@ -174,6 +178,7 @@ ClockOffset estimate_offset(const std::vector<MessageTimes>& messages, std::vect
             clock = {is_last ? last_ns : first_ns, last_ns - first_ns};
     }
     std::ranges::sort(offsets_ns);
+    // Range of the middle 80 % of the offsets. An offset is used only if it is steady.
     const double spread_ns = double(offsets_ns[n - 1 - n / 10]) - double(offsets_ns[n / 10]);
     if (std::abs(median_ns) > kMostOffset_ns) return {};
     if (spread_ns > std::clamp(0.1 * std::abs(double(median_ns)), kLeastSpread_ns, kMostSpread_ns) ||

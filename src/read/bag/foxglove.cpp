@@ -57,7 +57,7 @@ CloudMessage::CloudField read_pbf_field(pbf_reader reader) {
         char kind;
         std::size_t size;
     };
-    // Foxglove's numeric types 1 to 8
+    // Kind and size in bytes of Foxglove's numeric types 1 to 8.
     static constexpr Type kFoxgloveTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
                                               {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
     CloudMessage::CloudField field;
@@ -77,7 +77,8 @@ CloudMessage::CloudField read_pbf_field(pbf_reader reader) {
     return field;
 }
 
-/// Throws if a cloud has a pose other than the identity, which relidar does not support.
+/// Throws if a cloud has a pose other than the identity, because relidar does not support
+/// such clouds.
 void check_identity(pbf_reader reader) {
     while (reader.next()) {
         const bool turns = reader.tag() == 2;
@@ -152,7 +153,7 @@ std::string read_value(pbf_reader reader, std::string_view expected_key) {
     return key == expected_key ? value : "";
 }
 
-/// Adds an entity that consists of exactly one cube as a box.
+/// Reads a scene entity. Adds it as a box if it consists of exactly one cube.
 void add_entity(BoxListMessage& box_list, pbf_reader reader) {
     BoxMessage box;
     PoseComponents pose{};

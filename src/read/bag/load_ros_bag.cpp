@@ -43,6 +43,9 @@ public:
         sequence_.source = path.string();
     }
 
+    /// Groups the clouds to frames, adds LiDARs and poses, then reads the scans of the
+    /// frames. Corrects rays with the poses between frames last, because this needs the
+    /// scans.
     Log load_recording() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
         is_deskewed_ = bag_.points_frame() == "sensor at the stamp";
@@ -173,6 +176,8 @@ private:
         add_units(step_s);
     }
 
+    /// Adds to each sweep of the main LiDAR the nearest cloud of another LiDAR. Corrects
+    /// a clock offset between the two LiDARs if it is certain.
     void append_nearest(std::vector<FrameCloud>& all_clouds, const std::vector<FrameCloud>& main_sweeps,
                         std::size_t lidar_index, double max_time_difference_s) {
         const std::vector<CloudEntry>& clouds = cloud_topic_of(lidar_index).clouds;
@@ -205,6 +210,7 @@ private:
                                        n_left, topic_name_of(main_topic())));
     }
 
+    /// Keeps the clouds of the requested frames that have a pose at their time.
     void select_clouds(const std::vector<FrameCloud>& all_clouds) {
         std::size_t n_unplaced = 0;
         for (const FrameCloud& cloud : all_clouds) {
@@ -229,6 +235,8 @@ private:
                 fmt::format("{} clouds are skipped, because there are no poses at their times", n_unplaced));
     }
 
+    /// Estimates the units of the points of each LiDAR. Clouds that are parts of a
+    /// revolution last only a part of the sweep period.
     void add_units(double sweep_period_s) {
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
             const CloudTopic& clouds = cloud_topic_of(l);
@@ -291,8 +299,9 @@ private:
                                                                                       : offset;
     }
 
-    /// The file lists poses by frame number or by time. Uses another clock if the file
-    /// covers the times of the frames only on that clock.
+    /// Reads vehicle poses from a file of the user, which lists them by frame number or
+    /// by time. Uses another clock if the file covers the times of the frames only on
+    /// that clock.
     std::vector<Pose> read_user_poses() {
         const auto read_poses = [&](std::int64_t clock_offset_ns, Notes& notes) {
             std::vector<read::LogFrame> frames;
@@ -330,7 +339,8 @@ private:
         return poses.empty() ? other : poses;
     }
 
-    /// If the vehicle poses are from a file of the user, the boxes move with the vehicle.
+    /// Adds the boxes of the bag to the log. If the vehicle poses are from a file of the
+    /// user, the boxes move with the vehicle.
     void add_boxes() {
         if (!boxes_.topic) return;
         BoxContext transform_context{survey_.frames, poses_, {}, {}, poses_.zero_ns, has_poses_};

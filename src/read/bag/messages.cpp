@@ -43,6 +43,7 @@ MessageReader open_message(const BagTopic& topic, std::string_view message_bytes
     return {message_bytes, topic.encoding == "ros1"};
 }
 
+/// Reads the description of a field of a point cloud (sensor_msgs/PointField).
 CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     struct Type {
         char kind;
@@ -63,6 +64,8 @@ CloudMessage::CloudField read_ros_field(MessageReader& reader) {
     return field;
 }
 
+/// Throws if the fields, rows or data of a cloud do not fit together, because readers
+/// rely on these sizes.
 void check_layout(const CloudMessage& cloud) {
     for (const CloudMessage::CloudField& field : cloud.fields)
         if (field.offset > cloud.point_step || field.size * field.count > cloud.point_step - field.offset)
@@ -117,7 +120,7 @@ MessageHeader read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.read_number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_time_ns(reader);
     std::string frame(reader.read_string());
-    // frame names of ROS 1 may have a leading slash
+    // Removes the leading slash of ROS 1 frame names, so that names can be compared.
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }

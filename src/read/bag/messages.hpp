@@ -89,6 +89,7 @@ MessagePurpose find_purpose(const BagTopic& topic);
 /// padding.
 class MessageReader {
 public:
+    /// Creates a reader for one message. Checks the CDR header of a ROS 2 message.
     /// @throws DataError if the first bytes are not a CDR header
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
@@ -127,6 +128,7 @@ public:
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
+    /// Reads the number of entries of a list.
     /// @throws DataError if the message is too short for so many entries
     std::size_t read_length(std::size_t min_entry_bytes) {
         const auto n = read_number<std::uint32_t>();
@@ -157,6 +159,7 @@ private:
     }
 };
 
+/// Reads a ROS time and converts it to nanoseconds.
 std::int64_t read_time_ns(MessageReader& reader);
 MessageHeader read_header(MessageReader& reader);
 /// Seven numbers of a pose: position x y z and quaternion x y z w.
@@ -167,6 +170,7 @@ PoseComponents read_pose(MessageReader& reader);
 Pose make_pose(const PoseComponents& position_and_quaternion);
 CloudMessage read_ros_cloud(MessageReader& reader);
 
+/// Reads a point cloud message of any supported type.
 /// @throws DataError with the name of the invalid field
 CloudMessage read_cloud(const BagTopic& topic, std::string_view message_bytes);
 /// Converts a cloud to a table of points, in the units of the message.
@@ -182,6 +186,8 @@ TransformListMessage read_transforms(const BagTopic& topic, std::string_view mes
 CloudMessage read_foxglove_cloud(std::string_view message_bytes);
 TransformListMessage read_foxglove_tf(std::string_view message_bytes);
 
+/// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
+/// foxglove.SceneUpdate.
 /// @throws DataError if the message is invalid
 BoxListMessage read_boxes(const BagTopic& topic, std::string_view message_bytes);
 /// Reads a foxglove.SceneUpdate. Each entity of exactly one cube becomes a box.

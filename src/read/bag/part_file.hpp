@@ -20,6 +20,7 @@ namespace relidar::bag {
 /// A file that is open for reading. Several threads can read it at the same time.
 class RandomAccessFile {
 public:
+    /// Opens a file for reading.
     /// @throws DataError if the file cannot be opened
     explicit RandomAccessFile(const std::filesystem::path& path);
     ~RandomAccessFile();
@@ -28,6 +29,7 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
+    /// Reads `n_bytes` bytes at a byte offset of the file.
     /// @throws DataError if the file is too short
     SharedBytes read_bytes_at(std::uint64_t offset, std::uint64_t n_bytes) const;
 

@@ -63,6 +63,8 @@ std::optional<IpPacket> parse_ipv4(std::string_view packet) {
                     std::size_t(8 * (flags & 0x1fff)), (flags & 0x2000) != 0, packet.substr(head)};
 }
 
+/// Returns the UDP packet or fragment in an IPv6 packet. Skips the extension headers that
+/// precede the UDP header.
 std::optional<IpPacket> parse_ipv6(std::string_view packet) {
     constexpr std::size_t kIpv6HeaderBytes = 40, kFragmentHeaderBytes = 8;
     constexpr unsigned kFragmentHeader = 44, kHopByHopHeader = 0, kRoutingHeader = 43, kOptionsHeader = 60;
@@ -125,12 +127,14 @@ struct Datagram {
 /// Fragments may arrive late, twice, or mixed with fragments of other packets.
 class IpReassembler {
 public:
+    /// Adds an IP packet or a fragment at byte `at` of the file.
     /// @return UDP header and payload, if all fragments of the datagram have been added
     std::optional<Datagram> add_fragment(const IpPacket& packet, std::uint64_t at, std::int64_t time_ns) {
         const std::string_view payload = packet.payload;
         Datagram datagram{packet.from, at, time_ns, std::string(payload)};
         if (packet.offset == 0 && !packet.has_more) return datagram;
         if (packet.offset + payload.size() > kMaxDatagramBytes) return std::nullopt;
+        // Identifications are reused, so fragments of old datagrams are erased.
         std::erase_if(pending_, [&](const auto& keyed) {
             return std::abs(time_ns - keyed.second.datagram.stamp_ns) > kMaxFragmentGap_ns;
         });
@@ -316,7 +320,8 @@ private:
             constexpr std::int64_t kMaxTime_s = 4'000'000'000;  // later times are damaged
             if (std::int64_t(head->ts.tv_sec) < 0 || std::int64_t(head->ts.tv_sec) > kMaxTime_s) continue;
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // tv_usec has nanoseconds, as requested from libpcap
+            // The field tv_usec contains nanoseconds, because libpcap was opened with
+            // this precision.
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             const std::optional<IpPacket> packet = parse_ip_packet(frame, link_);
             if (!packet) continue;
@@ -338,8 +343,9 @@ private:
         return {datagram.source, packets::find_product(payload_of(datagram), {{}, ouster}), ouster.get()};
     }
 
-    /// Reports packets that cannot be decoded, although they have the size of Ouster
-    /// packets, and packets of two sensors that match the same metadata file.
+    /// Adds notes about packets that cannot be decoded, although they have the size of
+    /// Ouster packets. Also notes packets of two sensors that match the same metadata
+    /// file.
     void report_undecoded(const ReadCallbacks& callbacks) const {
         std::map<const packets::OusterMetadata*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
@@ -364,6 +370,8 @@ private:
         }
     }
 
+    /// Returns the stream of a datagram, which becomes a topic. Creates it for the first
+    /// datagram. Returns null if the capture has too many streams.
     CaptureStream* find_stream(const Datagram& datagram, TopicTable& topics) {
         CaptureStreamKey key = make_stream_key(datagram);
         if (const auto existing_stream = streams_.find(key); existing_stream != streams_.end())
@@ -375,7 +383,8 @@ private:
         if (stream.product) stream.ouster = metadata_of(datagram);
         if (packets::is_livox_packet(payload_of(datagram))) stream.livox_frame = datagram.source;
         std::string name = datagram.source;
-        // two Ousters can use the same address and port
+        // Two Ousters can use the same address and port. The serial number in the topic's
+        // name distinguishes them.
         for (const auto& [other, known] : streams_)
             if (stream.ouster && known.ouster && std::get<0>(other) == datagram.source)
                 name = fmt::format("{} ({})", datagram.source, stream.ouster->serial);
@@ -405,6 +414,7 @@ private:
                                           : packets::join_livox_packets(datagram_bytes, stream.livox_frame);
     }
 
+    /// Passes the collected datagrams of a stream to the caller as one message.
     void emit_message(CaptureStream& stream, const ReadCallbacks& callbacks) const {
         if (stream.at != stream.first_at) stream.late_runs[stream.at] = stream.first_at;
         callbacks.message_callback(

@@ -58,6 +58,8 @@ public:
         // No value can be larger than the file. The margin is 1 MiB.
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
+        // A bag can come from anybody, so its schema must not run functions with side
+        // effects.
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
         sqlite3_db_config(database, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
     }

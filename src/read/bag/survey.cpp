@@ -44,13 +44,15 @@ public:
         });
     }
 
-    /// Packets that were recorded before their metadata are decoded in a second pass.
+    /// Returns true if packets were recorded before the metadata that are needed to
+    /// decode them. These packets are decoded in a second pass.
     bool needs_second_pass() const { return !late_.empty(); }
     bool is_in_second_pass(std::size_t topic_index) const { return late_.contains(topic_index); }
     void index_again(const BagMessage& message) {
         count_broken(message.topic, [&] { index_packets(bag_.topics()[message.topic], message); });
     }
-    /// Reads the metadata of Ousters from files next to the recording.
+    /// Reads the metadata of Ousters from files next to the recording. Called for network
+    /// captures, and for packets without metadata in the recording.
     void read_metadata() {
         if (has_read_metadata_) return;
         has_read_metadata_ = true;
@@ -81,6 +83,7 @@ private:
         }
     }
 
+    /// Adds a cloud to the entry of its LiDAR. Several LiDARs can share a topic.
     void index_cloud(const BagTopic& topic, const BagMessage& message) {
         const CloudMessage cloud = read_cloud(topic, message.bytes);
         // An empty cloud often has no frame.
@@ -112,6 +115,8 @@ private:
             clouds.arcs.push_back({cloud.header.stamp_ns, message.log_ns, message.message_position, n, *arc});
     }
 
+    /// Adds the packets of a message. Postpones Ouster packets without known metadata to
+    /// the second pass.
     void index_packets(const BagTopic& topic, const BagMessage& message) {
         MessageHeader header;
         const std::vector<packets::ReceivedPacket> views =
@@ -139,7 +144,8 @@ private:
         clouds.packets.add_packets(views, message.log_ns, message.message_position, calibration);
     }
 
-    /// Drivers repeat the metadata. Ignores messages with other content.
+    /// Adds the sensor metadata in a message. Uses only the first message of a topic,
+    /// because drivers repeat it. Ignores messages with other content.
     void index_metadata(const BagTopic& topic, const BagMessage& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& ouster) { return ouster->where == topic.name; }))
             return;
@@ -147,6 +153,7 @@ private:
         if (packets::is_metadata(text)) ousters_.push_back(packets::parse_metadata(text, topic.name));
     }
 
+    /// Reads the transforms of a message. Counts transforms with an invalid pose.
     std::vector<TransformMessage> read_valid(const BagTopic& topic, const BagMessage& message) {
         TransformListMessage list = read_transforms(topic, message.bytes);
         TopicStatistics& facts = survey_.facts[message.topic];

@@ -75,6 +75,7 @@ public:
     /// Returns the pose of frame `source` in frame `target`. Returns nothing
     /// if a transform between the frames is missing or changes over time.
     std::optional<Pose> find_constant(const std::string& target, const std::string& source) const;
+    /// Returns the pose of a frame in one of its ancestor frames, in log time.
     TransformChain make_chain(const std::string& ancestor_frame, const std::string& child_frame,
                               LogClock clock, std::int64_t time_origin_ns) const;
     /// Returns nothing if no transforms connect the two frames.
@@ -84,7 +85,8 @@ public:
     /// and its ancestor frame. Returns null if no transform moves.
     const std::vector<StampedPose>* fastest_samples(const std::string& ancestor_frame,
                                                     const std::string& child_frame) const;
-    /// This class uses the parent with the most transforms.
+    /// Returns the frames that have several parents in the bag. This class uses the
+    /// parent with the most transforms.
     std::vector<std::string> ambiguous_frames() const;
 
 private:
@@ -211,7 +213,8 @@ struct BagIndex {
     FrameTree frames;
 };
 
-/// Reads all messages of a recording and lists its content. Counts invalid messages.
+/// Reads all messages of a recording and lists its content. Counts invalid messages
+/// instead of throwing. Reads Ouster packets again if their metadata follow later.
 /// @throws DataError if a file is damaged
 BagIndex index_bag(BagRecording& bag, const Progress& progress);
 

@@ -22,8 +22,8 @@ constexpr double kMostOfPart = 300.0 * kPi / 180.0;
 constexpr double kLeastGap_rad = kPi / 3.0;
 // Clouds are slices of a revolution if their azimuth steps are about equal, |mean of
 // exp(i step)| >= kMaxOverlap, and about as wide as a cloud, |mean step - w| <=
-// kMaxAbutGap mean
-// step. w is the median width of a cloud, or 2 pi minus this width if that is smaller.
+// kMaxAbutGap * mean step. w is the median width of a cloud, or 2 pi minus this width if
+// that is smaller.
 constexpr double kMaxOverlap = 0.8, kMaxAbutGap = 0.4;
 // A part of a revolution is missing if a time step exceeds this multiple of the usual
 // step.
@@ -49,7 +49,8 @@ const CloudMessage::CloudField* find_float(const CloudMessage& cloud, const char
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// Returns the full circle except its widest gap.
+/// Returns the azimuth range that contains all points: the full circle except its widest
+/// gap. Returns nothing if no bin has a point.
 std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_occupied) {
     std::size_t widest = 0, end = 0, run = 0;
     // Loops over the circle twice, because its widest gap may contain the azimuth pi.
@@ -90,6 +91,8 @@ struct RevolutionPartition {
     double cut_rad;
 };
 
+/// Returns how the clouds of a topic divide a revolution, or nothing if they are full
+/// revolutions or the LiDAR does not rotate.
 std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPart>& partial_clouds) {
     if (partial_clouds.size() < 4) return std::nullopt;
     std::vector<float> extents;
@@ -108,6 +111,8 @@ std::optional<RevolutionPartition> estimate_split(const std::vector<RevolutionPa
     if (std::abs(step - std::min(extent, 2.0 * kPi - extent)) > kMaxAbutGap * step ||
         widest_gap_rad(partial_clouds) > kLeastGap_rad)
         return std::nullopt;
+    // Finds the common position of the clouds in a grid of n parts, as the phase of their
+    // middle azimuths. Moves the border nearest to the rear (pi).
     const double n = std::round(2.0 * kPi / step);
     std::complex<double> phase = 0.0;
     for (const RevolutionPart& cloud : partial_clouds)
@@ -148,6 +153,8 @@ JoinedRevolutions join_clouds(std::vector<RevolutionPart> partial_clouds) {
     };
     std::vector<std::vector<RevolutionPart>> revolutions;
     for (std::size_t k = 0; k < partial_clouds.size(); ++k) {
+        // A revolution also ends if a cloud is missing, because its time step is then too
+        // long.
         const bool is_first = k == 0 || turned(partial_clouds[k]) <= turned(partial_clouds[k - 1]) ||
                               1e-9 * double(partial_clouds[k].stamp_ns - partial_clouds[k - 1].stamp_ns) >
                                   kMinPauseSteps * parts->step_s;
