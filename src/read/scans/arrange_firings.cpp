@@ -15,12 +15,13 @@ constexpr int kTicksPerTurn = 1 << 16;
 // If more firings are missing in a revolution, firings without returns are appended.
 constexpr int kMostMissing = 8;
 
+/// Returns the azimuth of the LiDAR's head for each firing (all lasers at one azimuth).
 /// Interpolates firings without points between their neighbours.
 std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vector<int>& firing_numbers,
                                       const SpinningSensor& sensor, double azimuth_step_rad) {
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     // For each firing: sum of exp(i d) over its points. d is the head azimuth minus the
-    // azimuth at a constant rotation rate.
+    // azimuth at a constant rotation rate. The angle of the sum is the mean of d.
     std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[firing_numbers[i]] +=
@@ -38,7 +39,8 @@ std::map<int, double> firing_azimuths(const LidarPoints& points, const std::vect
     return heads;
 }
 
-/// Adds firings until the circle or the range image is full, at a constant rotation rate.
+/// Adds firings without returns at the end of a revolution, until the circle or the range
+/// image is full. Assumes that the head rotates at a constant rate.
 /// @param n_image_columns  number of columns of the range image; 0 if unknown
 void append_empty_firings(std::map<int, double>& azimuths, int n_image_columns, double azimuth_step_rad) {
     const int full = int(2.0 * kPi / std::abs(azimuth_step_rad));

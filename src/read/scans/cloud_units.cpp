@@ -60,7 +60,8 @@ bool follow_stamps(const std::vector<TimeRange>& ranges, double time_unit_s) {
     return 2 * n_like_stamps + 1 > ranges.size();
 }
 
-/// Then times are no offsets from stamps, but for example times within a second.
+/// Returns true if the first times of some clouds differ by more than a sweep. Then they
+/// are no offsets from stamps, but for example times within a second.
 bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s, double sweep_s) {
     std::vector<double> first_s;
     for (const TimeRange& range : ranges) first_s.push_back(range.first * time_unit_s);
@@ -70,6 +71,8 @@ bool first_times_differ(const std::vector<TimeRange>& ranges, double time_unit_s
     return double(n_near) < kMostClouds * double(ranges.size());
 }
 
+/// Returns what the point times of the clouds are relative to. A share of the clouds can
+/// have wrong times, so only most of them must agree.
 PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, double unit_s, double sweep_s) {
     const auto most = [&](auto test) {
         return double(std::ranges::count_if(ranges, test)) >= kMostClouds * double(ranges.size());
@@ -89,7 +92,8 @@ PointTimeReference find_time_reference(const std::vector<TimeRange>& ranges, dou
     return PointTimeReference::sensor_clock;
 }
 
-/// Equal times of all points are precise if they are close to the stamps, or small.
+/// Returns true if the times are too coarse to resolve a sweep. Equal times of all points
+/// are precise if they are close to the stamps, or if they are small.
 bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double cloud_interval_s) {
     const TimeRange& cloud = ranges[ranges.size() / 2];
     if (span > 0.0) return read::is_coarse_time(cloud.resolution, span);
@@ -108,6 +112,9 @@ bool are_times_coarse(const std::vector<TimeRange>& ranges, double span, double 
                           (!is_constant && read::is_coarse_time(cloud.resolution, cloud_interval_s))));
 }
 
+/// Sets the unit and the reference of the point times. Uses the first unit with which the
+/// duration of a cloud is plausible (kMinTurns, kMaxTurns).
+/// @param signed_ranges  the same times if large unsigned numbers are negative offsets
 void set_time_unit(PointCloudUnits& units, const std::vector<TimeRange>& time_ranges,
                    const std::vector<TimeRange>& signed_ranges, double cloud_interval_s) {
     if (time_ranges.empty()) return;

@@ -30,6 +30,7 @@ struct MaxRangeReturns {
     std::set<std::uint16_t> rows;
 };
 
+/// Returns the largest range of a LiDAR, with the number and the beams of its returns.
 MaxRangeReturns find_far_returns(const Log& sequence, int lidar_index) {
     MaxRangeReturns far;
     for (const Frame& frame : sequence.frames)

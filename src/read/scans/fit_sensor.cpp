@@ -41,6 +41,7 @@ struct RingPoints {
 };
 using RingPointLists = std::vector<RingPoints>;
 
+/// Returns the first returns of each ring with their azimuths.
 RingPointLists group_rings(const LidarPoints& scan, std::size_t n_rings) {
     RingPointLists rings(n_rings);
     for (std::size_t i = 0; i < scan.size(); ++i) {
@@ -52,8 +53,8 @@ RingPointLists group_rings(const LidarPoints& scan, std::size_t n_rings) {
     return rings;
 }
 
-/// Uses only the farther half of the points, because beams start beside the sensor
-/// origin.
+/// Returns the median elevation of each ring, or nothing for a ring without points. Uses
+/// only the farther half of the points, because beams start beside the sensor origin.
 std::vector<std::optional<double>> fit_elevations(const std::vector<LidarPoints>& scans,
                                                   std::size_t n_rings) {
     struct RangeElevation {
@@ -113,8 +114,9 @@ std::vector<std::complex<double>> sum_phases(const RingPointLists& rings, int n_
     return sums;
 }
 
-/// Returns for consecutive numbers of columns how well the azimuths in each ring fit a
-/// grid of so many columns. For a perfect fit, the value is the number of points.
+/// Tests consecutive numbers of columns, starting with `first_column_count`. Returns for
+/// each how well the azimuths in each ring fit a grid of so many columns. For a perfect
+/// fit, the value is the number of points.
 std::vector<double> score_columns(const RingPointLists& rings, int first_column_count, std::size_t n_counts) {
     std::vector<double> lengths(n_counts, 0.0);
     for (const RingPoints& ring : rings) {
@@ -140,6 +142,9 @@ struct FiringColumnGrid {
     std::vector<double> offset_rad;
 };
 
+/// Estimates the number of columns and the azimuth offset of each ring. Searches around
+/// the first estimate for the grid that all rings fit best. If none fits, the offsets
+/// stay 0.
 FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& rings) {
     FiringColumnGrid lattice{estimate_columns(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int reach = std::max(1, int(kColumnSearchMargin * lattice.columns)),
@@ -148,7 +153,8 @@ FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& 
         score_columns(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
     if (*best <= kMinCoherence * double(scan.size())) {
-        // There are at least as many columns as points in the fullest ring.
+        // A ring has at most one first return per column, so there are at least as many
+        // columns as points in the fullest ring.
         std::size_t most = 0;
         for (const RingPoints& ring : rings) most = std::max(most, ring.point.size());
         lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
@@ -164,7 +170,8 @@ FiringColumnGrid fit_firing_grid(const LidarPoints& scan, const RingPointLists& 
     return lattice;
 }
 
-/// Returns radians per second, positive if counterclockwise.
+/// Returns the rotation rate of the LiDAR's head in radians per second, positive if
+/// counterclockwise. Returns nothing if the points have no times.
 std::optional<double> fit_rotation_rate(const LidarPoints& scan, const RingPointLists& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;

@@ -84,6 +84,7 @@ Pose read_mounting(const JsonField& field, const std::string& where) {
     return {read_quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
+/// Sets the sensor of a LiDAR from the name of a built-in sensor or of a sensor file.
 void read_named_sensor(const JsonField& field, const fs::path& folder, bool must_spin, Lidar& lidar) {
     const std::string name = field.short_text(kLongestPath);
     const double max_range_m = lidar.sensor.max_range_m;
@@ -190,7 +191,8 @@ bool is_text_file(const fs::path& file) { return file.extension() == ".csv" || f
 /// Other programs and systems make such files for their own use.
 bool is_hidden_file(const fs::path& file) { return file.filename().string().starts_with('.'); }
 
-/// Lists the scan files of each LiDAR, sorted by name.
+/// Lists the scan files of each LiDAR, sorted by name. Computes frame times from the
+/// constant frame rate `rate_hz`.
 std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<HeaderLidar>& lidars,
                                          const fs::path& folder) {
     std::vector<LogFrame> frames;
@@ -226,7 +228,8 @@ std::vector<LogFrame> list_folder_frames(double rate_hz, const std::vector<Heade
     return frames;
 }
 
-/// Scans with regular gaps, such as every fifth scan, are accepted.
+/// Returns notes about scans that are probably missing in the folders of the LiDARs.
+/// Accepts scans with regular gaps, such as every fifth scan.
 std::vector<std::string> note_missing_scans(const std::vector<LogFrame>& frames,
                                             const std::vector<HeaderLidar>& lidars) {
     const char* consequence =

@@ -22,7 +22,8 @@ constexpr float kFarthestCoordinate_m = 1e6f;
 // this (1.4 mrad). The limit is not 0, because file coordinates are rounded.
 constexpr float kOneRay = 1e-6f;
 
-/// A field with the name of a range can also contain the distance from a plane.
+/// Returns true if the values of a field are the distances of the points from the sensor,
+/// in any unit. A field with the name of a range can also be the distance from a plane.
 /// @param is_no_return  points without a return, which are ignored
 bool are_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& points,
                    const std::vector<char>& is_no_return) {
@@ -41,6 +42,7 @@ bool are_distances(const PointFieldView& ranges, const std::vector<glm::vec3>& p
     return double(n) >= kMinMatchShare * double(ratios.size());
 }
 
+/// Returns for each point whether its field `range` shows that the ray has no return.
 /// Returns an empty array if no field contains ranges.
 std::vector<char> flag_no_returns(const PointTable& table, const std::vector<glm::vec3>& points) {
     const PointFieldView* ranges = table.find_field(PointAttribute::range);
@@ -52,7 +54,8 @@ std::vector<char> flag_no_returns(const PointTable& table, const std::vector<glm
     return marked;
 }
 
-/// Leaves out points that only mark rays without a return.
+/// Returns the indices and positions of the points at which a pulse was reflected. Leaves
+/// out points that only mark rays without a return.
 std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> select_returns(
     const PointTable& table, const std::array<const PointFieldView*, 3>& xyz_fields,
     const PointFileUnits& units) {
@@ -140,8 +143,10 @@ void reorder_values(std::vector<T>& values, const std::vector<std::size_t>& orde
     values = std::move(arranged);
 }
 
-/// Points with the same ring, time and direction are returns of one ray. The strongest of
-/// them becomes the first return.
+/// Sets the return number of each point and sorts the points by ray. Points with the same
+/// ring, time and direction are returns of one ray; the strongest becomes the first
+/// return.
+/// @param return_types  [points] values of the field return_type
 void set_return_numbers(LidarPoints& points, const std::vector<double>& return_types) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);

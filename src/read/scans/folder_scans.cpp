@@ -97,6 +97,8 @@ public:
             !layout_.motion_compensated || std::ranges::all_of(plans_, &ScanPlan::undo);
     }
 
+    /// Reads the scan of a frame according to the plan of its LiDAR. Several threads call
+    /// it.
     void read_frame_scan(std::size_t frame_index) {
         Frame& frame = sequence_.frames[frame_index];
         if (!source_.stores_points(frame_index)) {
@@ -120,6 +122,7 @@ public:
                 "same fields in all scans",
                 source_.frame_name(frame_index), points.ring.empty() ? "no rings" : "rings",
                 points.time_offset_s.empty() ? "no times" : "times");
+        // Without a sensor model, dropped rays are unknown, so each point becomes a ray.
         if (!plan.is_ordered) {
             frame.scan = scan_of_points(points);
             return;
@@ -203,6 +206,8 @@ private:
         return samples;
     }
 
+    /// Decides from a few sample scans how the scans of a LiDAR are read. Points with
+    /// wrong times are removed first, because they would disturb the fit of the sensor.
     void plan_lidar(int lidar_index, const std::vector<std::size_t>& frame_indices) {
         const auto l = std::size_t(lidar_index);
         std::map<std::size_t, LidarPoints> by_frame = load_samples(frame_indices);

@@ -25,15 +25,16 @@ SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sen
     SweepFirings sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamRays> beams = make_generators(sensor.beams);
     const BeamRays ideal((Beam()));
-    // Its angle divided by n is the mean offset of the azimuths from the grid of n
-    // columns.
+    // Sum of exp(i n azimuth) over all points, for a grid of n columns. Its angle divided
+    // by n is the mean offset of the azimuths from the grid.
     std::complex<double> sum = 0.0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamRays& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.azimuth_facing(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // The azimuth decreases from +pi, so firing i is at step `last` - i.
+    // A sweep begins near azimuth +pi, and its azimuth decreases. `last` is the grid step
+    // with the largest azimuth up to +pi. So firing i is at step `last` - i.
     int last = sweep.lattice.nearest_tick(kPi);
     if (sweep.lattice.tick_azimuth_rad(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)

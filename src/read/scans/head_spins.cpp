@@ -25,7 +25,9 @@ double elevation_rad_of(const glm::vec3& point) {
     return std::atan2(double(point.z), std::hypot(double(point.x), double(point.y)));
 }
 
-/// Returns the median over all rings.
+/// Returns the median over all rings of the spread of elevations (10th to 90th
+/// percentile). Uses only the farther half of each ring, because beams start beside the
+/// origin.
 double ring_spread(const LidarPoints& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {

@@ -34,7 +34,8 @@ bool is_all_zero(const std::vector<PointTable>& clouds, const std::string& field
     return is_zero;
 }
 
-/// Selects the first candidate that has a value other than 0.
+/// Selects the field that contains the intensities: the first candidate that has a value
+/// other than 0. Adds a note if this is not the usual field.
 void choose_intensity(const std::vector<PointTable>& clouds, PointFieldSemantics& semantics) {
     const std::vector<std::string> names = clouds[0].list_fields(PointAttribute::intensity);
     if (names.empty()) return;
@@ -83,7 +84,8 @@ std::string describe_negatives(const std::vector<PointTable>& clouds, const std:
                : "";
 }
 
-/// Some files store all rays without a return as points at one position.
+/// Returns the position that marks rays without a return, if many points share it. Some
+/// files store all such rays as points at one position.
 std::optional<glm::vec3> find_marker(const PointTable& cloud) {
     const std::array<const PointFieldView*, 3> xyz = {cloud.find_field(PointAttribute::x),
                                                       cloud.find_field(PointAttribute::y),
@@ -108,6 +110,7 @@ std::optional<glm::vec3> find_marker(const PointTable& cloud) {
             last = k;
         }
     }
+    // The sample gives a candidate, which must then be frequent among all points.
     if (most < 3) return std::nullopt;
     std::size_t n_marked = 0;
     for (std::size_t i = 0; i < cloud.n; ++i) n_marked += point(i) == some[last];

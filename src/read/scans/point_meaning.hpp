@@ -19,8 +19,8 @@ struct IntensityScale {
     bool is_sure = true;  ///< false if other scales are equally probable
     std::string about;    ///< text about the scale for a note; empty if the scale is 0 to 1
 };
-/// Estimates 1, or 255, or a value that only a few intensities exceed. Reorders the
-/// values.
+/// Estimates which intensity becomes 1: 1, or 255, or a value that only a few intensities
+/// exceed. Reorders the values.
 IntensityScale estimate_scale(std::vector<double>& intensities);
 
 struct PointFieldSemantics {

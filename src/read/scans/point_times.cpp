@@ -31,7 +31,8 @@ constexpr double kLastPart = 15.0 / 16.0;
 // scans. The lower limit is small, because a log may have only some of the scans.
 constexpr double kShortestSpan = 0.01, kLongestSpan = 3.0;
 
-/// Sets `limit` to a value below the times before the overflow and above the other times.
+/// Returns true if a counter with this period overflows in the cloud. Sets `limit` to a
+/// value below the times before the overflow and above the other times.
 bool is_period(const std::vector<double>& times, std::array<double, 2> range, double period, double& limit) {
     const auto [first, last] = range;
     if (last - first < kMinSpanShare * period || last - first > period) return false;
@@ -95,6 +96,7 @@ void unwrap_times(PointTable& table, bool are_offsets) {
         if ((period == 0.0 || candidate < period) && is_period(times, range, candidate, limit))
             period = candidate;
     };
+    // The shortest possible period is right, because times span nearly all of it.
     std::ranges::for_each(kCounterPeriods, test);
     for (const double period_s : kClockPeriods_s)
         for (const double unit : kUnitsOfSecond)

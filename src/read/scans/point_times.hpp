@@ -18,11 +18,14 @@ namespace relidar::read {
 /// outliers.
 std::optional<std::array<double, 2>> find_time_range(const PointTable& table);
 
-/// Subtracts the period of a counter that overflows in a cloud from the times before.
-/// @param are_offsets  true: times have no period of a clock, such as a second or a day
+/// Makes the times of a cloud continuous if their counter overflows in this cloud.
+/// Subtracts the period of the counter from the times before the overflow.
+/// @param are_offsets  true: times are relative to the scan, so they have no period of a
+/// clock, such as a second or a day
 void unwrap_times(PointTable& table, bool are_offsets);
 
-/// For files that store small negative offsets of all points as large unsigned numbers.
+/// Makes offsets negative if the file stores small negative offsets of all points as
+/// large unsigned numbers.
 void restore_signs(PointTable& table);
 
 /// Returns the distance between neighbouring values that the times of a cloud can have,

@@ -32,8 +32,9 @@ double compute_elevation(const glm::dvec3& vector) {
     return std::atan2(vector.z, std::hypot(vector.x, vector.y));
 }
 
-/// Uses only the farther half of the points in each degree of elevation, because beams
-/// start beside the sensor origin.
+/// Returns elevations of points in ascending order. Uses only the farther half of the
+/// points in each degree. Near points are less accurate, because beams start beside the
+/// sensor origin.
 std::vector<double> collect_elevations(const std::vector<LidarPoints>& scans) {
     struct PointRangeElevation {
         float range_m;
@@ -64,7 +65,8 @@ struct RingBand {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// At least kLeastGap empty bins separate two groups.
+/// Groups consecutive bins that have at least `min_points_per_bin` points. At least
+/// kLeastGap empty bins separate two groups.
 std::vector<RingBand> group_bins(const std::vector<int>& points_per_bin, double min_points_per_bin) {
     std::vector<RingBand> bands;
     for (int b = 0; b < int(points_per_bin.size()); ++b) {
@@ -113,7 +115,8 @@ std::vector<RingBand> add_weak_bands(const std::vector<RingBand>& candidate_band
     return complete;
 }
 
-/// A band is a group of filled bins and contains the points of one beam.
+/// Returns the bands in the histogram of elevations. A band is a group of filled bins and
+/// contains the points of one beam.
 std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_rad) {
     const int n_bins = int(kPi / kBinWidth_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBinWidth_rad); };
@@ -145,6 +148,8 @@ std::vector<RingBand> find_bands(const std::vector<double>& sorted_elevations_ra
 std::vector<Beam> estimate_beams(const std::vector<LidarPoints>& scans) {
     const std::vector<RingBand> bands = find_bands(collect_elevations(scans));
     if (bands.size() < kFewestBands) return {};
+    // Every band must be narrow compared with its distance from the next band. Otherwise
+    // the bands are not beams.
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBinWidth_rad;
         for (const RingBand& band : {bands[i], bands[i + 1]})
@@ -171,6 +176,8 @@ void assign_rings(LidarPoints& points, const std::vector<Beam>& beams) {
     for (const glm::vec3& point : points.position_m) {
         const glm::dvec3 p(point);
         const double point_elevation_rad = compute_elevation(p);
+        // Compares only beams near the elevation of the point, seen from the sensor
+        // origin. The elevation from the origin of the beam then decides.
         const auto nearest = std::partition_point(rising.begin(), rising.end(),
                                                   [&](auto k) { return elevation(k) < point_elevation_rad; });
         const auto begin = nearest - std::min(kBeamReach, nearest - rising.begin()),

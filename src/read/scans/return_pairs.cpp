@@ -90,6 +90,8 @@ struct PairCounts {
     }
 };
 
+/// Adds the points of a cloud to the counts. Sorts them so that points with the same ring
+/// and time are neighbours.
 void add_pairs(PairCounts& counts, const std::vector<glm::vec3>& points, const std::vector<RayKey>& keys,
                std::vector<std::size_t> indices) {
     auto& [n_groups, n_pairs, n_large, n_on_ray, n_exact] = counts;
@@ -112,6 +114,9 @@ std::vector<std::size_t> find_partners(const PointTable& table, const Unnumbered
                                        std::vector<std::size_t>& order) {
     const std::size_t n = selected.size();
     std::vector<std::size_t> partner(n, kNoPoint);
+    // Some drivers store second returns at a constant distance after the first returns,
+    // for example in the second half. Otherwise, compares points with equal ring and
+    // time.
     const std::size_t distance = layout.are_halves ? table.n / 2 : layout.distance;
     if (distance > 0 && table.n % (2 * distance) == 0) {
         std::vector<std::size_t> rank(table.n, kNoPoint);

@@ -94,6 +94,7 @@ double find_sweep_s(const Log& sequence, const ScanLayout& layout, int lidar_ind
     const double known_s = layout.lidars[std::size_t(lidar_index)].sweep_duration_s;
     if (known_s > 0.0) return known_s;
     const double step_s = median_step_s(sequence, lidar_index).value_or(kUsualPeriod_s);
+    // A log can have only every n-th scan, so the step can be several revolutions.
     return step_s > kLongestPeriod_s ? step_s / std::round(step_s / kUsualPeriod_s) : step_s;
 }
 

@@ -22,9 +22,9 @@ namespace relidar {
 /// @param frame_interval_s  time between scans in seconds
 std::string why_not_spinning(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor,
                              double frame_interval_s);
-/// Returns the reason, or an empty string. Points were probably removed, for example by a
-/// filter, if few rays have a return, or if the azimuth steps between the points of a
-/// ring are uneven. Their rays must not be treated as dropped rays.
+/// Returns why points were probably removed from the scans, for example by a filter, or
+/// an empty string. Signs are few rays with a return, or uneven azimuth steps in a ring.
+/// Rays of removed points must not be treated as dropped rays.
 /// @param scans  some scans with rings; the rings may have been estimated
 std::string why_thinned(const std::vector<LidarPoints>& scans, const SpinningSensor& fitted_sensor);
 

@@ -33,6 +33,7 @@ std::size_t return_index_of(const LidarPoints& points, std::size_t point_index) 
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point_index]) - 1;
 }
 
+/// Throws unless all arrays have one entry per point and the ring numbers are valid.
 /// @param n_beams  number of beams; 0 if rings are not needed
 void check_points(const LidarPoints& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t count, bool may_be_empty) {
@@ -58,6 +59,7 @@ void check_points(const LidarPoints& points, std::size_t n_beams) {
     }
 }
 
+/// Returns for each azimuth step of the head (tick) the index of the nearest firing.
 std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_ticks) {
     std::vector<int> nearest(std::size_t(n_ticks), kNoPointIndex);
     for (std::size_t f = 0; f < firing_ticks.size(); ++f) nearest[std::size_t(firing_ticks[f])] = int(f);
@@ -72,7 +74,8 @@ std::vector<int> firing_per_tick(const std::vector<int>& firing_ticks, int n_tic
 }
 
 /// Returns for each column of a scan the index of its firing (one shot of all lasers at
-/// one azimuth). If the sweep has fewer firings than columns, columns share firings.
+/// one azimuth). If the sweep has fewer firings than columns, several columns get the
+/// same firing.
 std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -81,6 +84,8 @@ std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
         const double gap = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
                            sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
+        // Repeats a firing before a gap in azimuth, where the columns of lost firings
+        // were.
         const int missing = std::min(int(std::lround(gap / step)) - 1, n_extra_columns);
         if (missing > 0) {
             repeat[f] += missing;
@@ -105,6 +110,7 @@ public:
         column_of_.reserve(points.size());
         if (points.firing.empty()) nearest_ = firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
         indices_of_return(0);
+        // Far points are assigned last, so that they do not take the ray of a valid point.
         for (std::size_t i = 0; i < points.size(); ++i) assign_point(i);
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point(i);
     }
@@ -152,6 +158,8 @@ private:
         return follows ? column_of_[i - 1] : kNoPointIndex;
     }
 
+    /// Assigns a point to its ray (ring and firing). A ray stores only one point of each
+    /// return number. If no ray is free, the nearer point stays.
     void assign_point(std::size_t point_index) {
         const std::size_t ring = points_.ring[point_index], n = sweep_.firings.size(),
                           number = return_index_of(points_, point_index);
@@ -166,7 +174,8 @@ private:
         RayPointIndices& cells = indices_of_return(number);
         int point = int(point_index);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // If the ray of a first return is occupied, tries the neighbouring firings.
+            // If the ray of a first return is occupied, tries the same ring in the two
+            // neighbouring firings. A later return stays with its measured firing.
             if (cells.point_index_at(ring, f) != kNoPointIndex || (number > 0 && f != firing)) continue;
             std::swap(cells.point_index_at(ring, f), point);
             column_of_.back() = int(f);
@@ -178,7 +187,8 @@ private:
         }
     }
 
-    /// Does nothing if the ray already has a point.
+    /// Assigns a point beyond the sensor's maximum range to its ray, if the ray has no
+    /// point yet.
     void assign_far_point(std::size_t point_index) {
         if (!(double(point_range_m(int(point_index))) > sensor_.max_range_m)) return;
         const std::size_t firing = nearest_firing(point_index);
@@ -188,8 +198,8 @@ private:
     }
 };
 
-/// Returns the mean time of the points of each firing. Extrapolates from the nearest
-/// firing with points at the rotation rate of the head.
+/// Returns the mean time of the points of each firing. For a firing without points,
+/// extrapolates from the nearest firing with points at the rotation rate of the head.
 std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor& sensor,
                                  const SweepFirings& sweep, const std::vector<int>& firing_of_point) {
     const std::size_t n = sweep.firings.size();
@@ -206,6 +216,7 @@ std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor
         }
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
+        // nearest firing with points, before or after firing f
         std::size_t from = f;
         for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
             if (f + d < n && count[f + d] > 0.0) from = f + d;
@@ -234,17 +245,19 @@ void resize_scan(Scan& scan, int rows, int columns, std::size_t n_second_returns
     scan.classes.assign(has_classes ? n : 0, SurfaceClass::unknown);
 }
 
-/// The origin and direction are of the ideal beam; the range stays 0.
+/// Sets a ray without a return. It gets the origin and direction of the ideal beam, and
+/// its range stays 0.
 void set_dropped_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azimuth_rad) {
     const BeamRay model = beam.compute_ray(head_azimuth_rad);
     scan.rays.origin[ray] = glm::vec3(model.origin_m);
     scan.rays.direction[ray] = glm::vec3(model.direction);
 }
 
-/// The direction is from the beam's origin to the point. Returns false if the point is
-/// too close to the origin.
-/// @param head_azimuth_rad  azimuth at the time of the point. It gives the exact origin,
-/// even if the azimuths of the firings are rounded.
+/// Sets the direction and the range of a ray with a return. The direction is from the
+/// beam's origin to the point. Returns false and sets nothing if the point is too close
+/// to the origin.
+/// @param head_azimuth_rad  azimuth of the head at the time of the point. It gives the
+/// exact origin, even if the azimuths of the firings are rounded.
 bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azimuth_rad,
              const LidarPoints& points, std::size_t point_index) {
     const glm::dvec3 p(points.position_m[point_index]);
@@ -260,6 +273,7 @@ bool set_ray(Scan& scan, std::size_t ray, const BeamRays& beam, double head_azim
     return true;
 }
 
+/// Adds a second or later return of a ray, if the ray has a first return.
 void set_second(Scan& scan, std::size_t ray, const LidarPoints& points, std::size_t point_index) {
     if (scan.range_m[ray] == 0.0f) return;
     AdditionalReturns& echo = scan.second_returns[return_index_of(points, point_index) - 1];
@@ -301,6 +315,7 @@ Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, cons
     scan.rays.divergence_rad = float(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
+        // Firing f of a beam with an azimuth offset is stored in column f - `shift`.
         const int shift = offset_columns(sensor.beams[ring], columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const std::size_t firing =

@@ -57,6 +57,8 @@ PoseRow parse_row(const std::vector<std::string_view>& cells, std::size_t n, con
     return row;
 }
 
+/// Returns the interpolated pose at a time. Returns nothing outside the poses, or in a
+/// gap between poses that is too long.
 std::optional<Pose> find_pose(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
     if (!track.contains_time(time_s - log.reach_s) || !track.contains_time(time_s + log.reach_s))

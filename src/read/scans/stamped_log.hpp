@@ -48,7 +48,11 @@ struct DrivingDirection {
     double rise_spread = 0.0;  ///< standard deviation of the z components of the unit vectors
     std::size_t n_steps = 0;   ///< number of position changes of at least one metre
 };
+/// Returns the mean direction of motion in the sensor frame. Ignores short steps, because
+/// errors of the poses would dominate them.
 DrivingDirection driving_direction(const PoseTrack& world_from_sensor);
+/// Adds a warning if the vehicle does not seem to drive forward, because the poses are
+/// then probably wrong.
 /// @param forward_fraction  x component of the mean driving direction
 void note_driving(Notes& notes, double forward_fraction);
 
@@ -73,7 +77,8 @@ struct StampedLog {
 std::vector<std::filesystem::path> add_frames(Log& sequence, const StampedLog& log,
                                               const DatasetOptions& options);
 
-/// @throws DataError if the log has no pose file and the user selects no other poses
+/// Checks that the log has a pose file, or that the user selects another source of poses.
+/// @throws DataError if there are no poses
 void check_pose_source(const std::filesystem::path& pose_file, const DatasetOptions& options);
 
 struct FileFormat {

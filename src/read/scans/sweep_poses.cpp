@@ -19,8 +19,9 @@ constexpr double kMinCorrection_m = 1e-3;
 // A rotation is measured in metres: how far it moves a point at this distance.
 constexpr double kLeverArm_m = 50.0;
 
-/// Returns transforms from true to interpolated sensor coordinates, at times relative to
-/// the frame. The log has only one pose per frame.
+/// Returns the errors of interpolated sensor poses during a sweep, as transforms from
+/// true to interpolated sensor coordinates. The log has only one pose per frame. Times
+/// are relative to the frame.
 PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const PoseLookup& find_vehicle_pose) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
@@ -37,7 +38,8 @@ PoseTrack pose_corrections_of(const Log& sequence, const Frame& frame, const Pos
     return track;
 }
 
-/// @return maximum distance in metres by which a point is moved
+/// Applies pose corrections to the origins and directions of all rays of a frame.
+/// @return maximum distance in metres by which a point is moved; 0 if nothing was changed
 double move_rays(Frame& frame, const PoseTrack& pose_corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : pose_corrections.pose) {
