@@ -84,8 +84,7 @@ std::vector<int> firing_per_column(const SweepFirings& sweep, int n_columns) {
     for (std::size_t f = 0; f + 1 < n && n_extra_columns > 0; ++f) {
         const double gap = sweep.lattice.tick_azimuth_rad(sweep.firings[f]) -
                            sweep.lattice.tick_azimuth_rad(sweep.firings[f + 1]);
-        // Repeats a firing before a gap in azimuth, where the columns of lost firings
-        // were.
+        // Repeats the firing before a gap in azimuth, where firings are missing.
         const int missing = std::min(int(std::lround(gap / step)) - 1, n_extra_columns);
         if (missing > 0) {
             repeat[f] += missing;
@@ -110,7 +109,7 @@ public:
         column_of_.reserve(points.size());
         if (points.firing.empty()) nearest_ = firing_per_tick(sweep.firings, sweep.lattice.n_ticks);
         indices_of_return(0);
-        // Far points are assigned last, so that they do not take the ray of a valid point.
+        // Assigns far points last, so that they do not take the ray of a valid point.
         for (std::size_t i = 0; i < points.size(); ++i) assign_point(i);
         for (std::size_t i = 0; i < points.size(); ++i) assign_far_point(i);
     }
@@ -216,7 +215,7 @@ std::vector<double> firing_times(const LidarPoints& points, const SpinningSensor
         }
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        // nearest firing with points, before or after firing f
+        // Nearest firing with points, before or after firing f.
         std::size_t from = f;
         for (std::size_t d = 1; d < n && count[from] == 0.0; ++d) {
             if (f + d < n && count[f + d] > 0.0) from = f + d;
