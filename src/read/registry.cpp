@@ -73,6 +73,8 @@ const DatasetKind& find_kind(const std::string& kind_name) {
                      did_you_mean(kind_name, list_kind_names(), "'"), fmt::join(list_kind_names(), ", "));
 }
 
+/// Returns true if a path contains a file that matches a marker (see
+/// DatasetKind::marker).
 bool contains_match(const fs::path& path, std::string_view file_name_pattern) {
     if (!file_name_pattern.starts_with('.') && !file_name_pattern.ends_with('*'))
         return does_path_exist(path / file_name_pattern);
@@ -88,6 +90,8 @@ bool contains_match(const fs::path& path, std::string_view file_name_pattern) {
     return std::any_of(files.begin(), files.end(), matches);
 }
 
+/// Returns true if a path matches one of the markers of a kind. Markers are separated by
+/// blanks.
 bool is_of_kind(const fs::path& path, const DatasetKind& kind) {
     for (std::string_view left = kind.marker; !left.empty();) {
         const std::size_t end = std::min(left.find(' '), left.size());
@@ -97,7 +101,9 @@ bool is_of_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// The message contains an example of a sequence.json.
+/// Throws if a folder contains scans but no sequence.json. The message contains an
+/// example of a sequence.json.
+/// @throws DataError in this case
 void require_sequence_json(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -124,7 +130,8 @@ void visit_ranges(const Scan& scan, const Visit& visit) {
         for (const float range_m : second.range_m) visit(range_m);
 }
 
-/// Rounds the largest range up to metres. Returns 80 m without returns.
+/// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
+/// m if the LiDAR has no returns.
 double farthest_return_m(const Log& sequence, int lidar_index) {
     // No LiDAR on a vehicle measures larger ranges.
     constexpr float kMaxPlausibleRange_m = 1000.0f;
@@ -142,7 +149,8 @@ double farthest_return_m(const Log& sequence, int lidar_index) {
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
 }
 
-/// Uses the largest range in the log, and adds a note.
+/// Sets unknown maximum ranges of LiDARs to the largest range in the log, and adds a note
+/// for the user.
 void fill_max_ranges(Log& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -160,6 +168,7 @@ struct RangeLimitCounts {
     std::size_t n_below_min = 0, n_above_max = 0, n_returns = 0;
 };
 
+/// Counts the returns of a scan that are nearer or farther than the range limits.
 RangeLimitCounts count_outside(const Scan& scan, const RangeLimits& limits) {
     RangeLimitCounts counts;
     visit_ranges(scan, [&](float range_m) {
@@ -170,7 +179,8 @@ RangeLimitCounts count_outside(const Scan& scan, const RangeLimits& limits) {
     return counts;
 }
 
-/// @param counts_of_frames  [frames]
+/// Adds a note for the user about each LiDAR with returns outside its range limits.
+/// @param counts_of_frames  [frames] numbers of near, far and all returns in each frame
 /// @throws DataError if all returns of the log are outside the limits
 void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_frames) {
     std::size_t n_all = 0, n_within_limits = 0;
@@ -204,7 +214,8 @@ void note_dropped(Log& sequence, const std::vector<RangeLimitCounts>& counts_of_
             sequence.source, n_all, sequence.notes.back().text);
 }
 
-/// Turns returns outside the limits into dropped rays.
+/// Sets the range limits that the user requested for all LiDARs. Turns returns outside
+/// the limits into dropped rays.
 void apply_range_limits(Log& sequence, const RangeLimits& requested_limits) {
     fill_max_ranges(sequence);
     for (Lidar& lidar : sequence.lidars) {
@@ -222,7 +233,8 @@ void apply_range_limits(Log& sequence, const RangeLimits& requested_limits) {
     note_dropped(sequence, counts);
 }
 
-/// Also removes the frames of all other LiDARs, and the poses that are then unused.
+/// Keeps only the named LiDARs. Removes the frames of all other LiDARs, and the poses
+/// that are then unused.
 void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
     std::vector<int> new_index_of_lidar(sequence.lidars.size(), -1);
     for (const std::string& name : lidar_names) {
@@ -263,7 +275,8 @@ void keep_lidars(Log& sequence, const std::vector<std::string>& lidar_names) {
             fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
 }
 
-/// The kind of a mere path is empty.
+/// Splits a text of the form "kind:path". Returns an empty kind if the text is only a
+/// path. An existing path may contain a colon.
 std::pair<std::string, fs::path> split_dataset(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -273,8 +286,10 @@ std::pair<std::string, fs::path> split_dataset(const std::string& dataset) {
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// @param requested_drive  may be empty
-/// @throws UsageError if the dataset contains only one drive
+/// Returns the kind of a dataset and the function that reads it.
+/// @param requested_drive  name of the recording (drive) that the user requested; may be
+/// empty
+/// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& kind_of_path(const std::string& dataset, const std::string& requested_drive) {
     const auto [kind, path] = split_dataset(dataset);
     const std::string name = kind.empty() ? detect_kind(path) : kind;
@@ -286,6 +301,8 @@ const DatasetKind& kind_of_path(const std::string& dataset, const std::string& r
     return reader;
 }
 
+/// Estimates two values for each frame: the start of the sweep, and how much the head
+/// azimuths deviate from even rotation.
 void estimate_sweeps(Log& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
@@ -332,6 +349,7 @@ std::string detect_kind(const fs::path& path) {
 std::string absolute_dataset(const std::string& dataset) {
     const auto [kind, path] = split_dataset(dataset);
     if (path.empty()) return dataset;
+    // The result has no trailing slash.
     const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();
     return kind.empty() ? absolute : kind + ":" + absolute;
 }
@@ -349,6 +367,9 @@ Log load_sequence(const std::string& dataset, const DatasetOptions& options) {
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
+    // The order matters. Other LiDARs are removed first, so that they cost no time. Range
+    // limits come after the removal of far markers, which would otherwise define the
+    // maximum range.
     read::fix_inverted_poses(sequence);
     estimate_sweeps(sequence);
     remove_drop_markers(sequence);

@@ -17,6 +17,7 @@ namespace {
 constexpr double kRingStepBack_rad = 3.0 * kPi / 180.0;
 // Share of azimuth steps with the same sign in files in the order of rotation.
 constexpr double kMinSameSignFraction = 0.9;
+// The search for the start of rings uses only every fourth point, to save time.
 constexpr std::size_t kSearchStride = 4;
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
 // Share of elevation steps from ring to ring with the same sign, if rings are sorted.
@@ -46,7 +47,10 @@ std::optional<double> rotation_sign_of(const LidarPoints& points) {
     return std::nullopt;
 }
 
-/// Returns azimuths without jumps at full turns.
+/// Returns the azimuth of each point without jumps at full turns, counted from the start
+/// of the file.
+/// @param rotation_sign  1 if azimuths increase, -1 if they decrease; the result
+/// increases
 std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_sign) {
     std::vector<double> turned;
     turned.reserve(points.size());
@@ -57,14 +61,17 @@ std::vector<double> unwrap_azimuths(const LidarPoints& points, double rotation_s
             continue;
         }
         double step = std::remainder(azimuth - turned.back(), 2.0 * kPi);
+        // Small steps back are noise. A larger step back means that the file continues
+        // with the next turn.
         if (step < -kRingStepBack_rad) step += 2.0 * kPi;
         turned.push_back(turned.back() + step);
     }
     return turned;
 }
 
-/// Returns how often the azimuth has passed `start_azimuth_rad` before each point. In
-/// files that store one ring after another, this is the number of the ring.
+/// Returns the revolution number of each point, from 0: how often the azimuth has passed
+/// `start_azimuth_rad` before this point. In files that store one ring after another,
+/// this is the number of the ring.
 std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, double start_azimuth_rad) {
     std::vector<std::uint16_t> revolution_numbers;
     revolution_numbers.reserve(azimuths_rad.size());
@@ -73,15 +80,16 @@ std::vector<std::uint16_t> count_turns(const std::vector<double>& azimuths_rad, 
         first_revolution = std::min(first_revolution, std::floor((t - start_azimuth_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : azimuths_rad) {
-        // Never decreases, because of rounding errors at the first point of a ring.
+        // Ring numbers never decrease. Otherwise rounding errors could put the first
+        // point of a ring into the previous ring.
         last = std::max(last, int(std::floor((t - start_azimuth_rad) / (2.0 * kPi)) - first_revolution));
         revolution_numbers.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
     }
     return revolution_numbers;
 }
 
-/// Uses only the farther half of the points, because beams start beside the sensor
-/// origin.
+/// Returns the median elevation of each ring in radians, or NaN for an empty ring. Uses
+/// only the farther half of the points, because beams start beside the sensor origin.
 std::vector<double> ring_elevations(const LidarPoints& points, const std::vector<std::uint16_t>& rings) {
     std::vector<std::vector<std::pair<float, double>>> samples_by_ring;  // range and elevation
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -104,7 +112,7 @@ std::vector<double> ring_elevations(const LidarPoints& points, const std::vector
     return elevations;
 }
 
-/// Returns |elevation of a point - elevation of its ring|.
+/// Returns the absolute difference between the elevations of each point and of its ring.
 std::vector<double> ring_errors(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
                                 const std::vector<double>& ring_elevations_rad) {
     std::vector<double> errors;
@@ -115,7 +123,8 @@ std::vector<double> ring_errors(const LidarPoints& points, const std::vector<std
     return errors;
 }
 
-/// Selects the azimuth with the smallest deviation of points from their rings.
+/// Returns the azimuth at which the rings of a file begin. At a wrong azimuth, rings
+/// contain points of two beams, so points deviate more from the elevation of their ring.
 double find_ring_start_rad(const LidarPoints& points, const std::vector<double>& unwrapped_azimuths_rad) {
     LidarPoints some;
     std::vector<double> some_turned;
@@ -131,6 +140,8 @@ double find_ring_start_rad(const LidarPoints& points, const std::vector<double>&
         return std::accumulate(errors.begin(), errors.end(), 0.0) / double(errors.size());
     };
     double least = INFINITY, best_rad = 0.0;
+    // Searches the full turn in steps of 10 degrees, and then around the best azimuth in
+    // steps of 1 degree.
     for (const int step_deg : {10, 1}) {
         const double middle_rad = step_deg == 10 ? 0.0 : best_rad;
         const int reach = step_deg == 10 ? 18 : 9;
@@ -145,7 +156,8 @@ double find_ring_start_rad(const LidarPoints& points, const std::vector<double>&
     return best_rad;
 }
 
-/// In separated rings, most points are closer to their ring than to other rings.
+/// Returns true if the rings are sorted by elevation and clearly separated. In separated
+/// rings, most points are closer to the elevation of their ring than to other rings.
 bool are_rings_clear(const LidarPoints& points, const std::vector<std::uint16_t>& ring_of_point,
                      const std::vector<double>& ring_elevations_rad) {
     if (ring_elevations_rad.size() < kFewestRings || ring_elevations_rad.size() > kMostOrderedRings)
@@ -181,7 +193,8 @@ RingOrderDetector::RingOrderDetector(const std::vector<LidarPoints>& scans) {
         const std::vector<std::uint16_t> ring =
             count_turns(unwrap_azimuths(scan, turning_), first_azimuth_rad_);
         std::vector<double> elevations = ring_elevations(scan, ring);
-        // The scan with the most rings probably has returns of every beam.
+        // Keeps the scan with the most rings, because it is most likely to have returns
+        // of every beam.
         if (elevations.size() > elevation_rad_.size() && are_rings_clear(scan, ring, elevations))
             elevation_rad_ = std::move(elevations);
     }
@@ -193,6 +206,7 @@ void RingOrderDetector::number_rings(LidarPoints& points) const {
     points.ring = count_turns(unwrap_azimuths(points, turning_), first_azimuth_rad_);
     const std::vector<double> elevations = ring_elevations(points, points.ring);
     if (elevations.size() == n_rings()) return;
+    // Rings are missing in this scan, so their elevations decide which rings they are.
     std::vector<std::uint16_t> nearest;
     for (const double elevation : elevations) {
         std::size_t best = 0;

@@ -12,12 +12,15 @@ namespace relidar::read {
 
 class RingOrderDetector {
 public:
+    /// Tests whether the files store their points one ring after another.
+    /// @param scans  some scans of the LiDAR
     explicit RingOrderDetector(const std::vector<LidarPoints>& scans);
-    /// At least 4 rings are stored one after another.
+    /// Returns true if the constructor found at least 4 rings that are stored one after
+    /// another.
     bool is_ring_by_ring() const { return !elevation_rad_.empty(); }
     std::size_t n_rings() const { return elevation_rad_.size(); }
-    /// Ring 0 is the first ring in the files. In a scan with fewer rings, each ring gets
-    /// the number of the ring with the nearest elevation.
+    /// Sets the ring of each point. Ring 0 is the first ring in the files. In a scan with
+    /// fewer rings, each ring gets the number of the ring with the nearest elevation.
     void number_rings(LidarPoints& points) const;
 
 private:

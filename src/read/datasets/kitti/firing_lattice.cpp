@@ -32,6 +32,7 @@ struct PolarPoints {
     std::vector<double> azimuth_rad, inverse_rho;
 };
 
+/// Converts the points of all scans to polar coordinates, grouped by ring.
 std::array<PolarPoints, kRings> collect_polar(const std::vector<const RingScan*>& scans) {
     std::array<PolarPoints, kRings> polar;
     for (const RingScan* scan : scans)
@@ -67,14 +68,15 @@ struct TickGridPhase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Least squares of azimuth = n * encoder_tick_rad + phase_rad + left_m / distance, n
-/// integer.
+/// Improves a fit by least squares of azimuth = n * encoder_tick_rad + phase_rad + left_m
+/// / distance, with integer n.
 void refine_phase(TickGridPhase& phase, const PolarPoints& polar, double encoder_tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
         const double u = polar.inverse_rho[i];
         const double e =
             std::remainder(polar.azimuth_rad[i] - phase.left_m * u - phase.phase_rad, encoder_tick_rad);
+        // Points in the middle between two ticks are outliers.
         if (std::abs(e) > 0.25 * encoder_tick_rad) continue;
         n += 1;
         su += u;
@@ -91,16 +93,21 @@ void refine_phase(TickGridPhase& phase, const PolarPoints& polar, double encoder
     phase.phase_rad += (se - left * su) / n;
 }
 
+/// Fits the left offset and the azimuth phase of one beam. Tries left offsets in steps of
+/// 2 mm, and then refines the best one.
 TickGridPhase fit_beam_phase(const PolarPoints& polar, double encoder_tick_rad) {
     TickGridPhase best;
+    // About 500 points are enough to compare the offsets.
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean = mean_tick_phase(polar, encoder_tick_rad, mm * 1e-3, stride);
+        // Searches from -60 to 60 mm and keeps the offset that fits the encoder ticks
+        // best.
         const double gain = std::abs(mean) - best.concentration;
-        // searches the lateral offset from -60 to 60 mm
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * encoder_tick_rad / (2.0 * kPi), std::abs(mean)};
     }
+    // Prefers offset 0 if it fits nearly as well.
     const std::complex<double> none = mean_tick_phase(polar, encoder_tick_rad, 0.0, stride);
     if (std::abs(none) > best.concentration - 0.02)
         best = {0.0, std::arg(none) * encoder_tick_rad / (2.0 * kPi), std::abs(none)};
@@ -113,6 +120,8 @@ struct RingPhases {
     double concentration = 0.0;  ///< mean over the points
 };
 
+/// Fits the phase of every beam to ticks of one size. Returns also the mean quality of
+/// all fits.
 RingPhases fit_phases(const std::array<PolarPoints, kRings>& polar_rings, double encoder_tick_rad) {
     RingPhases phases;
     parallel_for(kRings, [&](int k) {
@@ -128,8 +137,9 @@ RingPhases fit_phases(const std::array<PolarPoints, kRings>& polar_rings, double
     return phases;
 }
 
-/// Uses the mean azimuth step within a beam. Ignores steps longer than 1.5 medians, which
-/// contain dropped rays.
+/// Estimates the firings per revolution from the mean azimuth step between consecutive
+/// points of a beam. Ignores steps longer than 1.5 times the median, because there are
+/// dropped rays in between.
 int estimate_firings(const std::vector<const RingScan*>& scans) {
     std::vector<double> steps;
     for (const RingScan* scan : scans)
@@ -151,6 +161,8 @@ int estimate_firings(const std::vector<const RingScan*>& scans) {
 
 using BeamTicks = std::vector<std::vector<int>>;
 
+/// Returns the encoder ticks of all points of a scan, grouped by beam. A tick is the head
+/// position at which the beam of the point faced the point.
 BeamTicks compute_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
     BeamTicks ticks(kRings);
     std::vector<BeamRays> beams;
@@ -165,8 +177,10 @@ BeamTicks compute_ticks(const RingScan& scan, const FiringGrid& firing_grid) {
     return ticks;
 }
 
-/// Returns [scans][ticks] flags of ticks with returns of at least `min_beams` beams.
-/// @param tick_shift_of_each_beam  subtracted from the ticks of the beam
+/// Returns [scans][ticks] flags. A flag is true if at least `min_beams` beams have a
+/// return at the tick (azimuth step of the rotary encoder).
+/// @param tick_shift_of_each_beam  [beams] subtracted from the tick of each return of the
+/// beam
 std::vector<std::vector<char>> flag_fired_ticks(const std::vector<BeamTicks>& ticks_of_scans,
                                                 const std::vector<int>& tick_shift_of_each_beam, int n_ticks,
                                                 int min_beams) {
@@ -182,15 +196,17 @@ std::vector<std::vector<char>> flag_fired_ticks(const std::vector<BeamTicks>& ti
     return pattern;
 }
 
-/// The argument is at most one turn outside of [0, n_ticks).
+/// Moves a tick into [0, n_ticks). The argument is at most one turn outside of this
+/// range.
 int wrap_tick(int tick, int n_ticks) {
     if (tick < 0) return tick + n_ticks;
     return tick >= n_ticks ? tick - n_ticks : tick;
 }
 
-/// Returns the offset of a beam that moves most returns to ticks with returns of other
-/// beams, or 0 if no offset is clearly better.
-/// @param is_tick_fired  [scans][ticks]
+/// Returns the azimuth offset of a beam in encoder ticks, which is later subtracted from
+/// its ticks. The best offset moves the most returns to ticks at which other beams have
+/// returns. Returns 0 if no offset is clearly better than 0.
+/// @param is_tick_fired  [scans][ticks] true if other beams have returns at the tick
 int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t ring,
                      const std::vector<std::vector<char>>& is_tick_fired, int n_ticks, int max_shift) {
     std::size_t n = 0;
@@ -198,6 +214,8 @@ int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t r
     std::size_t most = 0, at_zero = 0;
     int best = 0;
     for (int i = 0; i <= 2 * max_shift; ++i) {
+        // Tries 0, -1, 1, -2, 2 and so on, so that the smallest of several equal offsets
+        // wins.
         const int shift = i % 2 == 0 ? i / 2 : -(i + 1) / 2;
         std::size_t hits = 0;
         for (std::size_t s = 0; s < ticks_of_scans.size(); ++s)
@@ -214,6 +232,8 @@ int find_tick_offset(const std::vector<BeamTicks>& ticks_of_scans, std::size_t r
     return most > at_zero + n / 100 ? best : 0;
 }
 
+/// Returns the azimuth offset of each beam in encoder ticks. All beams fire together, so
+/// correct offsets move the returns of a firing to the same tick.
 std::vector<int> find_tick_shifts(const std::vector<BeamTicks>& ticks_of_scans, int n_ticks) {
     const int reach = std::min(int(kMaxOffset_rad / (2.0 * kPi) * n_ticks), n_ticks / 2 - 1);
     std::size_t fullest = 0;
@@ -225,8 +245,9 @@ std::vector<int> find_tick_shifts(const std::vector<BeamTicks>& ticks_of_scans, 
             if (k != fullest) scan[k].clear();
     std::vector<int> shift(kRings, 0);
     auto pattern = flag_fired_ticks(reference, shift, n_ticks, 1);
-    // Pass 1 aligns all beams with the beam that has the most points, pass 2 with the
-    // ticks that have returns of kMinLasers beams.
+    // Each pass shifts each beam in azimuth, so that its returns are at the ticks that
+    // `pattern` marks. Pass 1 uses the ticks of the beam with the most points. Pass 2
+    // uses the ticks at which at least kMinLasers beams have returns after pass 1.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[std::size_t(k)] = find_tick_offset(ticks_of_scans, std::size_t(k), pattern, n_ticks, reach);
@@ -248,12 +269,15 @@ std::vector<Beam> FiringGrid::make_beams(const BeamCones& cones) const {
 }
 
 FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
-    // minimum concentration of azimuths at encoder ticks
+    // Minimum quality of the fit of the azimuths to the ticks. It is 1 if all azimuths
+    // are exactly on ticks, and 0 if they are unrelated to the ticks.
     constexpr double kMinConcentration = 0.8;
     const std::array<PolarPoints, kRings> polar = collect_polar(scans);
     FiringGrid lattice;
     lattice.head.n_ticks = kEncoderTicks;
     RingPhases phases = fit_phases(polar, 2.0 * kPi / kEncoderTicks);
+    // If the azimuths do not fit the encoder of a real HDL-64E, tries equal azimuth steps
+    // instead.
     if (phases.concentration < kMinConcentration) {
         lattice.head.n_ticks = estimate_firings(scans);
         lattice.every_tick = true;
@@ -272,7 +296,8 @@ FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans) {
         for (std::size_t k = 0; k < kRings; ++k)
             lattice.offset_rad[k] += shift[k] * lattice.head.tick_step_rad();
     }
-    // The head faces the mean direction of the beams.
+    // Shifts the offsets of all beams so that their mean is 0. The head then faces the
+    // mean direction of the beams.
     const double mean_rad =
         std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset_rad : lattice.offset_rad) offset_rad -= mean_rad;

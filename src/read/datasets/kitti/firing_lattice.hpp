@@ -29,11 +29,13 @@ struct FiringGrid {
     /// from the spin axis, positive to the left
     std::array<double, kRings> left_m{};
 
-    /// Combines the offsets of this grid with the elevations and heights of `cones`.
+    /// Returns the beams of the sensor. Combines the offsets of this grid with the
+    /// elevations and heights of `cones`.
     std::vector<Beam> make_beams(const BeamCones& cones) const;
 };
 
-/// If the azimuths fit no grid, returns equal steps and zero offsets.
+/// Estimates the azimuth grid at which the head fires, and the offsets of all beams, from
+/// a few scans. If the azimuths fit no grid, returns equal steps and zero offsets.
 FiringGrid fit_firing_grid(const std::vector<const RingScan*>& scans);
 
 /// Returns the ticks at which the head fired, in order of time: clockwise from azimuth

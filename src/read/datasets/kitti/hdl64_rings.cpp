@@ -27,8 +27,10 @@ double height_residual_m(const BeamCone& cone, const ConeSample& sample) {
     return sample.z_m - cone.z0_m - sample.rho_m * cone.tan_el;
 }
 
-/// Least squares of z = z0 + rho tan(elevation) with the horizontal distance rho. Ignores
-/// points more than max_m above or below `previous_line`.
+/// Fits the line z = z0 + rho tan(elevation) to points of a beam by least squares. rho is
+/// the horizontal distance. Ignores points more than max_m above or below
+/// `previous_line`.
+/// @return a cone with n = 0 if the fit is unreliable
 BeamCone fit_inliers(const std::vector<ConeSample>& samples, const BeamCone& previous_line, double max_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const ConeSample& s : samples) {
@@ -40,19 +42,23 @@ BeamCone fit_inliers(const std::vector<ConeSample>& samples, const BeamCone& pre
         srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // Coordinates have rounding errors of 0.3 mm. If the sum of (rho - mean)^2 per point
-    // is at least 36 m^2, the slope error is below 5e-5.
+    // Coordinates have rounding errors of 0.3 mm, so the slope is inaccurate if all
+    // points have similar distances rho. spread / n is the sum of (rho - mean of rho)^2.
+    // If it is at least 36 m^2, the slope error is below 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, std::size_t(n)};
 }
 
+/// Fits the cone of a beam robustly. Starts with all points, and then repeats the fit
+/// without points that are more than three standard deviations away.
 BeamCone fit_cone(const std::vector<ConeSample>& samples) {
     BeamCone cone = fit_inliers(samples, {}, INFINITY);
     for (int pass = 0; pass < 4 && cone.n > 0; ++pass) {
         std::vector<double> error;
         for (const ConeSample& s : samples) error.push_back(std::abs(height_residual_m(cone, s)));
-        // Standard deviation of a normal distribution from the median absolute error.
+        // The factor converts the median absolute error to the standard deviation of a
+        // normal distribution.
         const double sigma = 1.4826 * compute_median(std::move(error));
         cone = fit_inliers(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
@@ -66,6 +72,8 @@ struct HeightFit {
     double height_at_m(double tan_elevation) const { return mean_z0 + slope * (tan_elevation - mean_tan); }
 };
 
+/// Fits a line to the heights of the beams in `fitted_rings`, which belong to one laser
+/// block. The height is a linear function of tan(elevation).
 HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fitted_rings) {
     HeightFit line;
     double tt = 0.0, tz = 0.0;
@@ -82,8 +90,10 @@ HeightFit fit_heights(const BeamCones& cones, const std::vector<std::size_t>& fi
     return line;
 }
 
-/// Median of tan(elevation) over the points of a beam whose distances are too similar for
-/// a line. Its height is that of the block.
+/// Returns the median of tan(elevation) over the points of one beam. Used if all points
+/// have similar distances, so that no line can be fitted to them. `fit` gives the height
+/// of the beam; it was fitted to other beams of the block.
+/// @param initial  first guess of tan(elevation), on which the height depends
 double tan_elevation_at(const std::vector<ConeSample>& samples, const HeightFit& fit, double initial) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
@@ -94,7 +104,8 @@ double tan_elevation_at(const std::vector<ConeSample>& samples, const HeightFit&
     return initial;
 }
 
-/// Uses the fitted beams in the same half of the 64 beams.
+/// Estimates height and elevation of each beam that could not be fitted. Uses the fitted
+/// beams in the same half of the 64 beams, because each half is one laser block.
 void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSample>, kRings>& samples_of_rings,
                         const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
@@ -108,6 +119,8 @@ void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSampl
         const HeightFit line = fit_heights(cones, good);
         for (std::size_t k = first; k < first + kRings / 2; ++k) {
             if (cones[k].n > 0) continue;
+            // Interpolates tan(elevation) between the neighbouring fitted beams, or
+            // extrapolates at the ends of the block.
             const auto next = std::lower_bound(good.begin() + 1, good.end() - 1, k);
             const std::size_t a = next[-1], b = *next;
             const double along = (double(k) - double(a)) / double(b - a);
@@ -119,7 +132,8 @@ void fill_missing_cones(BeamCones& cones, const std::array<std::vector<ConeSampl
     }
 }
 
-/// Returns the ring whose cone has the smallest median distance from consecutive points.
+/// Returns the ring of a group of consecutive points. Chooses the cone with the smallest
+/// median distance from the points.
 int find_nearest_ring(const RingScan& scan, std::size_t begin, std::size_t end, const BeamCones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;

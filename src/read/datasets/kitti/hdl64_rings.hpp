@@ -32,17 +32,19 @@ struct BeamCone {
 };
 using BeamCones = std::array<BeamCone, kRings>;
 
-/// The file stores ring after ring, each starting at the forward direction. A new ring
-/// begins where the azimuth changes from the 4th to the 1st quadrant. Ring numbers are
-/// limited to 63.
+/// Splits the points of a file into rings. The file stores ring after ring, each starting
+/// at the forward direction. A new ring begins where the azimuth changes from the 4th to
+/// the 1st quadrant. Ring numbers are limited to 63.
 RingScan split_rings(std::vector<glm::vec4> points);
 
-/// Uses robust least squares and all complete scans (64 rings).
+/// Fits a cone to each ring by robust least squares. Uses all complete scans (64 rings).
+/// @param where  name of the log, for error messages
 /// @throws DataError if no scan is complete, or too few rings have enough returns
 BeamCones fit_ring_cones(const std::vector<const RingScan*>& scans, const std::string& where);
 
-/// Moves points to the ring whose cone is nearer. Counting rings fails if a beam has no
-/// returns, or if the last point of a ring was rounded to azimuth 0.
+/// Corrects the ring numbers of points that are nearer to the cone of another ring.
+/// Counting rings in file order fails if a beam has no returns. It also fails if the last
+/// point of a ring was rounded to azimuth 0, where the next ring starts.
 void correct_rings(RingScan& scan, const BeamCones& cones);
 
 }  // namespace relidar::kitti

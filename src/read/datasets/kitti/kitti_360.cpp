@@ -64,18 +64,21 @@ DriveRequest choose_drive(const fs::path& folder, const DatasetOptions& options)
         quote(options.sequence), folder.string(), quote(fmt::format("{}", fmt::join(drives, ", "))));
 }
 
-/// Some frames have no pose.
+/// Returns the LiDAR poses in the world frame, by frame number. Some frames have no pose.
+/// The dataset stores IMU poses, so the calibration of both sensors to camera 0 is
+/// applied.
 std::map<int, Pose> read_lidar_poses(const fs::path& dataset_folder, const std::string& drive_name) {
     const fs::path calibration = dataset_folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
+    // This file contains a single line of 12 numbers.
     const Pose velo_from_cam0 = read_matrices(calibration / "calib_cam_to_velo.txt", {0}).front();
     std::map<int, Pose> poses = read_numbered_poses(dataset_folder / "data_poses" / drive_name / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
 }
 
-/// Interpolates a missing pose if its neighbours are at most half a second apart, or if
-/// the car stands still.
+/// Returns the pose of a frame. Interpolates a missing pose if its neighbours are at most
+/// five frames (half a second) apart, or if the car stands still.
 std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int frame_number) {
     constexpr int kMaxFrameGap = 5;
     constexpr double kMaxStandingMotion_m = 0.2;
@@ -91,6 +94,8 @@ std::optional<Pose> pose_of_frame(const std::map<int, Pose>& poses_by_frame, int
     return interpolate(before->second, after->second, double(frame_number - before->first) / apart);
 }
 
+/// Adds all frames with a pose to the log. Adds notes for the user about interpolated and
+/// missing poses.
 void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std::vector<double>& times_s,
                       const std::map<int, Pose>& poses_by_frame) {
     std::vector<int> between, without;
@@ -112,8 +117,8 @@ void add_posed_frames(Log& sequence, const std::vector<int>& numbers, const std:
             fmt::format("frames that are skipped, because they have no pose: {}", list_text(without)));
 }
 
-/// Boxes are in the world of the dataset, so they are left out if only the user has
-/// poses.
+/// Adds the frames, poses and boxes of a drive. Boxes are in the world of the dataset, so
+/// they are omitted if only the user has poses.
 void add_kitti_360_frames(Log& sequence, const fs::path& dataset_folder, const DriveRequest& drive,
                           const std::vector<int>& numbers, const fs::path& user_pose_file) {
     const std::vector<double> time_s = read_frame_times(

@@ -26,6 +26,8 @@ namespace {
 // scans to which elevations are fitted, and to which the grid of firings is fitted
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 
+/// Returns at most `count` scans, evenly spread over the log, so that fits see different
+/// scenery.
 std::vector<const RingScan*> pick_even_scans(const std::vector<RingScan>& scans, std::size_t count) {
     std::vector<const RingScan*> some;
     count = std::min(count, scans.size());
@@ -33,6 +35,8 @@ std::vector<const RingScan*> pick_even_scans(const std::vector<RingScan>& scans,
     return some;
 }
 
+/// Reads a scan file and splits its points into rings.
+/// @param label_folder  folder of the label files; empty if the points have no labels
 RingScan read_raw_scan(const std::filesystem::path& file, const std::filesystem::path& label_folder) {
     ScanPoints scan = read_kitti_scan(file, label_folder.empty()
                                                 ? label_folder
@@ -53,10 +57,12 @@ LidarPoints to_lidar_points(const RingScan& raw_scan) {
     return points;
 }
 
-/// In a complete scan, the azimuth of the last point is near 360 degrees.
+/// Returns the azimuth of the last point of a scan, from 0 to 360 degrees. In each ring,
+/// azimuths increase from 0, so a complete scan ends near 360.
 double last_azimuth_deg(const RingScan& scan) {
     if (scan.points.empty()) return 0.0;
-    // A stray point after the last ring counts as a 65th ring, so the scan is complete.
+    // A complete scan has 64 rings. If there are more, a stray point after the last ring
+    // was counted as the start of another ring. So the scan is complete.
     if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
@@ -75,10 +81,14 @@ public:
         }
     }
 
-    /// Returns an empty string for a complete scan.
+    /// Returns why a scan is incomplete, or an empty string if it is complete. An
+    /// incomplete scan has far fewer points or rings than its neighbours, or its last
+    /// ring ends much earlier.
     std::string explain_damage(std::size_t scan_index, const std::string& name) const {
-        // One missing ring can be a beam without returns.
+        // A scan is damaged if at least this many rings are missing. One missing ring is
+        // accepted, because it can be a beam without returns.
         constexpr int kMissingRings = 2;
+        // A scan is damaged if its last point is this much earlier in azimuth than usual.
         // In complete scans, the last azimuth varies by up to 20 degrees.
         constexpr double kMissingTurn_deg = 60.0;
         if (n_points_[scan_index] == 0)
@@ -107,7 +117,8 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Median over up to five scans on each side, without values of 0.
+    /// Returns the median of a value over up to five scans before and after scan
+    /// `scan_index`. Ignores values of 0, which unreadable scans have.
     template <class T>
     static T neighbour_median(const std::vector<T>& values_of_scans, std::size_t scan_index) {
         constexpr std::size_t kNeighboursPerSide = 5;
@@ -148,7 +159,8 @@ std::string scale_intensities(std::vector<RingScan>& raw_scans, const std::strin
                        are_integers ? "whole numbers" : "numbers", highest);
 }
 
-/// Prevents allocating too much memory for rays.
+/// Checks the numbers of firings and rays before memory is allocated for the rays.
+/// @throws DataError if there are too many firings per sweep or rays per point
 void check_ray_counts(const std::vector<RingScan>& scans, const FiringGrid& grid, const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
     constexpr std::size_t kMostRaysAPoint = 200;  // a complete sweep has about 1.1 rays per point
@@ -188,7 +200,7 @@ void read_hdl64_sweeps(Log& sequence, const std::filesystem::path& scan_folder, 
             broken.record_broken(at, why + "; the file is probably truncated or damaged");
     if (broken.size() == raw.size()) broken.report_broken(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
-        // The fits below then ignore the scan.
+        // Empties broken scans, so that the fits below ignore them.
         if (broken.is_scan_broken(at)) raw[at] = {};
     if (std::string note = scale_intensities(raw, scan_folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));

@@ -80,7 +80,8 @@ void require_all_rays(const read::PointTable& table, const std::string& place) {
              kColumns);
 }
 
-/// Uses the first readable scan.
+/// Detects whether files store points by column or by beam. In the correct order, the
+/// points of a beam have similar elevations. Uses the first readable scan.
 MulranPointOrder detect_order(const std::vector<fs::path>& scan_files) {
     for (const fs::path& file : scan_files) {
         read::PointTable table;
@@ -102,7 +103,8 @@ MulranPointOrder detect_order(const std::vector<fs::path>& scan_files) {
     return MulranPointOrder::by_column;
 }
 
-/// The stamp of a file is the middle of the revolution.
+/// Computes beam and time of each point from its index in the file. The time stamp of the
+/// file is the middle of the revolution.
 void add_ring_times(read::PointTable& table, MulranPointOrder point_order, const std::string& place) {
     require_all_rays(table, place);
     std::vector<std::uint16_t> ring(table.n);
@@ -128,6 +130,8 @@ PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& l
     return track;
 }
 
+/// Returns the pose of the LiDAR on the vehicle. Rotates the published LiDAR frame by 180
+/// degrees, so that x points forward.
 Pose lidar_mount() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{make_rotation(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
@@ -186,7 +190,8 @@ Log load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
     read::read_frame_scans(sequence, files, make_point_format(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shift_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // Scans without a pose were skipped.
+        // `track` has a pose at every requested time, because scans without a pose were
+        // skipped.
         const auto pose_at = [&](double t_s) { return std::optional(track.pose_at(t_s)); };
         if (std::string note = read::correct_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

@@ -12,6 +12,8 @@ namespace relidar::street {
 namespace {
 
 constexpr double kGoldenAngle_rad = 2.399963229728653;
+// A second return needs at least this distance and this share of the light. The minimum
+// intensity prevents a division by zero for black surfaces.
 constexpr float kMinSeparation_m = 0.5f, kMinSecondShare = 0.1f, kMinIntensity = 1e-3f;
 
 struct SubRayHit {
@@ -39,6 +41,8 @@ std::vector<SubRayHit> group_hits(const Scan& cone_scan, std::size_t ray, int& n
     return returns;
 }
 
+/// Chooses the second return of a beam: the last one, or the next strongest one if the
+/// strongest return is the last. Returns an empty hit if it is too weak.
 SubRayHit choose_second(const std::vector<SubRayHit>& returns,
                         std::vector<SubRayHit>::const_iterator strongest_return) {
     SubRayHit second;
@@ -62,6 +66,7 @@ RayTable make_cone_rays(const RayTable& rays) {
             side = glm::normalize(
                 glm::cross(d, std::abs(d.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0)));
         for (int k = 0; k < kConeRays; ++k) {
+            // The square root spreads the rays evenly over the area of the cone.
             const double angle = 0.5 * rays.divergence_of_rad(i) * std::sqrt((k + 0.5) / kConeRays);
             const glm::dvec3 off = std::cos(1.0 + k * kGoldenAngle_rad) * side +
                                    std::sin(1.0 + k * kGoldenAngle_rad) * glm::cross(d, side);

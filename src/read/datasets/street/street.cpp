@@ -20,6 +20,9 @@ struct ShapeHit {
     glm::dvec3 normal{0.0};
 };
 
+/// Intersects a ray with a box around the origin (slab test). Returns no hit if the ray
+/// starts inside the box.
+/// @param half_size  half of the edge lengths
 ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& origin, const glm::dvec3& direction) {
     double enter = -std::numeric_limits<double>::infinity(), leave = -enter;
     int axis = 0;
@@ -42,6 +45,8 @@ ShapeHit intersect_box(const glm::dvec3& half_size, const glm::dvec3& origin, co
     return meeting;
 }
 
+/// Intersects a ray with an upright cylinder around the origin. Tests the curved side
+/// first and then the cap that faces the ray.
 ShapeHit intersect_cylinder(double radius, double half_height, const glm::dvec3& ray_origin,
                             const glm::dvec3& ray_direction) {
     const double a = ray_direction.x * ray_direction.x + ray_direction.y * ray_direction.y,
@@ -64,7 +69,8 @@ ShapeHit intersect_cylinder(double radius, double half_height, const glm::dvec3&
     return best;
 }
 
-/// The axis points down from the origin.
+/// Intersects a ray with a capsule whose axis points down from the origin. Tests the
+/// curved side and both end spheres.
 ShapeHit intersect_capsule(double radius, double length, const glm::dvec3& ray_origin,
                            const glm::dvec3& ray_direction) {
     ShapeHit best;
@@ -92,16 +98,19 @@ glm::dvec3 rotate_about_z(const glm::dvec3& vector, double cosine, double sine) 
     return {cosine * vector.x - sine * vector.y, sine * vector.x + cosine * vector.y, vector.z};
 }
 
-/// Walls that face the y direction have windows of dark glass, 1.2 x 1.5 m, every 3 m.
+/// Returns true if a point of a wall is on a window. Walls that face the y direction have
+/// windows of dark glass, 1.2 x 1.5 m, every 3 m.
 bool is_window(const StreetShape& wall, const glm::dvec3& local_point, const glm::dvec3& local_normal) {
     if (std::abs(local_normal.y) < 0.5) return false;
     const double u = local_point.x + wall.half.x, v = local_point.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
+/// Returns the bounding sphere of a shape, through the corners of its box.
 Sphere bounding_sphere(const StreetShape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
-/// The centre is the centre of the box around the centres of the shapes.
+/// Returns a sphere that contains several shapes. Its centre is the centre of the box
+/// around the centres of the shapes.
 Sphere bounding_sphere(std::span<const StreetShape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const StreetShape& shape : shapes) {
@@ -118,12 +127,13 @@ Sphere bounding_sphere(std::span<const StreetShape> shapes) {
 
 }  // namespace
 
-/// The caller passes all shapes, one after another.
+/// Finds the nearest surface on a ray. The caller passes all shapes, one after another.
 class StreetCaster::NearestSurfaceSearch {
 public:
     NearestSurfaceSearch(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// The ray misses the sphere or has already hit a nearer surface.
+    /// Returns true if the shapes inside a sphere need no test, because the ray misses
+    /// the sphere or has already hit a nearer surface.
     bool can_skip_sphere(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to = sphere.centre - origin;
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
@@ -131,23 +141,30 @@ public:
         return along < -sphere.radius_m || along - sphere.radius_m > nearest_m_;
     }
 
-    /// A road with a dashed centre line, and pavements on both sides.
+    /// Intersects the ray with the ground: a road with a dashed centre line, and
+    /// pavements on both sides. Stores the hit if it is the nearest so far.
     void hit_ground() {
         if (!(ray_.direction.z < 0.0)) return;
         const double t = -ray_.origin_m.z / ray_.direction.z;
         if (!(t > 0.0) || t > nearest_m_) return;
         nearest_m_ = t;
         const glm::dvec3 point = ray_.origin_m + t * ray_.direction;
+        // The road is 8.4 m wide and its middle is at y = 1.7 m. The dashes of the centre
+        // line are 3 m long and repeat every 6 m.
         const double middle = std::abs(point.y - 1.7), cosine = -ray_.direction.z;
         const bool dash = middle < 0.08 && point.x - 6.0 * std::floor(point.x / 6.0) < 3.0;
         if (middle < 4.2) hit_ = StreetHit{t, cosine, dash ? 0.8 : 0.18, SurfaceClass::road};
         else hit_ = StreetHit{t, cosine, 0.32, SurfaceClass::sidewalk};
     }
 
-    /// @param ray_origin,ray_direction  in the frame of the centre of the shape
+    /// Intersects the ray with a shape. Stores the hit if it is the nearest so far.
+    /// @param ray_origin,ray_direction  ray in the frame in which the pose of the shape
+    /// is given
     void hit_solid(const RayCastShape& solid, const glm::dvec3& ray_origin, const glm::dvec3& ray_direction) {
         if (can_skip_sphere(solid.around, ray_origin, ray_direction)) return;
         const StreetShape& shape = solid.shape;
+        // Rotates the ray into the frame of the shape, in which the shape is
+        // axis-aligned.
         const double c = solid.cos_yaw, s = -solid.sin_yaw;
         const glm::dvec3 o = rotate_about_z(ray_origin - shape.centre, c, s),
                          d = rotate_about_z(ray_direction, c, s);
@@ -161,11 +178,15 @@ public:
             StreetHit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance, shape.surface};
     }
 
-    /// @param pitch_rad  swing of the limb, from straight down to the front
-    /// @param ray_origin,ray_direction  in the frame of the box of the person
+    /// Intersects the ray with an arm or a leg. Stores the hit if it is the nearest so
+    /// far.
+    /// @param pitch_rad  swing angle of the limb, from straight down to the front
+    /// @param ray_origin,ray_direction  ray in the frame of the box of the person
     void hit_limb(const SwingingLimb& limb, double pitch_rad, const glm::dvec3& ray_origin,
                   const glm::dvec3& ray_direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
+        // Rotates a vector so that the limb hangs straight down, as intersect_capsule()
+        // expects.
         const auto hanging = [&](const glm::dvec3& vector) {
             return glm::dvec3(c * vector.x + s * vector.z, vector.y, c * vector.z - s * vector.x);
         };
@@ -211,6 +232,8 @@ std::vector<StreetCaster::RayCastShape> StreetCaster::prepare_shapes(const std::
     return solids;
 }
 
+/// Groups consecutive shapes into clusters, so that a ray that misses the bounding sphere
+/// of a cluster skips all its shapes.
 StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(street.shapes)) {
     // maximum radius of a group of shapes, such as a car, a bush or a part of a fence
     constexpr double kMaxClusterRadius_m = 4.0;
@@ -236,6 +259,7 @@ StreetCaster::StreetCaster(SyntheticStreet street) : solids_(prepare_shapes(stre
     }
 }
 
+/// Computes the poses of all cars at a time, unless the cache already contains this time.
 void StreetCaster::place_cars(double time_s, ActorPoses& car_pose_cache) const {
     if (car_pose_cache.time_s == time_s) return;
     car_pose_cache.time_s = time_s;

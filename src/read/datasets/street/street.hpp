@@ -49,9 +49,10 @@ struct MovingStreetActor {
     PoseTrack track;
 
     Pose world_from_box_at(double time_s) const;
-    /// Distance that a person has walked; it controls the swing of limbs. Without a
-    /// `track`, it is 0 at time 0. With a `track`, its value at the first pose is the
-    /// distance from start_m to this pose along yaw_rad.
+    /// Returns the distance in metres that a person has walked until `time_s`. It
+    /// controls the swing of arms and legs. Without a `track`, it is 0 at time 0. With a
+    /// `track`, its value at the first pose is the distance from start_m to this pose
+    /// along yaw_rad.
     double walked_m(double time_s) const;
 };
 
@@ -60,10 +61,12 @@ struct SyntheticStreet {
     std::vector<MovingStreetActor> cars;
 };
 
-/// The random seed determines the positions of facades, poles, trees and parked cars.
+/// Creates the shapes of a synthetic street. The random seed in the options determines
+/// the positions of facades, poles, trees and parked cars.
 SyntheticStreet make_street(const StreetOptions& options);
 
-/// The sensor swings gently across the lane, faces along its path, and has a small pitch.
+/// Returns the pose of the sensor on its drive along the street. The sensor swings gently
+/// across the lane, faces along its path, and has a small pitch. Frame 0 has the time 0.
 Pose sensor_pose_at(const StreetOptions& options, double time_s);
 
 /// 0.1 s apart; frame 0 has the time 0
@@ -91,8 +94,10 @@ struct ActorPoses {
 class StreetCaster {
 public:
     explicit StreetCaster(SyntheticStreet street);
-    /// Returns nothing beyond max_range_m.
-    /// @param car_pose_cache  recomputed if its time differs from time_s
+    /// Returns the first surface that a ray hits at a time. Returns nothing beyond
+    /// max_range_m.
+    /// @param car_pose_cache  cached poses of the cars; recomputed if their time differs
+    /// from time_s
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m,
                                             ActorPoses& car_pose_cache) const;
     std::optional<StreetHit> find_first_hit(const WorldRay& ray, double time_s, double max_range_m) const;
@@ -130,7 +135,8 @@ private:
 
 namespace relidar {
 
-/// Generates the frames [begin_frame, end_frame) of a log.
+/// Generates the frames [begin_frame, end_frame) of the log that make_street_log()
+/// generates.
 Log make_frames(const StreetOptions& options, int begin_frame, int end_frame);
 
 }  // namespace relidar

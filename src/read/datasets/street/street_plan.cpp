@@ -57,6 +57,9 @@ struct StreetSide {
     double half_m;  ///< half of the length of the street
 };
 
+/// Adds house facades on one side of the street. A gap of 2 to 5 m follows 30 % of the
+/// houses.
+/// @param yard_gap  if true, leaves a gap for the yard
 void add_facades(SyntheticStreet& street, Random& random, const StreetSide& street_side, bool yard_gap) {
     const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m; x < half_m;) {
@@ -73,6 +76,7 @@ void add_facades(SyntheticStreet& street, Random& random, const StreetSide& stre
     }
 }
 
+/// Adds lamp posts and trees on the pavement of one side.
 void add_poles(SyntheticStreet& street, Random& random, const StreetSide& street_side) {
     const auto& [side, kerb_m, half_m] = street_side;
     for (double x = -half_m + random.sample_uniform(2.0, 8.0); x < half_m;
@@ -91,7 +95,8 @@ void add_poles(SyntheticStreet& street, Random& random, const StreetSide& street
     }
 }
 
-/// a body at 0.20 to 0.90 m, and a cabin at 0.90 to 1.45 m above the ground
+/// Returns the shapes of a car in the frame of its box. The body is 0.20 to 0.90 m above
+/// the ground, and the cabin 0.90 to 1.45 m.
 std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
     return {make_box({0.0, 0.0, 0.55 - kBoxCentre_m}, {0.5 * kCarLength_m, 0.5 * kCarWidth_m, 0.35},
                      Material::paint, paint_reflectance),
@@ -99,7 +104,8 @@ std::vector<StreetShape> make_car_shapes(double paint_reflectance) {
                      Material::paint, 0.6 * paint_reflectance)};
 }
 
-/// The cabin has pillars, seats and a roof, but no walls.
+/// Returns the shapes of a car with transparent windows. Its cabin has pillars, seats and
+/// a roof, but no walls.
 std::vector<StreetShape> make_glazed_car(double paint_reflectance) {
     std::vector<StreetShape> shapes{
         make_car_shapes(paint_reflectance)[0],
@@ -113,6 +119,7 @@ std::vector<StreetShape> make_glazed_car(double paint_reflectance) {
     return shapes;
 }
 
+/// Adds a car at rest. Moves its shapes from the frame of its box to the street.
 void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_rad,
                     const std::vector<StreetShape>& car_shapes) {
     for (StreetShape shape : car_shapes) {
@@ -126,6 +133,7 @@ void add_parked_car(SyntheticStreet& street, double x_m, double y_m, double yaw_
     }
 }
 
+/// Adds parked cars on the road, next to the kerb.
 void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& side, bool glass_windows) {
     for (double x = -side.half_m + random.sample_uniform(2.0, 10.0); x < side.half_m - 5.0;
          x += random.sample_uniform(6.0, 20.0)) {
@@ -136,8 +144,8 @@ void add_parked_cars(SyntheticStreet& street, Random& random, const StreetSide& 
     }
 }
 
-/// The fence hides about half of each parked car. A moving sensor therefore sees other
-/// parts of the cars in every sweep.
+/// Adds a yard with parked cars behind a fence. The fence hides about half of each car,
+/// so a moving sensor sees other parts of the cars in every sweep.
 void add_yard(SyntheticStreet& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.sample_uniform(0.4, 1.2))
@@ -153,6 +161,8 @@ void add_yard(SyntheticStreet& street, Random& random) {
                                      {0.5 * (kYardEnd_m - kYardBegin_m), 1.0, 3.0}, Material::wall, 0.5));
 }
 
+/// Returns a car that drives straight at constant speed. In the middle of the log, the
+/// sensor is at x = 0 and the car at `x_at_middle_time_m`.
 MovingStreetActor make_moving_car(const StreetOptions& options, double x_at_middle_time_m, double y_m,
                                   double yaw_rad, double speed_mps, double paint_reflectance) {
     MovingStreetActor car;
@@ -165,7 +175,8 @@ MovingStreetActor make_moving_car(const StreetOptions& options, double x_at_midd
     return car;
 }
 
-/// The car is 14 m ahead in the middle of the log. A long street has one per 120 m.
+/// Adds a car that drives towards the sensor and is 14 m ahead of it in the middle of the
+/// log. A long street has one oncoming car per 120 m.
 void add_oncoming_cars(SyntheticStreet& street, Random& random, const StreetOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(make_moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
@@ -189,7 +200,8 @@ void add_bush(SyntheticStreet& street, Random& random, const glm::dvec2& p) {
     }
 }
 
-/// 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above the ground.
+/// Returns a pedestrian, 1.75 m tall and 0.25 to 0.35 m wide. The box begins 0.05 m above
+/// the ground, so that it contains the feet but no ground.
 MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2& position_at_middle_time_m,
                                   double yaw_rad, double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
@@ -206,8 +218,8 @@ MovingStreetActor make_pedestrian(const StreetOptions& options, const glm::dvec2
     return walker;
 }
 
-/// Feet on the ground do not slide: they swing backward as fast as the body moves
-/// forward.
+/// Replaces the legs of a pedestrian by arms and legs that swing. Feet on the ground do
+/// not slide: they swing backward as fast as the body moves forward.
 void add_swinging_limbs(MovingStreetActor& pedestrian) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -239,6 +251,8 @@ MovingStreetActor make_cyclist(const StreetOptions& options, const glm::dvec2& m
     return rider;
 }
 
+/// Adds a pedestrian on each pavement, a pedestrian who crosses the street, and a cyclist
+/// next to the lane.
 void add_people(SyntheticStreet& street, Random& random, const StreetOptions& options) {
     const std::size_t first = street.cars.size();
     struct Walk {
@@ -274,7 +288,8 @@ SyntheticStreet make_street(const StreetOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // The sensor never overtakes the car ahead.
+        // Initial distance of the car ahead. It is so large that the sensor never
+        // overtakes the car.
         const double ahead_m =
             driven_m(options) > kLongDrive_m ? 12.0 + 0.05 * 0.5 * driven_m(options) : 12.0;
         street.cars.push_back(make_moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));

@@ -60,6 +60,8 @@ SpinningSensor make_default_sensor(const StreetOptions& options) {
     return sensor;
 }
 
+/// Returns the probability that a hit is too weak for the receiver. The formula is at the
+/// top of this file.
 double drop_chance(const StreetHit& hit) {
     const double echo = hit.reflectance * hit.cosine * std::min(1.0, std::pow(25.0 / hit.range_m, 2));
     return 1.0 / (1.0 + std::pow(echo / 0.01, 3));
@@ -69,10 +71,11 @@ double echo_intensity(const StreetHit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
-/// Skips shapes that no ray of one sweep can reach.
+/// Returns only the shapes that the rays of one sweep can reach. This makes ray casting
+/// faster.
 street::SyntheticStreet crop_street(const street::SyntheticStreet& full_street,
                                     const glm::dvec3& sensor_position_m, double time_s) {
-    // how far the sensor and the cars can move during a sweep
+    // Upper limit of the distances that the sensor and the cars move during a sweep.
     constexpr double kMaxSweepMotion_m = 20.0;
     street::SyntheticStreet nearby_street;
     for (const street::StreetShape& shape : full_street.shapes)
@@ -86,7 +89,8 @@ street::SyntheticStreet crop_street(const street::SyntheticStreet& full_street,
     return nearby_street;
 }
 
-/// Casts every ray at its firing time. Calls on_hit(ray, hit) for each hit.
+/// Casts every ray of a scan at its firing time. Calls on_hit(ray, hit) for each ray that
+/// hits a surface.
 template <class Receive>
 void cast_rays(const street::SyntheticStreet& full_street, const glm::dvec3& world_origin_in_street_m,
                const PoseTrack& sensor_track, double scan_time_s, const RayTable& rays,
@@ -94,7 +98,8 @@ void cast_rays(const street::SyntheticStreet& full_street, const glm::dvec3& wor
     const street::StreetCaster street(crop_street(
         full_street, sensor_track.pose_at(scan_time_s).translation + world_origin_in_street_m, scan_time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
-    // Rays of a column usually have the same time.
+    // One cache of car poses per column, because rays of a column usually have the same
+    // time.
     std::vector<street::ActorPoses> actor_poses_by_column(columns);
     for (std::size_t ray = 0; ray < rays.size(); ++ray) {
         WorldRay in_street = make_world_ray(sensor_track, scan_time_s, rays, ray, true);
@@ -118,7 +123,8 @@ glm::dvec3 world_origin_m(const StreetOptions& options) {
     return street::sensor_pose_at(options, street::frame_time_of_s(options.n_frames / 2)).translation;
 }
 
-/// Rays with a drop probability above 0.5 are dropped.
+/// Returns an exact scan without noise. Rays with a drop probability above 0.5 are
+/// dropped.
 Scan cast_scan(const street::SyntheticStreet& street, const glm::dvec3& world_origin_in_street_m,
                const RayTable& rays, const PoseTrack& sensor_track, double scan_time_s) {
     Scan scan = make_empty_scan(rays);
@@ -132,6 +138,8 @@ Scan cast_scan(const street::SyntheticStreet& street, const glm::dvec3& world_or
     return scan;
 }
 
+/// Returns an exact scan with two returns per ray. Casts thin rays inside the cone of
+/// each beam, and combines their hits.
 Scan cast_dual_scan(const street::SyntheticStreet& street, const glm::dvec3& world_origin_in_street_m,
                     const RayTable& rays, const PoseTrack& sensor_track, double scan_time_s) {
     if (!(rays.max_divergence_rad() > 0.0))
@@ -167,6 +175,8 @@ Scan simulate_dual_scan(const StreetOptions& options, const street::SyntheticStr
     return scan;
 }
 
+/// Returns a scan with noisy ranges and intensities. The random numbers depend only on
+/// seed, frame and ray, so threads can generate frames in any order.
 Scan simulate_scan(const StreetOptions& options, const street::SyntheticStreet& street, const Log& sequence,
                    const RayTable& rays, const Frame& frame) {
     Scan scan = make_empty_scan(rays);
@@ -197,6 +207,8 @@ std::vector<BoxTrack> make_car_tracks(const street::SyntheticStreet& street,
     return build_tracks(labels);
 }
 
+/// Returns the sensors in the rig file (a list of mounted sensors). Without a rig file,
+/// returns the default sensor.
 std::vector<MountedSensor> read_street_rig(const StreetOptions& options) {
     if (options.rig.empty()) {
         const SpinningSensor default_sensor = make_default_sensor(options);
@@ -248,6 +260,8 @@ Log make_frames(const StreetOptions& options, int begin_frame, int end_frame) {
     parallel_for(int(sequence.frames.size()), [&](int index) {
         Frame& frame = sequence.frames[std::size_t(index)];
         const std::size_t l = std::size_t(frame.lidar);
+        // Some patterns change from sweep to sweep, so their rays depend on the time of
+        // the frame.
         const bool changes = summarise_pattern(rig[l].sensor.pattern).has_rays_by_time;
         const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
         frame.scan = rig[l].returns == 2 ? simulate_dual_scan(options, street, sequence, table, frame)
@@ -260,6 +274,8 @@ Log make_street_log(const StreetOptions& options) { return make_frames(options, 
 
 namespace {
 
+/// Replaces all cars of the street by the cars of an edit that exist at `time_s`. Their
+/// tracks are in the world frame and are moved to the frame of the street.
 void replace_cars(street::SyntheticStreet& street, const std::vector<SyntheticCar>& edited_cars,
                   const glm::dvec3& world_origin_in_street_m, double time_s) {
     const std::vector<street::MovingStreetActor> original_cars = std::move(street.cars);

@@ -99,7 +99,8 @@ std::string record_location(const TfRecordReader& records, int record_index) {
     return fmt::format("{}: record {}", records.file_path().string(), record_index);
 }
 
-/// The pose image stores roll, pitch, yaw, x, y, z.
+/// Returns the vehicle pose when a pixel was measured. The pose image stores it as roll,
+/// pitch, yaw, x, y, z.
 Pose read_pixel_pose(const InflatedImage& pose_image, std::size_t pixel_index, const std::string& place) {
     const float* v = pose_image.pixel_values(pixel_index);
     if (!std::all_of(v, v + 6, [](float value) { return std::abs(value) <= 1e8f; }))
@@ -108,10 +109,12 @@ Pose read_pixel_pose(const InflatedImage& pose_image, std::size_t pixel_index, c
     return {make_rotation(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-// range, intensity, elongation, no-label zone; and roll, pitch, yaw, x, y, z
+// Channels of the range image: range, intensity, elongation, no-label zone. Channels of
+// the pose image: roll, pitch, yaw, x, y, z.
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Returns nothing if the LiDAR has no image of poses.
+/// Reads the image with the vehicle pose of each pixel. Returns nothing if the LiDAR has
+/// no such image.
 std::optional<InflatedImage> read_pose_image(const LaserImages& laser_images,
                                              const InflatedImage& range_image, const std::string& place) {
     if (laser_images.pixel_pose.empty()) return std::nullopt;
@@ -129,8 +132,9 @@ const LaserImages& find_laser_images(const SegmentFrame& record, int laser_id, c
          kLaserNames[laser_id]);
 }
 
-/// Waymo stores a pose for each pixel of TOP. Uses the pixel with a return nearest to the
-/// middle column, where TOP faces forward.
+/// Returns the vehicle pose at which the roof LiDAR (TOP) faces forward. Waymo stores a
+/// vehicle pose for each pixel of TOP. Uses the pixel with a return that is nearest to
+/// the middle column.
 Pose forward_pose(const SegmentFrame& frame_record, const std::string& place) {
     if (frame_record.images.empty() || frame_record.images.front().laser != kTopLaser)
         return frame_record.world_from_vehicle;
@@ -165,6 +169,7 @@ WaymoFrameHeader read_header(const TfRecordReader& records, int record_index) {
     return {frame.timestamp_us, forward_pose(frame, where), std::move(frame.labels)};
 }
 
+/// Returns the median time between frames, or 0.1 s if there is only one frame.
 double frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers, const std::string& place) {
     std::vector<double> steps_s;
     for (std::size_t i = 1; i < frame_headers.size(); ++i)
@@ -176,6 +181,8 @@ double frame_period_s(const std::vector<WaymoFrameHeader>& frame_headers, const 
     return period_s;
 }
 
+/// Returns the model of a LiDAR: beams, columns and pose on the vehicle. Waymo does not
+/// store a model, so it follows from the calibration and the image size.
 Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& laser_images, double period_s,
                        const std::string& place) {
     if (laser_images.laser < 1 || laser_images.laser >= int(std::size(kLaserNames)))
@@ -195,6 +202,8 @@ Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& lase
     lidar.sensor.first_azimuth_rad = kPi - kPi / image.columns;
     for (const double elevation : row_elevations_rad(*calibration, image.rows, place))
         lidar.sensor.beams.push_back({elevation});
+    // Removes the yaw of the mount, because the middle column of every range image faces
+    // the front of the vehicle.
     const glm::dvec3 ahead = calibration->vehicle_from_laser.rotation * glm::dvec3(1, 0, 0);
     const Pose turned{glm::angleAxis(-std::atan2(ahead.y, ahead.x), glm::dvec3(0, 0, 1)), {}};
     lidar.vehicle_from_sensor = calibration->vehicle_from_laser * turned;
@@ -204,11 +213,15 @@ Lidar make_waymo_lidar(const SegmentFrame& frame_record, const LaserImages& lase
 /// Converts the range images of a LiDAR to a scan with one ray per pixel.
 class RangeImageReader {
 public:
+    /// Creates a reader for one LiDAR in one frame.
+    /// @param clamps  if true, intensities are clamped to 1; if false, they are scaled
+    /// with tanh
     RangeImageReader(const Log& sequence, const Frame& frame, RayTable model, std::string place, bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(place)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
+        // All rays of a column fire at the same time, so one pose per column is enough.
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
             sensor_from_world_.push_back(
@@ -218,6 +231,9 @@ public:
 
     Scan scan;
 
+    /// Fills `scan` with the returns, classes and second returns of the images.
+    /// @param world_from_vehicle  vehicle pose of the frame, for LiDARs without pixel
+    /// poses
     void to_scan(const LaserImages& lidar_images, const Pose& world_from_vehicle) {
         const InflatedImage image = inflate_scan_image(lidar_images.first);
         const std::optional<InflatedImage> poses = read_pose_image(lidar_images, image, where_);
@@ -277,8 +293,9 @@ private:
     }
 
     /// Changes the ray in the sensor frame, so that the interpolated pose of the log puts
-    /// it where the exact pose would.
-    /// @param world_from_vehicle  exact pose for this ray
+    /// it at the correct place in the world. The dataset has an exact vehicle pose for
+    /// each ray, but the log only interpolates between vehicle poses.
+    /// @param world_from_vehicle  exact vehicle pose for this ray
     void correct_ray(std::size_t ray_index, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray_index % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -288,7 +305,8 @@ private:
     }
 };
 
-/// The first frame defines the LiDARs.
+/// Adds LiDARs, frames and box labels to the log, but no scans. The first frame defines
+/// the LiDARs.
 void add_segment_frames(Log& sequence, const TfRecordReader& records,
                         const std::vector<WaymoFrameHeader>& frame_headers, int first_record,
                         bool only_top_lidar) {
@@ -308,8 +326,8 @@ void add_segment_frames(Log& sequence, const TfRecordReader& records,
     set_log_start(sequence, 1000 * start_us, "on the clock of the dataset");
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < frame_headers.size(); ++i) {
-        // The stamp is the start of the sweep, when the head faces backward; the time of
-        // a frame is half a period later.
+        // The time stamp is the start of the sweep, when the head faces backward. The
+        // time of a frame is half a period later, when the head faces forward.
         const double time_s = 1e-6 * double(frame_headers[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, first_record + int(i), time_s, frame_headers[i].world_from_vehicle, lidar);
@@ -321,12 +339,15 @@ void add_segment_frames(Log& sequence, const TfRecordReader& records,
     sequence.boxes = build_tracks(labels);
 }
 
+/// Reads the scans of all LiDARs. Parses each record only once, because it contains the
+/// images of all LiDARs.
 void read_record_scans(Log& sequence, const TfRecordReader& records, const DatasetOptions& options) {
     ScanErrorCollector broken(options.skip_broken);
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // Only TOP has ray times. Other rays get the time of the frame.
+        // The dataset has ray times only for the roof LiDAR (TOP). Rays of other LiDARs
+        // get the time of the frame.
         if (lidar.name != kLaserNames[kTopLaser])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
