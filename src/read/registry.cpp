@@ -133,7 +133,7 @@ void visit_ranges(const Scan& scan, const Visit& visit) {
 /// Returns the largest range of all returns of a LiDAR, rounded up to metres. Returns 80
 /// m if the LiDAR has no returns.
 double farthest_return_m(const Log& sequence, int lidar_index) {
-    // No LiDAR on a vehicle measures larger ranges.
+    // Larger ranges are ignored as errors, because no LiDAR on a vehicle measures them.
     constexpr float kMaxPlausibleRange_m = 1000.0f;
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
@@ -366,10 +366,10 @@ Log load_sequence(const std::string& dataset, const DatasetOptions& options) {
     Log sequence = kind_of_path(dataset, options.sequence).load(split_dataset(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;
     check_sequence(sequence);
-    if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
-    // The order matters. Other LiDARs are removed first, so that they cost no time. Range
-    // limits come after the removal of far markers, which would otherwise define the
+    // Other LiDARs are removed first, so that the steps below do not process them. Range
+    // limits are applied after far markers are removed, because a far marker is not a
     // maximum range.
+    if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
     read::fix_inverted_poses(sequence);
     estimate_sweeps(sequence);
     remove_drop_markers(sequence);

@@ -20,7 +20,10 @@ struct EncoderTickGrid {
     int n_ticks = 0;        ///< number of ticks in a sweep
     double zero_rad = 0.0;  ///< azimuth of tick 0
 
+    /// Returns the angle between two consecutive ticks.
     double tick_step_rad() const;
+    /// Returns the encoder tick nearest to an azimuth of the rotating head, in [0,
+    /// n_ticks).
     int nearest_tick(double head_azimuth_rad) const;
     /// Returns the azimuth of the rotating head at an encoder tick, in (-pi, pi].
     double tick_azimuth_rad(int tick) const;
@@ -34,8 +37,9 @@ struct SweepFirings {
     std::vector<int> firings;
 };
 
-/// Returns a sweep with `sensor.columns` equal azimuth steps. Chooses the first azimuth
-/// so that the steps match the measured points.
+/// Returns a sweep in which the LiDAR fires at `sensor.columns` equally spaced azimuths
+/// of its rotating head. Chooses the first azimuth so that these azimuths match the head
+/// azimuths at which the beams measured the points.
 /// @param points  points with beam numbers (`LidarPoints::ring`)
 SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sensor);
 
@@ -49,18 +53,21 @@ SweepFirings fit_even_sweep(const LidarPoints& points, const SpinningSensor& sen
 /// kept. A point beyond sensor.max_range_m gets a ray only if no other point uses this
 /// ray. limit_ranges() removes such points later.
 ///
-/// The firing time of a ray is the time of its point, or of the nearest firing in the
-/// sweep. Without times, the head faces forward at time 0. If a sweep has fewer firings
-/// than sensor.columns, some firings are repeated with their returns, because additional
-/// dropped rays would be wrong: first next to gaps, then at the end of the sweep.
+/// The firing time of a ray is the time of its point. A ray without a point gets the time
+/// of the nearest firing in the sweep. For points without times, the firing time is
+/// computed from a head that faces forward at time 0. If a sweep has fewer firings than
+/// sensor.columns, some firings are repeated with their returns, because additional
+/// dropped rays would be wrong. Firings next to gaps are repeated first, then firings at
+/// the end of the sweep.
 /// @param points  points with rings
 /// @throws UsageError if the points have no rings, if a ring has no beam, or if the
 /// arrays have different lengths
 Scan spinning_scan(const LidarPoints& points, const SpinningSensor& sensor, const SweepFirings& firings);
 
-/// Builds a scan with one ray from the sensor origin to each point (rows = 1), in the
-/// order of the points. Rays without a return are unknown. The other returns of a ray
-/// must follow its first return. Beam numbers are not needed.
+/// Builds the scan of a LiDAR whose rays do not form an image (rows = 1). The scan has
+/// one ray from the sensor origin to each point, in the order of the points. Rays without
+/// a return are unknown and are not in the scan. The other returns of a ray must follow
+/// its first return in `points`. Beam numbers are not needed.
 /// @throws UsageError if the arrays have different lengths
 Scan scan_of_points(const LidarPoints& points);
 
@@ -95,15 +102,19 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// @throws DataError if the azimuths are not in steps
 FittedSensor fit_spinning_sensor(const std::vector<LidarPoints>& scans, double period_s);
 
-/// Reverts the motion compensation of a scan: converts points from the sensor frame at
-/// time `compensated_time_s` to the sensor frame at their firing times.
+/// Reverts the motion compensation of a scan, in which all points are in the sensor frame
+/// at time `compensated_time_s`. Converts each point to the sensor frame at its firing
+/// time.
+/// @param points  points with firing times
 /// @param world_from_sensor  poses of the LiDAR that measured the points
 void undo_deskew(LidarPoints& points, const PoseTrack& world_from_sensor, double compensated_time_s);
 
+/// Returns the pose with this rotation and translation.
 /// @param where  file and field, for the error message
 /// @throws DataError if the matrix is not a rotation within 1e-3
 Pose make_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
-/// @param matrix [3 x 4] or [4 x 4] row-major; ignores the last row
+/// Returns the pose of a transform matrix.
+/// @param matrix  [3 x 4] or [4 x 4] row-major; ignores the last row
 Pose make_pose(std::span<const double> matrix, const std::string& where);
 
 /// Appends a frame with an empty scan, and the vehicle's pose at this time unless a frame
@@ -114,6 +125,7 @@ Frame& add_frame(Log& sequence, int number, double time_s, const Pose& world_fro
 /// coordinates are small enough for single precision. Adjusts poses, boxes and
 /// world_offset_m.
 void centre_log(Log& sequence);
+/// Moves the world origin to a given point, and adjusts the log in the same way.
 /// @param new_origin_m  new origin, in the world frame before the move
 void centre_log(Log& sequence, glm::dvec3 new_origin_m);
 

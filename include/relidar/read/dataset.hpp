@@ -19,6 +19,7 @@ struct FrameRange {
     int begin = 0;
     int end = -1;  ///< -1: up to the last frame
 
+    /// Returns true if a frame with this number is in the range.
     bool contains(int number) const { return number >= begin && (end < 0 || number < end); }
 };
 
@@ -76,7 +77,8 @@ struct DatasetOptions {
 /// @throws UsageError for an unknown kind or an empty frame range
 Log load_sequence(const std::string& dataset, const DatasetOptions& options);
 
-/// Makes the path of a dataset argument absolute. Keeps a prefix "kind:".
+/// Makes the path in a dataset argument of load_sequence() absolute, so that the argument
+/// does not depend on the working directory. Keeps a prefix "kind:".
 std::string absolute_dataset(const std::string& dataset);
 
 /// Returns the kind of a dataset, for example "kitti_raw" (docs/datasets.md).
@@ -162,6 +164,7 @@ struct SyntheticCar {
 Scan cast_street_rays(const StreetOptions& options, const std::vector<SyntheticCar>& cars,
                       const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
+/// Reads the options of a synthetic log that save_street() wrote.
 /// @throws DataError naming the key that is wrong
 StreetOptions load_street(const std::filesystem::path& folder);
 

@@ -53,6 +53,7 @@ std::string read_udp_profile(const std::filesystem::path& metadata_file);
 /// gap.
 class PacketEncoder {
 public:
+    /// Creates an encoder for the packets of one sensor.
     /// @param sensor  sensor whose name selects the packet format
     /// @throws UsageError if packets of this sensor cannot be written. The message lists
     /// the sensors that can be written.
@@ -68,8 +69,8 @@ public:
     std::vector<SensorPacket> add_scan(const Scan& scan, double time_s);
     /// Returns the remaining packets, after the last scan.
     std::vector<SensorPacket> flush();
-    /// Must be called after the last scan, because the calibration of an Ouster contains
-    /// the azimuths of all firings.
+    /// Returns the calibration that belongs to the packets. Must be called after the last
+    /// scan, because the calibration of an Ouster contains the azimuths of all firings.
     PacketCalibrationFile calibration_file() const;
     int udp_port() const;  ///< UDP port to which the sensor usually sends
 
@@ -82,9 +83,11 @@ private:
 /// 192.168.1.201 to all receivers.
 class PcapWriter {
 public:
+    /// Creates the file.
     /// @param port  destination port of the datagrams
     /// @throws DataError if the file cannot be written
     PcapWriter(const std::filesystem::path& file, int port);
+    /// Appends packets to the file.
     /// @throws DataError if the disk is full
     void write_packets(const std::vector<SensorPacket>& packets);
     void close_file();
@@ -96,8 +99,9 @@ private:
     std::uint16_t n_written_ = 0;
 };
 
-/// Writes the scans of a log with a single LiDAR as a network capture, and the
-/// calibration as a second file with the ending .csv or .json.
+/// Writes the scans of a log as a network capture of LiDAR packets. The log must have a
+/// single LiDAR. The calibration is written to a second file with the same name and the
+/// ending .csv or .json.
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or in the same cases as
 /// PacketEncoder

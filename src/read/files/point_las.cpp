@@ -65,8 +65,9 @@ LasHeader parse_header(std::string_view bytes, const std::string& where) {
     return header;
 }
 
-/// Throws for a map or survey coordinates. The sensor is at the origin, so some points
-/// must be near it, perhaps all on one side.
+/// Throws if the points are a map or in survey coordinates. The sensor of a scan is at
+/// the origin, so some points must be near the origin. They can all be on one side,
+/// because some sensors only look forward.
 void check_near_origin(const std::array<std::vector<double>, 3>& coordinates_m, const std::string& where) {
     for (std::size_t axis = 0; axis < 2; ++axis) {
         const auto [least, most] = std::ranges::minmax(coordinates_m[axis]);
@@ -93,6 +94,8 @@ PointTable parse_las(const SharedBytes& file, const std::string& where) {
         for (std::size_t axis = 0; axis < 3; ++axis)
             p[axis][i] =
                 header.scale[axis] * read_unaligned<std::int32_t>(point, 4 * axis) + header.offset_m[axis];
+        // The return number has 4 bits in new point formats and 3 bits in old ones. A ray
+        // keeps at most 8 returns.
         return_numbers[i] = std::uint8_t(std::min(point[14] & (header.is_extended() ? 15 : 7), 8));
     }
     check_near_origin(p, where);

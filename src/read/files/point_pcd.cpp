@@ -113,8 +113,10 @@ void resolve_empty(std::vector<PointField>& fields, std::size_t record, bool tex
     fail("{}: the compressed data is damaged, expected LZF data of the size in the file", where);
 }
 
-/// A byte b below 32 precedes b + 1 bytes that are copied. A larger byte starts a
-/// reference of two or three bytes: length and distance of earlier output to repeat.
+/// Decompresses LZF data. A byte b below 32 precedes b + 1 bytes that are copied. A
+/// larger byte starts a reference of two or three bytes: length and distance of earlier
+/// output to repeat.
+/// @param size  expected size of the result
 std::string decompress_lzf(std::string_view compressed_data, std::size_t size, const std::string& where) {
     std::string out;
     out.reserve(size);
@@ -131,20 +133,24 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t size, c
             at += control + 1;
             continue;
         }
+        // The upper 3 bits are the length minus 2. The value 7 means that the next byte
+        // continues the length. The lower 5 bits and one more byte are the distance minus
+        // 1.
         std::size_t length = control >> 5;
         if (length == 7) length += next();
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > size - out.size()) fail_lzf(where);
-        // byte by byte, because copied bytes may overlap appended bytes
+        // Copies byte by byte, because the copied bytes may overlap the bytes that this
+        // loop appends.
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != size) fail_lzf(where);
     return out;
 }
 
-/// The data have the compressed size, the decompressed size, and LZF data. The result
-/// stores one field after another.
+/// Decompresses the points of a file. The data consist of the compressed size, the
+/// decompressed size, and LZF data. The result stores one field after another.
 std::string decompress_points(std::string_view compressed_data, const std::string& where) {
     if (compressed_data.size() < 8)
         fail("{}: the file is truncated: found {} bytes after the header, expected at least 8", where,

@@ -106,8 +106,9 @@ ScalarType field_scalar_type(const PointField& field, const std::string& where) 
          quote(field.name), quote(std::string(1, field.kind)), field.size);
 }
 
-/// Returns true for points of an HDL-32E as the dataset NCLT stores them. The number of
-/// the laser is the highest byte of the second float32 otherwise.
+/// Returns true if a file has the point format of the dataset NCLT. There, the last byte
+/// of a point is the laser number of an HDL-32E. In float32 points, it is the highest
+/// byte of a number.
 bool is_nclt_file(std::string_view bytes) {
     constexpr std::size_t kRecordBytes = 8, kMaxLasers = 32, kMaxTestedRecords = 1000;
     const std::size_t n = std::min(bytes.size() / kRecordBytes, kMaxTestedRecords);
@@ -120,6 +121,7 @@ bool is_nclt_file(std::string_view bytes) {
     return bytes.size() % kRecordBytes == 0 && 2 * n_not_zero > n;
 }
 
+/// Reads a .bin file that contains float32 values, point by point.
 PointTable read_floats(const fs::path& bin_file, const std::vector<std::string>& column_names) {
     const SharedBytes data = share_bytes(read_file(bin_file));
     const std::size_t n_bytes = data.bytes.size();
@@ -139,12 +141,13 @@ PointTable read_floats(const fs::path& bin_file, const std::vector<std::string>&
             bin_file.string(), n_bytes, record, fields.size());
     PointTable table =
         table_of_records(data, fields, n_bytes / record, PointMemoryLayout::by_point, bin_file.string());
-    // When sequence.json was read, the user got a note about unread columns.
+    // The user already got a note about unread columns when sequence.json was read.
     table.unread.clear();
     return table;
 }
 
-/// Adds those columns of an array [points, columns] that relidar reads.
+/// Adds the columns of an array [points, columns] to a table with the same number of
+/// points. Adds only columns that relidar reads.
 void add_columns(PointTable& table, NamedArray array, const std::vector<std::string>& column_names,
                  const std::string& where) {
     const auto* type_row = std::ranges::find(kNumberTypes, array.dtype, &ScalarTypeEntry::numpy);
@@ -219,7 +222,8 @@ std::optional<PointAttribute> find_attribute(std::string_view field_name) {
 }
 
 std::vector<std::string> PointTable::list_fields(PointAttribute attribute) const {
-    // row in the table of known names; true if the case differs from the known name; name
+    // Sort keys: row in the table of known names; true if upper and lower case differ
+    // from the known name; name.
     std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
     for (const auto& [name, values] : fields_) {
         const std::size_t row = find_field_index(name);
@@ -347,8 +351,8 @@ PointTable read_with_header(const fs::path& file,
                             PointTable (*parse_points)(const SharedBytes& bytes, const std::string& where)) {
     const SharedBytes bytes = share_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
-    // relidar writes one of two texts with "points_in" if points are motion-compensated
-    // or in the world frame.
+    // relidar writes one of two texts that start with "points_in" to the header of a file
+    // if its points are motion-compensated or in the world frame.
     constexpr std::size_t kSearchedBytes = 4096;
     const std::string_view header = bytes.bytes.substr(0, kSearchedBytes);
     table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||

@@ -25,8 +25,8 @@ namespace relidar::read {
 
 enum class PointAttribute { x, y, z, intensity, ring, time, return_number, return_type, range };
 
-/// Ignores upper case and prefixes such as "scalar_". Returns nothing for fields that
-/// relidar does not read, such as colours.
+/// Returns the meaning of a field by its name. Ignores upper case and prefixes such as
+/// "scalar_". Returns nothing for fields that relidar does not read, such as colours.
 std::optional<PointAttribute> find_attribute(std::string_view field_name);
 inline bool is_known_field(std::string_view field_name) { return find_attribute(field_name).has_value(); }
 
@@ -97,12 +97,15 @@ public:
     bool is_deskewed = false;
     std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
-    /// Returns the first field of list_fields(), or null.
+    /// Returns the field with a meaning such as "intensity", or null if no field has this
+    /// meaning. If several fields match, the order in the list of known names decides.
     const PointFieldView* find_field(PointAttribute attribute) const;
     const PointFieldView* find_field(const std::string& field_name) const;
     /// Returns the names of all fields with a meaning, in the order of the list of known
     /// names.
     std::vector<std::string> list_fields(PointAttribute attribute) const;
+    /// Adds a field to the table.
+    /// @param where  name of the file, for error messages
     /// @throws DataError if the field already exists
     void add_value_field(const std::string& name, const PointFieldView& values, const std::string& where);
     template <class T>
@@ -113,6 +116,7 @@ public:
         add_value_field(field_name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
     }
     void remove_fields(PointAttribute attribute);
+    /// Keeps the memory of field values allocated as long as the table exists.
     void keep_alive(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
@@ -136,6 +140,7 @@ enum class PointMemoryLayout {
     by_field   ///< all values of the first field, followed by all values of the second field, and so on
 };
 
+/// Checks the number of points of a file.
 /// @throws DataError if there are no points, or too many for one scan
 void check_point_count(std::size_t n_points, const std::string& where);
 /// Returns a table of binary little-endian numbers, without copying them.
@@ -171,6 +176,7 @@ void read_samples(std::size_t n_all, const Read& read) {
 /// rays.
 /// @throws DataError if the first .npz file contains neither
 bool has_npz_points(const std::vector<std::filesystem::path>& scan_files);
+/// Reads the points of a file. The extension of the file defines its format.
 /// @param column_names  names of the columns in .bin and .npy files; empty: x y z
 /// intensity
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& column_names);
@@ -178,6 +184,7 @@ PointTable read_point_file(const std::filesystem::path& file, const std::vector<
 /// Reads a LAS file that contains a single scan.
 /// @throws DataError if no points are near the origin, where the sensor is
 PointTable parse_las(const SharedBytes& file, const std::string& where);
+/// Reads a PCD or PLY file. The header of the file describes the fields.
 PointTable parse_pcd(const SharedBytes& file, const std::string& where);
 PointTable parse_ply(const SharedBytes& file, const std::string& where);
 

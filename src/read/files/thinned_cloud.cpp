@@ -17,8 +17,8 @@ constexpr double kMaxRegularStep =
 // Limits of azimuth steps from point to point that count.
 constexpr double kMinStep_rad = 1e-5, kMaxStep_rad = 0.2;
 
-/// A step between neighbouring points of a ring is regular if it is at most
-/// kMaxRegularStep times the median step.
+/// Returns the share of regular azimuth steps between neighbouring points of a ring. A
+/// step is regular if it is at most kMaxRegularStep times the median step.
 double regular_fraction(const LidarPoints& scan) {
     std::vector<std::pair<std::uint16_t, double>> rings_and_azimuths;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
