@@ -45,6 +45,7 @@ struct DriveFrames {
     /// sequence.
     std::vector<int> test_frames = {};
 };
+/// Returns the drive (a recording of the dataset) and the frames that the user requested.
 /// options.sequence is the name of a drive, or of a sequence of the LiDAR-RT paper.
 /// @throws UsageError if this sequence contains none of the requested frames
 DriveFrames find_drive(const DatasetOptions& options, std::span<const BenchmarkSequence> sequences);

@@ -59,8 +59,8 @@ Log load_synthetic(const std::filesystem::path& folder, const DatasetOptions& op
 
 /// Loads a segment of Waymo Open. A frame number is the index of the record.
 /// DatasetOptions::sequence selects a file by the first characters of its name, with or
-/// without "segment-". It can also be a sequence name of the LiDAR-RT paper (ws1 to ws4,
-/// wd1 to wd4), which means a part of a segment with only TOP.
+/// without "segment-". Sequence names of the LiDAR-RT paper (ws1 to ws4, wd1 to wd4)
+/// select a part of a segment with only the LiDAR TOP.
 /// @param path  a .tfrecord file, or a folder of such files
 Log load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
 

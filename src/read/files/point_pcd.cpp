@@ -133,9 +133,8 @@ std::string decompress_lzf(std::string_view compressed_data, std::size_t size, c
             at += control + 1;
             continue;
         }
-        // The upper 3 bits are the length minus 2. The value 7 means that the next byte
-        // continues the length. The lower 5 bits and one more byte are the distance minus
-        // 1.
+        // The upper 3 bits are the length minus 2, continued in the next byte if they are
+        // 7. The lower 5 bits and one more byte are the distance minus 1.
         std::size_t length = control >> 5;
         if (length == 7) length += next();
         length += 2;

@@ -351,8 +351,8 @@ PointTable read_with_header(const fs::path& file,
                             PointTable (*parse_points)(const SharedBytes& bytes, const std::string& where)) {
     const SharedBytes bytes = share_bytes(read_text_file(file));
     PointTable table = parse_points(bytes, file.string());
-    // relidar writes one of two texts that start with "points_in" to the header of a file
-    // if its points are motion-compensated or in the world frame.
+    // If points are motion-compensated or in the world frame, relidar writes one of two
+    // texts that start with "points_in" to the header.
     constexpr std::size_t kSearchedBytes = 4096;
     const std::string_view header = bytes.bytes.substr(0, kSearchedBytes);
     table.is_deskewed = header.find(" points_in sensor at time_s") != header.npos ||

@@ -24,8 +24,8 @@ struct ImageContext {
 };
 
 /// Reads a scan from an EXR image. The channels are range, median_range, intensity,
-/// drop_prob, time, ring, range_2, intensity_2 and so on, and x, y and z of the direction
-/// and of the origin.
+/// drop_prob, time, ring, range_2, intensity_2 and so on. The direction and the origin of
+/// rays have the channels x, y and z.
 Scan read_scan_exr(const std::filesystem::path& file, const ImageContext& image_context);
 /// Reads a scan from an npz file or an EXR image.
 /// @throws DataError if the file is damaged, an array is missing, or array sizes differ

@@ -27,6 +27,8 @@ constexpr double kLargestCoordinate_m = 1e8;
 // Grid cells have unique keys only up to 105 km (base/geometry/cell_key.hpp).
 constexpr double kLongestLog_m = 1e5;
 
+/// Throws if a coordinate is too large, or if a position is too far from the first
+/// position.
 void check_positions(const std::vector<Pose>& poses, const std::vector<int>& frame_numbers,
                      const std::string& place) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
@@ -58,7 +60,9 @@ fs::path oxts_path(const fs::path& drive, int frame_number) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame_number);
 }
 
-/// The position is in Mercator coordinates from latitude and longitude 0.
+/// Reads the pose of the IMU in one frame. The position is in Mercator coordinates, whose
+/// origin is at latitude and longitude 0.
+/// @param mercator_scale  set from the latitude of the first file that is read
 Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_scale) {
     const std::vector<std::string> lines = split_lines(read_text_file(oxts_file));
     const std::vector<double> v = parse_finite(lines.empty() ? "" : lines[0], 30, oxts_file.string());
@@ -73,8 +77,8 @@ Pose read_imu_pose(const fs::path& oxts_file, std::optional<double>& mercator_sc
              *mercator_scale * kEarthRadius_m * std::log(std::tan(kPi / 4 + lat / 2)), v[2]}};
 }
 
-/// The first OXTS file defines origin and scale, so that poses do not depend on the
-/// requested frames.
+/// Returns the first frame with a GPS/IMU file (OXTS). It defines the origin and scale of
+/// all poses, so that poses do not depend on the requested frames.
 int find_first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (does_path_exist(folder))
@@ -88,7 +92,8 @@ int find_first_oxts(const fs::path& drive) {
         folder.string());
 }
 
-/// Searches the folder of the drive, two folders above it, and their calibration folders.
+/// Returns the path of calib_imu_to_velo.txt for a drive. Searches the folder of the
+/// drive, two folders above it, and their calibration folders.
 fs::path find_imu_file(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
     // date in a name such as 2011_09_26_drive_0005_sync
@@ -176,7 +181,8 @@ void replace_poses(Log& sequence, const fs::path& pose_file) {
     if (pose_file.empty()) return;
     PoseTrack user_track{sequence.world_from_vehicle.time_s,
                          std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    // All LiDARs of a sweep share number and pose.
+    // Lists each frame number once, because all LiDARs of a sweep share the number and
+    // the pose.
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);

@@ -84,7 +84,7 @@ std::vector<double> read_frame_times(const fs::path& time_file, const std::vecto
 
 namespace {
 
-/// Throws if the median is not a plausible period.
+/// Returns the median duration of sweeps. Throws if the result is not a plausible period.
 double find_period_s(std::vector<double> sweep_durations_s, const fs::path& file, const char* missing_lines) {
     if (sweep_durations_s.empty())
         fail("{}: found no {}, expected one line with a time for each sweep", file.string(), missing_lines);

@@ -24,7 +24,7 @@ struct ScanPoints {
     std::vector<glm::vec4> points;      ///< x, y, z in metres in the sensor frame, and reflectance
     std::vector<SurfaceClass> classes;  ///< [points] classes; empty if the points have no labels
 };
-/// Omits rays without a return.
+/// Reads the points of a scan file. Omits rays without a return.
 /// @param label_file  SemanticKITTI labels, 32 bits per point, of which the lower 16 are
 /// the class; may not exist
 /// @throws DataError if the scan is truncated, empty or invalid, or if the number of
@@ -48,16 +48,19 @@ std::string describe_mistake(const std::filesystem::path& folder, const std::str
 std::vector<double> read_frame_times(const std::filesystem::path& time_file, const std::vector<int>& numbers,
                                      Log& log);
 
-/// Returns the median of the times in timestamps_end.txt minus timestamps_start.txt.
+/// Returns the median duration of a sweep: the time in timestamps_end.txt minus the time
+/// in timestamps_start.txt. Uses all lines that both files have.
 double read_sweep_s(const std::filesystem::path& drive);
 
 /// Returns the median time between consecutive lines of a timestamp file.
 double read_time_step_s(const std::filesystem::path& time_file);
 
-/// Reads the keys R (9 numbers, row-major) and T (3 numbers) of a calibration file.
+/// Reads a rigid transform from a calibration file. The key R has 9 numbers (row-major).
+/// The key T has 3 numbers.
 Pose read_calibration(const std::filesystem::path& file);
 
-/// Reads the line "key: 12 numbers", a 3x4 matrix, row-major.
+/// Reads a rigid transform from the line "key: 12 numbers" of a calibration file. The
+/// numbers are a 3x4 matrix, row-major.
 Pose read_transform(const std::filesystem::path& file, const std::string& key);
 
 /// Computes the LiDAR poses from GPS/IMU data (OXTS). Uses the Mercator projection at the
@@ -67,7 +70,8 @@ Pose read_transform(const std::filesystem::path& file, const std::string& key);
 /// data
 std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std::vector<int>& numbers);
 
-/// Line i contains the pose of frame i as 12 numbers: a 3x4 matrix, row-major.
+/// Reads LiDAR poses. Line i contains the pose of frame i as 12 numbers: a 3x4 matrix,
+/// row-major.
 std::vector<Pose> read_matrices(const std::filesystem::path& pose_file, const std::vector<int>& numbers);
 
 /// Reads a matrix per line (as read_matrices()), or poses with times (as
@@ -78,10 +82,12 @@ std::vector<Pose> read_user_poses(const std::filesystem::path& pose_file, const 
 inline const Note kNoPosesNote{
     "no_poses", -1, "poses are not read (dataset.poses=none); they must be estimated from the scans"};
 
-/// Boxes move with the vehicle. Does nothing if no file is given.
+/// Replaces the vehicle poses of a log by the poses in a file of the user. The boxes move
+/// with the vehicle. Does nothing if no file is given.
 void replace_poses(Log& sequence, const std::filesystem::path& pose_file);
 
-/// Each line contains a frame number and a 3x4 matrix. The frame numbers must increase.
+/// Reads poses by frame number. Each line contains a frame number and a 3x4 matrix. The
+/// frame numbers must increase.
 std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
 
 /// Reads tracklet_labels.xml, if it exists.

@@ -31,7 +31,7 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-// two revolutions
+// Maximum time between a point and its sweep: two revolutions.
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
@@ -62,7 +62,8 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     return sweeps;
 }
 
-/// Reads a quaternion w x y z and a translation in metres from each row.
+/// Reads a rigid transform from each row of a table: a quaternion w x y z, and a
+/// translation in metres.
 std::vector<Pose> read_row_poses(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
@@ -90,8 +91,8 @@ std::vector<Lidar> read_lidars(const fs::path& calibration_file) {
         if (row == names.end())
             fail("{}, column 'sensor_name': the sensor {} is missing", table.name(), name);
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Seen from above, both LiDARs rotate clockwise. The lower one is mounted upside
-        // down.
+        // Seen from above, both LiDARs rotate clockwise. The lower LiDAR is mounted
+        // upside down, so it rotates counterclockwise in its own frame.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, make_vlp32c(upright), mounted});
     }
@@ -102,7 +103,8 @@ double seconds_since(std::int64_t time_ns, std::int64_t origin_ns) {
     return double(time_ns - origin_ns) * 1e-9;
 }
 
-/// Interpolates the vehicle poses (city frame) at the times of the sweeps.
+/// Reads vehicle poses in the city frame, and interpolates them at the times of the
+/// sweeps.
 PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<SweepFile>& sweeps,
                            std::int64_t origin_ns) {
     const Feather table(pose_file);
@@ -154,6 +156,8 @@ RawSweep read_sweep(const fs::path& file) {
 /// [sweeps] points of both LiDARs in each sweep
 using SweepPairs = std::vector<std::array<SweepPoints, 2>>;
 
+/// Reads all sweeps and splits each into the points of both LiDARs. The first readable
+/// sweep shows which laser numbers belong to which LiDAR.
 SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
                        const PoseTrack& vehicle_track, const Progress& progress,
                        ScanErrorCollector& broken_scans) {
@@ -177,6 +181,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     return sweeps;
 }
 
+/// Adds a frame with a scan for each sweep and LiDAR. Adds no frame if the LiDAR has no
+/// points in the sweep.
 void add_sweeps(Log& sequence, const std::vector<SweepFile>& sweep_files, const PoseTrack& vehicle_poses,
                 SweepPairs lidar_sweep_points, const Progress& progress,
                 const ScanErrorCollector& broken_scans) {
@@ -211,7 +217,8 @@ void add_sweeps(Log& sequence, const std::vector<SweepFile>& sweep_files, const 
     });
 }
 
-/// In the file, a box is in the vehicle frame at the time of its sweep.
+/// Reads the box labels of the loaded sweeps. In the file, a box is in the vehicle frame
+/// at the time of its sweep.
 std::vector<BoxTrack> read_sweep_boxes(const fs::path& annotation_file, const std::vector<SweepFile>& sweeps,
                                        const PoseTrack& vehicle_poses) {
     const Feather table(annotation_file);

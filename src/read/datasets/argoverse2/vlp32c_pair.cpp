@@ -64,8 +64,9 @@ double elevation_error_rad(const RawSweep& sweep, int laser_group, const Pose& v
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Returns the firing cycle of each point. All lasers fire once per cycle. The start of
-/// cycle 0, near the stamp of the sweep, is estimated from all points.
+/// Returns the index of the firing cycle of each point. All lasers fire once per cycle.
+/// Cycle 0 starts near the time stamp of the sweep. Its exact start is the circular mean
+/// of all points.
 std::vector<int> number_cycles(const std::vector<double>& cycle_start_of_each_point_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : cycle_start_of_each_point_ns)
@@ -87,6 +88,8 @@ SpinningSensor make_vlp32c(bool clockwise) {
     sensor.beams = nominal_beams();  // of a head that rotates clockwise
     const std::vector<BeamFiring> firings = read_firings(kVlp32cName);
     for (std::size_t row = 0; row < firings.size() && !clockwise; ++row)
+        // The offsets contain the clockwise rotation since the first pair. Adding it
+        // twice reverses its sign.
         sensor.beams[row].azimuth_offset_rad += 2.0 * 2.0 * kPi * kRate_hz * 1e-6 * firings[row].offset_us;
     return sensor;
 }
@@ -112,6 +115,7 @@ SweepPoints extract_group(const RawSweep& raw_sweep, int laser_group, const Lida
         result.points.intensity.push_back(float(raw_sweep.intensity[i] / 255.0));
         result.points.ring.push_back(laser.row);
         result.points.time_offset_s.push_back(float(double(raw_sweep.offset_ns[i]) * 1e-9));
+        // Time of the first pair of lasers in the cycle of this point.
         first_pair_ns.push_back(double(raw_sweep.offset_ns[i]) - laser.after_first_ns);
     }
     if (result.points.size() == 0) return result;

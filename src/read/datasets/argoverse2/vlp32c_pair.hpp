@@ -21,12 +21,13 @@ struct RawSweep {
     std::vector<std::int64_t> offset_ns;
 };
 
-/// VLP-32C with the beam angles of the data sheet, highest beam first.
-/// @param clockwise  in the sensor frame, seen from +z
+/// Returns a VLP-32C with the beam angles of the data sheet, highest beam first.
+/// @param clockwise  direction of rotation in the sensor frame, seen from +z
 SpinningSensor make_vlp32c(bool clockwise);
 
-/// Returns for each LiDAR 0 if it has the lasers 0 to 31, or 1 for 32 to 63: the
-/// assignment for which elevations of points and lasers agree best.
+/// Finds out which lasers belong to each of the two LiDARs. Returns one value per LiDAR:
+/// 0 for the lasers 0 to 31, and 1 for the lasers 32 to 63. Chooses the assignment for
+/// which the elevations of points and lasers agree best.
 std::array<int, 2> match_laser_groups(const RawSweep& sweep, const std::array<Pose, 2>& vehicle_from_lidar);
 
 struct SweepPoints {

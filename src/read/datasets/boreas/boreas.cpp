@@ -44,8 +44,9 @@ struct ForwardDirection {
     double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// Reads T_applanix_lidar.txt: a 4x4 transform from the LiDAR to the Applanix frame (x
-/// right, y forward, z up).
+/// Reads the forward direction of the vehicle from T_applanix_lidar.txt, the 4x4
+/// transform from the LiDAR to the Applanix frame (x right, y forward, z up). Without
+/// this file, the direction is unknown.
 ForwardDirection read_forward(const fs::path& calibration_file) {
     if (!does_path_exist(calibration_file)) return {};
     const auto m = parse_numbers(read_text_file(calibration_file));
@@ -85,7 +86,8 @@ PoseTrack make_lidar_track(const std::vector<read::PoseRow>& pose_rows, const re
     return track;
 }
 
-/// 1 is perfect.
+/// Returns how well the vehicle drives forward; 1 is perfect. If the forward direction is
+/// unknown, returns how constant the driving direction is in the LiDAR frame.
 double score_motion(const read::DrivingDirection& driving, const ForwardDirection& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }

@@ -76,6 +76,8 @@ struct PoseRows {
     bool has_names = false;  ///< true if a line with column names defines the order of the columns
 };
 
+/// Parses the numbers in a line.
+/// @param expected_count_or_zero  expected number of values; 0 means 7 or 8
 std::vector<double> parse_pose_row(const std::string& line, std::size_t expected_count_or_zero,
                                    const std::string& place) {
     const auto v = parse_numbers(strip_comment(line));
@@ -88,8 +90,8 @@ std::vector<double> parse_pose_row(const std::string& line, std::size_t expected
     return *v;
 }
 
-/// Without times, x y z and a quaternion would be read as a time, a position and three
-/// angles.
+/// Throws if the poses have no times. Otherwise x y z and a quaternion would be read as a
+/// time, a position and three angles.
 void require_row_times(const PoseRows& pose_rows, const std::string& name) {
     const auto ends_with_quaternion = [](const std::vector<double>& row) {
         return row.size() == 7 && std::abs(glm::length(glm::dquat(row[3], row[4], row[5], row[6])) - 1.0) <=
@@ -102,6 +104,7 @@ void require_row_times(const PoseRows& pose_rows, const std::string& name) {
             name);
 }
 
+/// Parses all poses of a file. Sorts the columns of each row in the order of kPoseNames.
 PoseRows parse_pose_rows(const std::vector<std::string>& lines, const std::string& name) {
     PoseRows rows;
     std::vector<int> at;
@@ -140,7 +143,8 @@ PoseTrack make_row_track(const PoseRows& pose_rows, const RotationOf& rotation_o
     return track;
 }
 
-/// A pose file may contain sensor-from-world poses.
+/// Adds the inverse poses to a list of possible meanings, because a pose file may contain
+/// sensor-from-world poses.
 std::vector<PoseReading> add_inverses(std::vector<PoseReading> interpretations) {
     const std::size_t n = interpretations.size();
     for (std::size_t k = 0; k < n; ++k) {
@@ -178,8 +182,8 @@ std::vector<PoseReading> list_conventions(const PoseRows& pose_rows) {
     return add_inverses(std::move(readings));
 }
 
-/// Returns a hint if poses do not cover the frames: another unit, leap seconds or another
-/// clock.
+/// Returns a hint why poses do not cover the frames: times in another unit, leap seconds,
+/// or another clock.
 std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& frames, bool is_plain_folder) {
     // maximum relative difference of equal times or durations in different units
     constexpr double kMaxRelativeDifference = 0.3;
@@ -197,6 +201,7 @@ std::string clock_hint(const PoseTrack& track, const std::vector<LogFrame>& fram
             return fmt::format("; the times of the {} seem to be in {}, expected seconds",
                                is_pose ? "poses" : "frames", unit);
     }
+    // Clocks without leap seconds differ from UTC or from each other by these constants.
     for (const auto& [leap_s, cause] :
          {std::pair(37, "TAI minus UTC"), {18, "GPS time minus UTC"}, {19, "TAI minus GPS time"}})
         for (const int shift_s : {leap_s, -leap_s})
@@ -297,7 +302,8 @@ std::optional<std::vector<Pose>> load_poses(const fs::path& pose_file, const std
         if (rows.rows.empty())
             fail("{}: the file has no pose, expected lines of 12 or 8 numbers", pose_file.string());
         const std::vector<PoseReading> readings = list_conventions(rows);
-        // Only relidar writes these names, so the meaning is certain.
+        // Only relidar writes these column names. The meaning of the numbers is therefore
+        // certain.
         const bool is_certain = rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos;
         const std::size_t k =
             is_certain ? 0

@@ -20,6 +20,7 @@ namespace {
 namespace fs = std::filesystem;
 using read::LogFrame;
 
+/// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range contains no scan file
 std::vector<LogFrame> select_frames(const read::SequenceHeader& header, const DatasetOptions& options,
@@ -115,7 +116,8 @@ std::vector<Pose> read_vehicle_poses(const fs::path& folder, const read::Sequenc
         file.string());
 }
 
-/// The boxes move with the vehicle.
+/// Replaces the vehicle poses of the log by poses from a file. The boxes move with the
+/// vehicle.
 void replace_poses(Log& sequence, const read::SequenceHeader& header, const std::vector<LogFrame>& frames,
                    const fs::path& pose_file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};

@@ -35,7 +35,9 @@ constexpr MovableClass kMovableClasses[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// @throws DataError if the element is no integer; a missing element is `default_value`
+/// Reads an integer from an XML element, or returns `default_value` if the element does
+/// not exist.
+/// @throws DataError if the text is not an integer
 int read_int(const pugi::xml_node& object, const char* field_name, std::optional<int> default_value,
              const std::string& where) {
     constexpr double kMaxValue = 1e8;
@@ -59,7 +61,8 @@ const MovableClass* find_movable(const pugi::xml_node& object, const std::string
     return nullptr;
 }
 
-/// Reads the transform from a unit cube to the world, which contains pose and size.
+/// Reads the 4x4 transform of an object from a unit cube to the world. The transform
+/// contains the pose and the size of the object.
 glm::dmat4 read_transform(const pugi::xml_node& object, const std::string& where) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = read_int(matrix, "rows", {}, where + ": transform"),
@@ -83,7 +86,9 @@ glm::dmat4 read_transform(const pugi::xml_node& object, const std::string& where
     return m;
 }
 
-/// If the transform contains a reflection, flips the width axis.
+/// Computes the size and the pose of a box from its transform. If the transform contains
+/// a reflection, flips the width axis. The box stays the same, but its rotation becomes
+/// valid.
 void set_box(BoxLabel& label, const glm::dmat4& world_from_unit_box, const std::string& where) {
     glm::dmat3 axes(world_from_unit_box);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
@@ -98,7 +103,8 @@ void set_box(BoxLabel& label, const glm::dmat4& world_from_unit_box, const std::
     label.world_from_box = make_pose(axes, glm::dvec3(world_from_unit_box[3]), where + ": transform");
 }
 
-/// The id is semanticId * 1000 + instanceId; in drive 0004, class, "moving" and index.
+/// Returns the track id of an object: semanticId * 1000 + instanceId. Objects of drive
+/// 0004 have no such numbers, so their id consists of class, "moving" and index.
 std::string make_track_id(const pugi::xml_node& object, const MovableClass& movable_class, bool is_moving,
                           const std::string& where) {
     if (object.child("instanceId").empty())

@@ -29,7 +29,8 @@ PoseTrack read_raw_poses(const fs::path& drive_folder, const std::vector<int>& n
     return track;
 }
 
-/// For example, drive 0009 lacks four scans in its middle.
+/// Returns notes for the user about missing scans, labels and poses. For example, four
+/// scans are missing in the middle of drive 0009.
 Notes note_missing_data(const fs::path& drive_folder, const std::vector<int>& numbers,
                         const DatasetOptions& options) {
     Notes notes;

@@ -32,9 +32,10 @@ struct SweepWithColumns {
     SweepFirings sweep;
 };
 
-/// The dataset stores rays without a return as points at the LiDAR, which the motion
-/// compensation has moved a little.
-/// @param points  in the frame of the LiDAR at the time of each point
+/// Removes rays without a return. The dataset stores them as points at the LiDAR, and
+/// motion compensation has moved these points a little.
+/// @param points  points in the frame of the LiDAR at the time of each point
+/// @param column_of_point  [points] column of each point
 void remove_dropped(LidarPoints& points, std::vector<int>& column_of_point) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -64,6 +65,8 @@ std::string read_categories(const fs::path& file, std::size_t n_points) {
     return categories;
 }
 
+/// Reads a file with one revolution. The firing time of a point follows from its column,
+/// because the file contains no times.
 SweepWithColumns read_sweep(const SweepFiles& sweep_files,
                             const std::array<SurfaceClass, 256>& class_of_category,
                             const SpinningSensor& sensor, const PoseTrack& world_from_sensor,
@@ -96,6 +99,7 @@ SweepWithColumns read_sweep(const SweepFiles& sweep_files,
         const std::size_t column = i / kBeams;
         read.points.position_m.emplace_back(v[1], -v[0], v[2]);
         read.points.intensity.push_back(v[3] / 255.0f);
+        // Files number the beams from the lowest one, relidar from the highest one.
         read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
         read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));
         if (!categories.empty())

@@ -12,7 +12,9 @@
 
 namespace relidar::nuscenes {
 
-/// Rotates the pose of the HDL-32E by 90 degrees, because x points right in nuScenes.
+/// Returns the LiDAR of nuScenes, an HDL-32E. Rotates its pose by 90 degrees, because x
+/// points to the right in nuScenes and forward in relidar.
+/// @param ego_from_lidar  pose of the LiDAR in the convention of nuScenes
 Lidar make_hdl32e(const Pose& ego_from_lidar);
 
 struct SweepFiles {
@@ -21,7 +23,8 @@ struct SweepFiles {
     std::filesystem::path categories;
 };
 
-/// Also sets the sensor properties that follow from the scans.
+/// Reads the scans of all frames. Also sets the sensor properties that follow from the
+/// scans.
 /// @param sweep_files  [frames]
 /// @param class_of_category  class of each category index
 /// @param vehicle_track  used to undo the motion compensation

@@ -27,6 +27,9 @@ public:
         if (!in_) throw DataError(name_ + ": the file cannot be read");
     }
 
+    /// Reads the next object of the table into `object_text`. Finds its end by counting
+    /// brackets that are not inside quotes.
+    /// @return false if the table has no more objects
     bool next_object(std::string& object_text) {
         object_text.clear();
         int depth = 0;
@@ -70,7 +73,8 @@ private:
         character = block_[at_++];
         return true;
     }
-    /// Checks a character between the objects of the array.
+    /// Checks a character of the array that is outside of its objects.
+    /// @return true if the character starts an object
     bool is_object_start(char character) {
         if (character == '{' && opened_ && !closed_) return true;
         const bool blank = character == ' ' || character == '\n' || character == '\r' || character == '\t';

@@ -22,7 +22,8 @@ public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
     std::string read_text(std::string_view key) const;
-    /// Rounds, because some tables contain fractions of a microsecond.
+    /// Returns a number as an integer. Rounds, because some tables contain fractions of a
+    /// microsecond.
     std::int64_t rounded_integer(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vec3(std::string_view key) const;
@@ -40,6 +41,7 @@ private:
     void copy_numbers(std::string_view key, std::size_t count, double* output_numbers) const;
 };
 
+/// Calls `visit` for every object of a JSON table.
 /// @throws DataError if the file is not an array of objects, or if an object has more
 /// than 1 MB
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& visit);

@@ -91,7 +91,8 @@ std::vector<SceneLocation> list_dataset_scenes(const fs::path& dataset_folder) {
     return scenes;
 }
 
-/// Accepts the name, the nuScenes number, or the first characters of one name only.
+/// Returns the scene that the user requested: by its name, by its nuScenes number, or by
+/// the first characters of its name. No other scene may begin with these characters.
 SceneLocation choose_scene(const std::vector<SceneLocation>& scenes, const std::string& requested_name) {
     if (requested_name.empty()) return scenes[0];
     const std::optional<int> number = parse_stem(requested_name);
@@ -165,7 +166,9 @@ public:
             const auto lidar = std::ranges::find(lidars_, frame.lidar) - lidars_.begin();
             add_frame(sequence_, frame.number, main_s_[k], scene_.world_from_ego[k], int(lidar));
         }
-        const PoseTrack vehicle_track = sequence_.world_from_vehicle;  // poses of the dataset
+        // Keeps the poses of the dataset, because its motion compensation used them and
+        // not the poses of the user.
+        const PoseTrack vehicle_track = sequence_.world_from_vehicle;
         if (scene_.labels.empty()) add_note("this scene has no annotations, so it has no labels");
         sequence_.boxes = tracks_at_frames(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::replace_poses(sequence_, options_.poses_file);
@@ -244,7 +247,9 @@ private:
             add_note(fmt::format("these LiDARs of the log are not read: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Returns the sweeps of the selected LiDARs in the order of frame numbers.
+    /// Assigns a frame number to each sweep of the selected LiDARs: the number of the
+    /// simultaneous sweep of the first LiDAR. Returns the sweeps in the order of frame
+    /// numbers.
     std::vector<FrameSweepRecord> number_frames() {
         std::vector<FrameSweepRecord> sweeps;
         for (const std::size_t l : lidars_) {
@@ -273,7 +278,8 @@ private:
         return sweeps;
     }
 
-    /// Selects only keyframes if only they have files, because sweeps/ was not unpacked.
+    /// Selects the frames in the requested range. If only keyframes have files, selects
+    /// only keyframes. This happens if the user has not unpacked the folder sweeps/.
     void select_sweeps() {
         const std::vector<FrameSweepRecord> sweeps = number_frames();
         const auto is_between = [](const FrameSweepRecord& sweep) { return !sweep.record->is_keyframe; };
@@ -309,7 +315,8 @@ private:
         return files;
     }
 
-    /// For T4, TruckScenes and Lyft.
+    /// Reads the scans of T4, TruckScenes and Lyft datasets. read_hdl32e_sweeps() reads
+    /// those of nuScenes itself.
     void read_point_scans() {
         std::vector<fs::path> files;
         for (const FrameSweepRecord& frame : frames_) files.push_back(sweep_file(*frame.record));

@@ -66,6 +66,8 @@ TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
 
 using SweepsByChannel = std::map<std::string, TokenMap<SweepRecord>>;  // files by channel name, then by token
 
+/// Returns the LiDAR files of a scene, by channel. A file belongs to the scene if its
+/// keyframe does.
 SweepsByChannel list_lidar_files(const fs::path& table_folder,
                                  const TokenMap<std::int64_t>& keyframe_times_us,
                                  const TokenMap<LidarMount>& mounted_lidars) {
@@ -88,7 +90,8 @@ SweepsByChannel list_lidar_files(const fs::path& table_folder,
     return files;
 }
 
-/// Sorts the files of a LiDAR by time, from its first keyframe.
+/// Sorts the files of a LiDAR by time. Starts at its first keyframe and follows the key
+/// "next" of each record.
 /// @return empty without a keyframe
 std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMap<SweepRecord>& files) {
     const std::string where = (table_folder / "sample_data.json").string();
@@ -111,6 +114,7 @@ std::vector<SweepRecord> sort_sweeps(const fs::path& table_folder, const TokenMa
     return sweeps;
 }
 
+/// Returns the LiDARs with at least one keyframe in the scene. LIDAR_TOP is first.
 std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap<std::int64_t>& times_us) {
     const TokenMap<LidarMount> mounted = read_lidar_mounts(folder);
     std::vector<SceneLidar> lidars;
@@ -135,7 +139,8 @@ std::vector<SceneLidar> read_scene_lidars(const fs::path& folder, const TokenMap
     return lidars;
 }
 
-/// Interpolates, because a sweep of TruckScenes refers to the nearest stored pose.
+/// Returns the vehicle poses at the times of the sweeps. Interpolates, because a sweep of
+/// TruckScenes refers to the nearest stored pose.
 std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = table_folder / "ego_pose.json";
     struct TimedPose {
@@ -173,8 +178,9 @@ std::vector<Pose> read_ego_poses(const fs::path& table_folder, const std::vector
     return world_from_ego;
 }
 
-/// Returns a text of each record by its token.
-/// @param tokens  records to read; null: all
+/// Reads one text of each record in a table. Returns the texts by the token (id) of the
+/// record.
+/// @param tokens  tokens of the records to read, or null for all records
 TokenMap<std::string> read_text_column(const fs::path& table_file, const char* key, const Tokens* tokens) {
     TokenMap<std::string> values;
     for_each_record(table_file, [&](const JsonRecord& record) {
@@ -184,7 +190,8 @@ TokenMap<std::string> read_text_column(const fs::path& table_file, const char* k
     return values;
 }
 
-/// Test splits have no label table.
+/// Reads the box labels of a scene. Scenes of test splits have no label table, so they
+/// have no labels.
 std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const SceneTables& scene,
                                         const TokenMap<std::int64_t>& keyframe_times_us) {
     std::vector<BoxLabel> labels;
@@ -222,7 +229,8 @@ std::vector<BoxLabel> read_scene_labels(const fs::path& table_folder, const Scen
     return labels;
 }
 
-/// The table lidarseg is a separate download.
+/// Reads which files contain the categories of points, and the class of each category.
+/// Does nothing without the table lidarseg, which is a separate download.
 void read_lidarseg(const fs::path& table_folder, SceneTables& scene) {
     const fs::path file = table_folder / "lidarseg.json";
     if (!does_path_exist(file)) return;

@@ -51,7 +51,8 @@ struct SceneTables {
 
 std::vector<std::string> list_scenes(const std::filesystem::path& table_folder);
 
-/// Reads record by record, because tables can have a gigabyte.
+/// Reads the data of a scene, record by record, because tables can have a gigabyte.
+/// @param table_folder  folder that contains the tables
 /// @throws DataError with file, record and key
 SceneTables read_scene(const std::filesystem::path& table_folder, const std::string& scene_name);
 

@@ -88,6 +88,7 @@ OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, 
     return content;
 }
 
+/// Returns the LiDAR poses over time in ONCE's axes (x left, y back).
 PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::StampedLog& log, bool w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
@@ -99,6 +100,8 @@ PoseTrack make_dataset_track(const std::vector<OncePose>& poses, const read::Sta
     return track;
 }
 
+/// Returns the LiDAR poses over time in relidar's axes (x forward, y left). Uses the
+/// order of quaternion numbers with which the vehicle drives forward.
 PoseTrack make_lidar_track(const OnceFile& dataset_content, const read::StampedLog& log, Notes& notes) {
     const PoseTrack w_last = make_dataset_track(dataset_content.poses, log, false),
                     w_first = make_dataset_track(dataset_content.poses, log, true);

@@ -39,7 +39,8 @@ void visit_street_options(Options& options, const Visit& visit) {
     visit("rig", options.rig, "a file");
 }
 
-/// Keeps the scans. Used to test the effect of wrong poses.
+/// Replaces the exact poses of a synthetic log by poses from a file, but keeps the scans.
+/// Used to test the effect of wrong poses.
 void use_pose_file(Log& sequence, const fs::path& user_pose_file) {
     std::vector<int> frames;
     // All LiDARs of a frame share one pose.

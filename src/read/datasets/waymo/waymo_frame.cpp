@@ -116,7 +116,8 @@ LaserImages parse_laser(pbf_reader reader) {
     return laser;
 }
 
-/// centre, width, length, height and heading
+/// Parses centre, width, length, height and heading of a box. Their field numbers are 1
+/// to 7.
 void parse_box(pbf_reader reader, BoxLabel& label, const std::string& where) {
     double v[8] = {};
     while (reader.next()) {
@@ -131,6 +132,7 @@ void parse_box(pbf_reader reader, BoxLabel& label, const std::string& where) {
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
+/// Parses a labelled object. Ignores signs, which belong to the background.
 void parse_label(pbf_reader reader, SegmentFrame& frame_record, const std::string& where) {
     BoxLabel label;
     int type = 0;
@@ -154,7 +156,8 @@ void parse_label(pbf_reader reader, SegmentFrame& frame_record, const std::strin
     frame_record.labels.push_back(std::move(label));
 }
 
-/// MatrixFloat or MatrixInt32: values and dimensions
+/// Parses a message of the type MatrixFloat or MatrixInt32. It contains values and
+/// dimensions.
 void parse_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& values,
                   std::vector<std::int32_t>& dimensions) {
     const bool is_integer = pixel_type == PixelType::integer;
@@ -178,6 +181,8 @@ void parse_matrix(pbf_reader reader, PixelType pixel_type, std::vector<float>& v
     }
 }
 
+/// Decompresses a zlib stream of unknown size. Doubles the output until it fits, up to
+/// kMostInflated bytes.
 std::string inflate_zlib(std::string_view compressed_bytes, const std::string& where) {
     z_stream stream{};
     if (inflateInit(&stream) != Z_OK) throw std::bad_alloc();
@@ -200,6 +205,8 @@ std::string inflate_zlib(std::string_view compressed_bytes, const std::string& w
     return bytes;
 }
 
+/// Calls a function that parses protobuf. Converts exceptions of the library protozero to
+/// DataError.
 template <class Parse>
 auto guard_parse(const std::string& where, const Parse& parse_function) {
     try {

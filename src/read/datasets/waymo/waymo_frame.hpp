@@ -43,6 +43,9 @@ struct SegmentFrame {
     /// set.
     std::vector<BoxLabel> labels;
 };
+/// Parses one record of a .tfrecord file.
+/// @param where  name of the file and record number, for error messages
+/// @throws DataError with the field
 SegmentFrame parse_frame(std::string_view record_bytes, const std::string& where);
 
 struct InflatedImage {
@@ -54,13 +57,14 @@ struct InflatedImage {
     }
 };
 enum class PixelType { real, integer };
+/// Decompresses and parses an image.
 /// @param compressed_image  zlib stream
 /// @throws DataError if the stream is damaged, or if the image has another number of
 /// channels
 InflatedImage inflate_image(std::string_view compressed_image, int n_channels, const std::string& where,
                             PixelType pixel_type = PixelType::real);
 
-/// from the top row to the bottom row
+/// Returns the elevation of each image row, from the top row to the bottom row.
 std::vector<double> row_elevations_rad(const LaserCalibration& calibration, int n_rows,
                                        const std::string& where);
 
