@@ -19,6 +19,8 @@ namespace {
 
 double bytes_to_mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
+/// Throws an error with the size of the buffer, the free memory and the cause.
+/// @param cause for example the error code of the driver
 [[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& text,
                                   const std::string& cause, const gpu::MemoryBudget& budget) {
     fail<OutOfDeviceMemory>(
@@ -36,7 +38,8 @@ void check_buffer_size(const Device::Impl& device, std::size_t size_bytes, const
         bytes_to_mib(size_bytes), text, device.info.name, bytes_to_mib(limit), name);
 }
 
-/// Reading the memory budget is slow, so it is read only for large arrays.
+/// Checks that an array fits into the memory limit of the user and into the memory budget
+/// of the driver. Reading the budget is slow, so it is read only for large arrays.
 void check_budget(const Device::Impl& device, std::size_t size_bytes, const std::string& text) {
     constexpr std::size_t kLargeArrayBytes = gpu::DeviceMemoryAllocator::kBlockBytes / 2;
     if (device.memory_limit_bytes != 0 && device.allocated + size_bytes > device.memory_limit_bytes)
@@ -47,7 +50,8 @@ void check_budget(const Device::Impl& device, std::size_t size_bytes, const std:
             bytes_to_mib(device.memory_limit_bytes));
     if (size_bytes < kLargeArrayBytes) return;
     gpu::MemoryBudget budget = gpu::query_budget(device.physical);
-    // Without VK_EXT_memory_budget, n_used is 0.
+    // Without VK_EXT_memory_budget, the driver does not report the used memory (n_used is
+    // 0), so the memory of this process is the best estimate.
     budget.n_used = std::max(budget.n_used, device.allocated.load());
     if (budget.n_bytes > 0 && size_bytes > budget.free_bytes())
         fail_allocation(device, size_bytes, text, "the array is larger than the free device memory", budget);
@@ -55,19 +59,24 @@ void check_budget(const Device::Impl& device, std::size_t size_bytes, const std:
 
 }  // namespace
 
+/// Creates a buffer and binds memory to it. An array that is larger than the largest
+/// allocation of the driver becomes a sparse buffer of several pieces.
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose used, const std::string& text)
     : device(&owner), use(used), n_bytes(size) {
-    // The device may have no hardware.
+    // A device that is opened only for compilation may have no hardware, so it allocates
+    // no memory.
     if (owner.compile_only) return;
     owner.free_orphans();
     check_buffer_size(owner, size, text);
-    // The budget does not apply to buffers in host memory.
+    // Staging and parameter buffers are small or in host memory, so the budget does not
+    // apply to them.
     if (use == gpu::BufferPurpose::device) check_budget(owner, size, text);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    // Vulkan allows these flags only with the extension for acceleration structures.
+    // Vulkan allows these flags only if the extension for acceleration structures is
+    // enabled. This is the case if the device traces with ray queries.
     if (owner.traversal == RayTracingBackend::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
@@ -79,7 +88,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
         gpu::set_object_name(owner.device, VK_OBJECT_TYPE_BUFFER, handle, text);
         VkMemoryRequirements needs;
         vkGetBufferMemoryRequirements(owner.device, handle, &needs);
-        // A multiple of the memory page of a sparse buffer, at least one.
+        // A piece of a sparse buffer must be a multiple of its memory page, and at least
+        // one page.
         const std::uint64_t piece_bytes =
             std::max(largest / needs.alignment * needs.alignment, needs.alignment);
         result = info.flags ? allocate_sparse(needs, piece_bytes) : allocate(needs);
@@ -113,6 +123,8 @@ VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
+/// Allocates the memory of a sparse buffer in pieces of at most `max_bytes`, and binds
+/// them one after another.
 VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes) {
     for (std::uint64_t offset = 0; offset < requirements.size; offset += max_bytes) {
         VkMemoryRequirements piece_needs = requirements;
@@ -125,6 +137,8 @@ VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements,
     return device->bind_sparse(handle, memory);
 }
 
+/// Binds pieces of memory to consecutive parts of a sparse buffer. Waits for the queue,
+/// so that the caller can use the buffer immediately.
 VkResult Device::Impl::bind_sparse(VkBuffer buffer, const std::vector<gpu::MemorySuballocation>& pieces) {
     std::vector<VkSparseMemoryBind> binds;
     VkDeviceSize offset = 0;
@@ -144,9 +158,10 @@ VkResult Device::Impl::bind_sparse(VkBuffer buffer, const std::vector<gpu::Memor
 
 Buffer::Impl::~Impl() {
     if (!handle) return;
-    // An exception skips the owner's wait for the commands that use a buffer, so this
-    // destructor waits. While a stream has recorded commands that are submitted later,
-    // the buffer is put into `orphans`.
+    // Usually, the owner waits for the commands that use a buffer before it destroys the
+    // buffer. An exception skips this wait, so this destructor waits for submitted
+    // commands. Commands that a stream has only recorded may be submitted later. In this
+    // case, the buffer is put into `orphans`, which is freed later.
     if (std::uncaught_exceptions() > 0) {
         const std::lock_guard lock(device->orphans_mutex);
         if (device->n_recording > 0) {
@@ -166,6 +181,8 @@ void Device::Impl::destroy_buffer(const OrphanedBuffer& buffer) noexcept {
     }
 }
 
+/// Frees the buffers that were kept after exceptions. Does nothing while a stream has
+/// recorded commands, because these commands may use the buffers.
 void Device::Impl::free_orphans() {
     const std::lock_guard lock(orphans_mutex);
     if (orphans.empty() || n_recording > 0) return;

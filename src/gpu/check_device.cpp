@@ -20,6 +20,8 @@ namespace {
 
 using Words = std::vector<std::uint32_t>;
 
+/// Adds integers from 1 to RELIDAR_CHECK_AMOUNTS to `n_sums` sums with `n_threads`
+/// threads. Returns the largest relative error of a sum.
 double run_atomic_adds(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel,
                        std::uint32_t n_threads, std::uint32_t n_sums, bool inject_fault,
                        double* elapsed_s = nullptr) {
@@ -58,6 +60,11 @@ constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperationNames = {
 constexpr std::size_t kInBranch = 8;
 constexpr std::uint32_t kCheckWorkgroup = 256;
 
+/// Returns the correct results of all subgroup operations for one thread, in the order of
+/// kOperationNames.
+/// @param lanes values of the lanes of this subgroup
+/// @param earlier_sum sum of all earlier subgroups of the workgroup
+/// @param total sum of the workgroup
 std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> expected_results(const Words& lanes, std::size_t lane,
                                                                   std::uint32_t earlier_sum,
                                                                   std::uint32_t total) {
@@ -118,6 +125,8 @@ std::string run_subgroup_test(Device& device) {
     return {};
 }
 
+/// Sorts 5000 keys on the device, more than one tile. Returns an empty text if the order
+/// is right, otherwise a text about the first wrong key.
 std::string run_sort_test(Device& device) {
     if (!device.info().can_require_subgroup_size) return {};
     constexpr std::uint32_t kCheckKeys = 5000;

@@ -93,7 +93,8 @@ VulkanInstance::VulkanInstance(bool validation) {
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
     VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
-    // Also without validation, so that debuggers show the names of objects.
+    // Enables VK_EXT_debug_utils even without validation, so that debuggers show the
+    // names of objects.
     if (validation || has_debug_utils()) {
         info.enabledExtensionCount = 1;
         info.ppEnabledExtensionNames = &extension;
@@ -144,7 +145,9 @@ std::vector<DeviceInfo> describe_devices(const std::vector<VkPhysicalDevice>& ph
     return infos;
 }
 
-/// Prefers GPUs to CPU devices, and GPUs with ray queries to other GPUs.
+/// Returns the index of the requested device. If none is requested, prefers usable
+/// devices that support the traversal, then GPUs to CPU devices, then GPUs with ray
+/// queries.
 int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptions& options) {
     if (device_infos.empty())
         throw DeviceError(
@@ -158,6 +161,7 @@ int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptio
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
     for (const DeviceInfo& d : device_infos) {
+        // For `automatic`, the device must support at least one traversal method.
         bool runs = best_backend(d) != RayTracingBackend::automatic;
         if (options.traversal == RayTracingBackend::ray_query) runs = d.ray_query;
         if (options.traversal == RayTracingBackend::software) runs = d.software;
@@ -171,6 +175,8 @@ int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptio
     return best;
 }
 
+/// Throws an error if the device lacks features that all kernels or the requested
+/// traversal method need. The message names the missing features.
 void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend) {
     if (!info.why_not_usable.empty())
         fail<DeviceError>("cannot open device {} ({}): it lacks these required features: {}", info.index,
@@ -224,7 +230,8 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     check_backend(impl_->info, options.traversal);
     impl_->traversal =
         options.traversal == RayTracingBackend::automatic ? best_backend(impl_->info) : options.traversal;
-    // The constructor of the software tree then throws an error with the reason.
+    // If no traversal method works, selects the software tree. The constructor of the
+    // software tree then throws an error with the reason.
     if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
@@ -289,6 +296,8 @@ struct ExtensionFeatures {
 
 }  // namespace
 
+/// Selects the first queue family that can compute. Reads whether it can bind sparse
+/// buffers, and how many bits of its time stamps are valid.
 void Device::Impl::select_queue() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
@@ -354,6 +363,8 @@ void Device::Impl::create_device() {
     gpu::vk_check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
 }
 
+/// Reads the limits of the driver: largest buffer and allocation, subgroup size, and the
+/// duration of one time stamp tick. Chooses the default workgroup size and time limit.
 void Device::Impl::query_limits() {
     VkPhysicalDeviceAccelerationStructurePropertiesKHR accel_properties{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_PROPERTIES_KHR};
@@ -367,7 +378,8 @@ void Device::Impl::query_limits() {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     compiles_ahead = info.type != "CPU" && !compile_only;
-    // Long dispatches are split only on GPUs, because no watchdog resets a CPU device.
+    // Long dispatches are split (into pieces of 0.25 s) only on GPUs, because no watchdog
+    // resets a CPU device.
     if (info.type != "CPU") launch_limit.piece_s = 0.25;
     workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
     largest_allocation = {allocations.maxMemoryAllocationSize, "maxMemoryAllocationSize"};
@@ -398,6 +410,7 @@ Device::Impl::Impl() = default;
 
 Device::Impl::~Impl() {
     if (!device) return;
+    // Buffers return their memory to the allocator, so they are destroyed before it.
     nothing.reset();
     transfers.reset();
     for (const OrphanedBuffer& orphan : orphans) destroy_buffer(orphan);

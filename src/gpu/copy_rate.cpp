@@ -16,9 +16,11 @@
 namespace relidar {
 namespace {
 
-/// Alternates between a copy kernel and the driver's copy command, because either of them
-/// can be faster. A GPU raises its clock only under load, so the copies run without
-/// pauses. A CPU device runs each kind of copy only once, because it takes seconds there.
+/// Copies `n_vectors` vectors several times and returns the duration of the fastest copy
+/// in seconds. Alternates between a copy kernel and the driver's copy command, because
+/// either can be faster. A GPU raises its clock only under load, so the copies run
+/// without pauses. A CPU device runs each kind only once, because a copy takes seconds
+/// there.
 double fastest_copy_s(Device& device, std::size_t n_vectors) {
     const Array<glm::vec4, shared::CopySource> from(device, n_vectors, "source of a test copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n_vectors, "target of a test copy");
@@ -52,6 +54,8 @@ double fastest_copy_s(Device& device, std::size_t n_vectors) {
 
 }  // namespace
 
+/// Returns bytes read and written per second. Starts with 256 MiB, which is larger than
+/// any cache, and tries smaller arrays if memory is short.
 std::optional<double> measure_bandwidth(Device& device) {
     constexpr std::size_t kMiB = std::size_t(1) << 20;
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {

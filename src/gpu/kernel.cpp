@@ -38,12 +38,16 @@ bool skips_dead_loads(const std::string& driver_name) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
+/// Returns the SPIR-V code of a kernel after the edits that this device needs.
+/// @param base name of the kernel without its variant
 std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_view name,
                                         std::string_view base, const KernelConstants& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
     for (const SpecialisationConstant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words =
         gpu::mark_params_readonly(gpu::remove_branches(embedded_spirv(name), values));
+    // These edits help only the CPU driver lavapipe. make_nonuniform() comes first,
+    // because hoist_loads() moves the loads that it must recognise.
     if (device.info.driver.starts_with("llvmpipe")) {
         if (!skips_dead_loads(device.info.driver)) words = gpu::make_nonuniform(words);
         words = gpu::hoist_loads(words);
@@ -58,6 +62,9 @@ std::vector<std::uint32_t> kernel_spirv(const Device::Impl& device, std::string_
     return words;
 }
 
+/// Compiles a kernel with its specialisation constants into a Vulkan pipeline. Returns
+/// the result code instead of throwing, because this may run in another thread.
+/// @param name name of the kernel with its constants, which debuggers show
 gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std::uint32_t> words,
                                       const std::string& name, const KernelConstants& constants,
                                       SubgroupRequirement subgroups) {
@@ -78,7 +85,8 @@ gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std:
                                               constants.size() * sizeof(SpecialisationConstant),
                                               constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    // Large launches are split. This flag lets a dispatch begin at any workgroup.
+    // Large launches are split into several dispatches. This flag lets a dispatch begin
+    // at any workgroup.
     info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
     if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
@@ -103,6 +111,8 @@ gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std:
     return made;
 }
 
+/// Occupies one of the slots of `free_compiler_slots` during its lifetime, which limits
+/// the number of threads that compile simultaneously.
 class CompilerSlot {
 public:
     explicit CompilerSlot(std::counting_semaphore<>& free_compiler_slots) : compilers_(free_compiler_slots) {
@@ -114,6 +124,8 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
+/// Returns the constants that the module uses as "NAME=value ...", sorted by their ids.
+/// The workgroup size is left out, because every kernel has one.
 std::string format_constants(std::span<const std::uint32_t> words, KernelConstants constants) {
     std::sort(constants.begin(), constants.end(),
               [](const SpecialisationConstant& first, const SpecialisationConstant& second) {
@@ -130,8 +142,10 @@ std::string format_constants(std::span<const std::uint32_t> words, KernelConstan
     return text;
 }
 
-/// Creates the pipeline if no kernel with the same name and constants exists.
-/// @param mode at its first use (deferred), or immediately in another thread (async)
+/// Returns the pipeline of a kernel. Creates it if no kernel with the same name and
+/// constants exists.
+/// @param mode create at the first use (deferred), or immediately in another thread
+/// (async)
 std::shared_future<gpu::CompiledPipeline> find_pipeline(Device::Impl& device, const KernelBase::Impl& kernel,
                                                         std::launch mode) {
     const std::scoped_lock lock(device.pipelines.mutex);
@@ -185,6 +199,7 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name, const Kernel
     if (device.compile_only) compile_pipeline();
 }
 
+/// Returns the pipeline, which belongs to the device. Waits until it is compiled.
 VkPipeline KernelBase::Impl::wait_for_pipeline() {
     if (pipeline_) return pipeline_;
     const gpu::CompiledPipeline made = made_.get();
@@ -236,6 +251,8 @@ void query_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& 
 
 }  // namespace
 
+/// Compiles the pipeline without running it, and stores the statistics of the driver's
+/// compiler. Skips a kernel whose constants and workgroup size were already compiled.
 void KernelBase::compile_pipeline() {
     Device::Impl& device = *impl_->device;
     PipelineStatistics s;

@@ -17,6 +17,8 @@ namespace {
 // Acceleration structures need this alignment in bytes.
 constexpr std::uint64_t kBufferAlignment = 256;
 
+/// Returns the memory properties to request for a purpose, best first. Parameters prefer
+/// memory on the device, and downloads prefer cached memory, which the host reads fast.
 std::vector<VkMemoryPropertyFlags> preferred_flags(BufferPurpose purpose) {
     constexpr VkMemoryPropertyFlags kHostFlags =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
@@ -31,6 +33,7 @@ std::vector<VkMemoryPropertyFlags> preferred_flags(BufferPurpose purpose) {
 
 }  // namespace
 
+/// Returns budget and use of the largest device-local heap.
 MemoryBudget query_budget(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};
@@ -49,6 +52,9 @@ MemoryBudget query_budget(VkPhysicalDevice physical) {
     return largest;
 }
 
+/// Takes space from the first free range that is large enough. The parts of the range
+/// before and behind this space stay free.
+/// @return offset in bytes, or nullopt if no range is large enough
 std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes, std::uint64_t alignment) {
     for (auto range = ranges_.begin(); range != ranges_.end(); ++range) {
         const auto [begin, size] = *range;
@@ -62,6 +68,8 @@ std::optional<std::uint64_t> FreeRanges::allocate_range(std::uint64_t n_bytes, s
     return std::nullopt;
 }
 
+/// Returns a range to the free list and merges it with adjacent free ranges, so that
+/// large arrays can use the space again.
 void FreeRanges::release_range(std::uint64_t offset, std::uint64_t n_bytes) {
     const auto next = ranges_.lower_bound(offset);
     if (next != ranges_.end() && next->first == offset + n_bytes) {
@@ -122,6 +130,8 @@ std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
     return std::nullopt;
 }
 
+/// Allocates memory of the best suitable type: in an existing block if one has space,
+/// otherwise in a new block. Tries the next type if this fails.
 VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
                                             MemorySuballocation& suballocation) {
     const std::lock_guard lock(mutex_);
@@ -138,6 +148,8 @@ VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirem
     return result;
 }
 
+/// Allocates a block that several buffers can share, or a separate block for an array
+/// larger than half a block. If this fails, tries to allocate only the required size.
 VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& requirements,
                                                    std::uint32_t type,
                                                    std::optional<MemorySuballocation>& suballocation) {
@@ -147,6 +159,7 @@ VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& r
          {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
         result = allocate_block(type, n_bytes);
         if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, type))) return VK_SUCCESS;
+        // Empty blocks may occupy the memory that the next, smaller attempt needs.
         release_empty(type, 0);
     }
     return result;
@@ -183,6 +196,8 @@ void DeviceMemoryAllocator::release(const MemorySuballocation& result) {
     if (result.block->free.is_all_free()) release_empty(result.block->type, 1);
 }
 
+/// Frees the empty blocks of a memory type.
+/// @param n_blocks_to_keep number of empty blocks of normal size that are kept
 void DeviceMemoryAllocator::release_empty(std::uint32_t type, std::size_t n_blocks_to_keep) {
     std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {
         if (!block->free.is_all_free()) return false;

@@ -25,14 +25,16 @@ struct PipelineCacheHeader {
 PipelineCacheHeader make_cache_header(std::string_view cache_data) {
     PipelineCacheHeader header;
     header.n_bytes = cache_data.size();
-    // FNV-1a. Drivers check only the header of their data and could crash.
+    // The hash (FNV-1a) detects damaged files. A damaged file could crash the driver,
+    // because drivers check only the header of their data.
     header.hash = 0xcbf29ce484222325u;
     for (const char byte : cache_data)
         header.hash = (header.hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
     return header;
 }
 
-/// Empty if the file is missing, truncated, damaged, or from another driver.
+/// Returns the driver's data from a cache file. Empty if the file is missing, truncated,
+/// damaged, or written by another driver.
 std::string read_cache(const std::filesystem::path& path, const VkPhysicalDeviceProperties& properties) {
     std::ifstream file(path, std::ios::binary);
     PipelineCacheHeader header;
@@ -58,7 +60,8 @@ std::string read_cache(const std::filesystem::path& path, const VkPhysicalDevice
 void write_cache_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    // One process may close several devices simultaneously.
+    // Makes the names of temporary files unique, because one process may close several
+    // devices simultaneously.
     static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     std::ofstream file(temporary, std::ios::binary);
@@ -97,7 +100,8 @@ void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
-    // The lavapipe of Mesa 26.2 returns data without a complete header (20 bytes).
+    // Does not write data without a complete header. The lavapipe of Mesa 26.2 returns
+    // such data (20 bytes).
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;

@@ -9,6 +9,7 @@
 
 namespace relidar::gpu {
 
+/// Returns a copy of a module in which each entry point has an additional execution mode.
 SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const ExecutionMode& mode) {
     // The name of the extension ends with a zero byte, which may need another word.
     const std::string_view extension_name = mode.extension;
@@ -34,6 +35,7 @@ SpirvWords add_execution_mode(std::span<const std::uint32_t> words, const Execut
     return result;
 }
 
+/// Decorates all members of the parameter block as NonWritable.
 SpirvWords mark_params_readonly(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     std::uint32_t block = 0;  // Id of the type of the parameter block.

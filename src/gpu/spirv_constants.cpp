@@ -24,6 +24,8 @@ public:
         return match == value_by_id_.end() ? std::nullopt : std::optional(match->second);
     }
 
+    /// Stores the value of an instruction if it is known. Must get the instructions of a
+    /// module in their order.
     void evaluate(std::uint32_t opcode, SpirvInstruction instruction) {
         const auto has_type = [&] { return types_.contains(instruction[1]); };
         if (opcode == kOpTypeBool || (opcode == kOpTypeInt && instruction[2] == 32))
@@ -44,6 +46,7 @@ private:
     std::set<std::uint32_t> types_;
     std::map<std::uint32_t, std::uint32_t> spec_ids_, value_by_id_;
 
+    /// Returns the value that replaces a specialisation constant, or its default value.
     std::uint32_t specialised(SpirvInstruction constant_instruction) const {
         const auto spec_id = spec_ids_.find(constant_instruction[2]);
         const auto override_value =
@@ -113,12 +116,15 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
+    /// Header block of each loop, by its merge block and its continue block.
     std::map<std::uint32_t, std::uint32_t> header_of_;
     std::set<std::uint32_t> with_phi_;
 };
 
 }  // namespace
 
+/// Replaces conditional branches whose condition is known by unconditional ones. The
+/// blocks that become unreachable stay in the module.
 SpirvWords remove_branches(std::span<const std::uint32_t> words, const SpirvConstants& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     SpirvConstantValues values(constants);

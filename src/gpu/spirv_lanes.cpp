@@ -76,6 +76,8 @@ private:
         if (is_new_lane_) emit(kOpVariable, {input_pointer_, lane_, kInput});
     }
 
+    /// Computes the zero that is added to indices, and stores it at the start of the
+    /// kernel.
     void emit_zero() {
         const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;
@@ -88,6 +90,8 @@ private:
         emit(kOpStore, {zero_, value});
     }
 
+    /// Writes one instruction to the result, with the declarations that belong before it.
+    /// Adds the zero to the index of an access to device memory.
     void emit_edited(std::uint32_t opcode, SpirvInstruction instruction) {
         if (opcode == kOpDecorate && !decorated_) {
             if (is_new_lane_) emit(kOpDecorate, {lane_, kBuiltIn, kLocalInvocationIndex});

@@ -40,6 +40,7 @@ private:
     void collect(std::uint32_t opcode, SpirvInstruction instruction) {
         if (is_parameter_block_name(opcode, instruction)) block = instruction[1];
         if (opcode == kOpEntryPoint) entry = instruction[2];
+        // All OpType... instructions.
         if (opcode >= 19 && opcode <= 39)
             types[instruction[1]] = SpirvWords(instruction.begin(), instruction.end());
         if (opcode == kOpTypePointer && instruction[2] == kPhysicalStorage && instruction[3] == block)
@@ -72,6 +73,8 @@ class ParameterLoadHoister {
 public:
     explicit ParameterLoadHoister(const SpirvModule& module) : module_(module), next_(module.bound) {}
 
+    /// Returns true if a private variable can hold a parameter of this type: a number, a
+    /// vector, an address, or a struct of these.
     bool is_copyable(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         if ((t[0] & 0xffffu) != kOpTypeStruct) return alignment_bytes(type_id).has_value();
@@ -80,6 +83,10 @@ public:
         return true;
     }
 
+    /// Appends instructions that load one parameter from its private variable. A struct
+    /// is loaded member by member and then composed.
+    /// @param path member indices of the parameter
+    /// @param result id of the loaded value
     void append_load(SpirvWords& instructions, std::uint32_t type_id, const MemberPath& path,
                      std::uint32_t result) {
         const SpirvWords& t = module_.types.at(type_id);
@@ -132,6 +139,7 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     SpirvWords globals_, decorations_;
 
+    /// Returns the alignment of a number, vector or address, and nullopt for other types.
     std::optional<std::uint32_t> alignment_bytes(std::uint32_t type_id) const {
         const SpirvWords& t = module_.types.at(type_id);
         switch (t[0] & 0xffffu) {
@@ -166,6 +174,7 @@ private:
         variables_[path] = {id, type_id};
         return id;
     }
+    /// Returns the instructions that copy the parameters to the private variables.
     SpirvWords copy_parameters() {
         SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
@@ -175,7 +184,7 @@ private:
         next_ += 2;
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage = declare_pointer(storage_pointer_, kPhysicalStorage, v.type);
-            // declare_int() also creates ids.
+            // Reserves these ids first, because declare_int() also creates ids.
             const std::uint32_t at = next_++, value = next_++;
             SpirvWords access_chain{std::uint32_t(path.size() + 4) << 16 | kOpAccessChain, to_storage, at,
                                     block};
@@ -186,6 +195,8 @@ private:
         }
         return code;
     }
+    /// Appends all functions. In the entry point, inserts `prologue` behind the variable
+    /// declarations, where SPIR-V allows the first instruction.
     void append_functions(SpirvWords& module, const SpirvWords& code, const SpirvWords& prologue) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
@@ -202,6 +213,8 @@ private:
 
 }  // namespace
 
+/// Replaces loads of parameters in all functions by loads of private variables. Returns
+/// the module unchanged if it loads no parameter that can be copied.
 SpirvWords hoist_loads(std::span<const std::uint32_t> words) {
     const SpirvModule module(words);
     ParameterLoadHoister result(module);

@@ -48,6 +48,9 @@ Stream::Impl::~Impl() {
     if (timeline) vkDestroySemaphore(device->device, timeline, nullptr);
 }
 
+/// Returns the command buffer of the current recording. Starts a recording if there is
+/// none, and first waits until the device has finished the previous submission of this
+/// slot.
 VkCommandBuffer Stream::Impl::open_commands() {
     SubmissionSlot& slot = slots[current];
     if (recording) return slot.commands;
@@ -82,6 +85,8 @@ void Stream::Impl::begin_commands(SubmissionSlot& slot) {
     recorded_s = 0.0;
 }
 
+/// Submits the commands recorded so far without a ticket, so that a slow launch is split
+/// over several submissions. Recording continues in a new command buffer.
 void Stream::Impl::submit() {
     SubmissionSlot& slot = slots[current];
     gpu::vk_check(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
@@ -116,7 +121,9 @@ void Stream::Impl::add_command(const std::string& name, VulkanCommandRecorder co
     barrier_or_defer();
 }
 
-/// Each step has a single pair of timestamps, because more would serialise its commands.
+/// Records the stored commands of all lanes, step by step: step k of every lane, then one
+/// barrier. Each step has a single pair of timestamps, because more timestamps would
+/// serialise its commands.
 void Stream::Impl::merge_lanes() {
     std::size_t n_steps = 0;
     for (const CommandSequence& one : lanes) n_steps = std::max(n_steps, one.size());
@@ -141,6 +148,8 @@ void Stream::Impl::barrier_or_defer() {
     else record_barrier();
 }
 
+/// Records a full memory barrier, so that all later commands see all earlier writes. If
+/// the host reads the results, the barrier also makes them visible to the host.
 void Stream::Impl::record_barrier() {
     VkMemoryBarrier all{VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     all.srcAccessMask = VK_ACCESS_MEMORY_WRITE_BIT;
@@ -155,6 +164,8 @@ void Stream::Impl::record_barrier() {
                          0, nullptr);
 }
 
+/// Writes the first timestamp of a command, if the user or the speed estimate of the
+/// kernel needs the time and the slot has free queries.
 void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_workgroups,
                                 bool continues) {
     last_kernel = name;
@@ -175,11 +186,14 @@ void Stream::Impl::end_timing() {
                             2 * static_cast<std::uint32_t>(slot.launches.size() - 1) + 1);
 }
 
+/// Copies bytes from the host into memory that kernels of the current submission can
+/// read. The memory is reused after this submission is finished.
 Stream::Impl::StagedValue Stream::Impl::stage_bytes(const void* host_bytes, std::size_t n_bytes) {
     constexpr std::size_t kStagingAlignment = 64;
     open_commands();
     SubmissionSlot& slot = slots[current];
     const std::size_t aligned = (n_bytes + kStagingAlignment - 1) / kStagingAlignment * kStagingAlignment;
+    // Skips blocks whose remaining space is too small for this value.
     while (slot.block < slot.blocks.size() && slot.block_bytes + aligned > slot.blocks[slot.block]->n_bytes) {
         ++slot.block;
         slot.block_bytes = 0;
@@ -213,6 +227,9 @@ void Stream::Impl::record_copy(const Buffer::Impl& source, const std::shared_ptr
     });
 }
 
+/// Copies the parameter struct of a launch to memory that the kernel can read. Replaces
+/// each address 0 by the address of a buffer with zeros, so that kernels can load from
+/// arrays that a launch leaves out.
 std::uint64_t Stream::Impl::stage_parameters(const KernelBase& kernel, const void* parameter_struct,
                                              std::size_t n_bytes) {
     std::vector<std::byte> params(n_bytes);
@@ -244,12 +261,16 @@ struct Stream::Impl::Dispatch {
 
 namespace {
 
+/// Arranges the workgroups of a launch in rows, and divides the rows into dispatches.
+/// @param max_groups number of workgroups that one dispatch may have, from the time limit
 Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& push,
                                     std::uint32_t n_workgroups, std::uint32_t max_groups) {
+    // Number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t columns =
         std::max(std::min({n_workgroups, kMaxGroups, max_groups}), (n_workgroups - 1) / kMaxGroups + 1);
-    // Equal rows, so that the launch has few superfluous workgroups.
+    // Gives all rows the same number of workgroups, so that the launch has few
+    // superfluous workgroups.
     const std::uint32_t rows = (n_workgroups - 1) / columns + 1, even_columns = (n_workgroups - 1) / rows + 1;
     // A launch that is short enough, or must not be split, is one dispatch.
     const std::uint32_t rows_per_piece =
@@ -259,6 +280,8 @@ Stream::Impl::Dispatch split_launch(VkPipeline pipeline, const std::array<std::u
 
 }  // namespace
 
+/// Records one launch of a kernel. On a GPU, a launch that would exceed the time limit
+/// becomes several dispatches, which may be in separate submissions.
 void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params,
                                  std::size_t n_bytes) {
     if (device->compile_only)
@@ -274,7 +297,8 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
     const gpu::KernelSpeed* speed = limit.has_limit() ? kernel.impl().speed : nullptr;
     const Dispatch dispatch =
         split_launch(pipeline, pushed, n_groups, speed ? speed->workgroups_for(limit.piece_s) : n_groups);
-    // Lanes are not split, because their commands are recorded later, in one submission.
+    // Launches in lanes are never divided between submissions, because their commands are
+    // stored now and recorded later, in a single submission.
     if (speed && lanes.empty()) return submit_pieces(kernel.impl(), dispatch);
     record_command(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer commands) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
@@ -282,13 +306,15 @@ void Stream::Impl::record_launch(const KernelBase& kernel, std::uint32_t n_threa
     });
 }
 
+/// Records the dispatches of a launch. Starts a new submission whenever the expected
+/// duration of the recorded commands would exceed `piece_s` seconds.
 void Stream::Impl::submit_pieces(const KernelBase::Impl& kernel, const Dispatch& dispatch) {
     const double piece_s = device->launch_limit.piece_s;
     for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
         const std::uint32_t n_groups = dispatch.rows_of_piece(row) * dispatch.columns;
         double expected_s = kernel.speed->estimate_s(n_groups);
-        // If the speed is unknown, each piece of a split launch gets a separate
-        // submission.
+        // If the speed of the kernel is unknown (0), each piece of a split launch gets a
+        // separate submission. The estimate `piece_s` leaves no time for a second piece.
         if (expected_s == 0.0 && n_groups < dispatch.rows * dispatch.columns) expected_s = piece_s;
         open_commands();
         if (recorded_s > 0.0 && recorded_s + expected_s > piece_s) submit();
@@ -302,6 +328,8 @@ void Stream::Impl::submit_pieces(const KernelBase::Impl& kernel, const Dispatch&
     barrier_or_defer();
 }
 
+/// Waits until the submission with this ticket is finished. Ticket 0 means that nothing
+/// was submitted. The error names the last recorded kernel, which probably caused it.
 void Stream::Impl::wait_for(std::uint64_t ticket) {
     if (!ticket) return;
     if (ticket == last_ticket) ++device->n_full_waits;
@@ -316,6 +344,8 @@ void Stream::Impl::wait_for(std::uint64_t ticket) {
                                  device->info.name, gpu::vk_result_name(result), last_kernel));
 }
 
+/// Reads the timestamps of a finished submission. Adds the durations to the kernel times
+/// and to the speed estimates that limit the size of later dispatches.
 void Stream::Impl::collect_times(SubmissionSlot& slot) {
     if (slot.launches.empty()) return;
     std::vector<std::uint64_t> stamps(2 * slot.launches.size());
@@ -375,7 +405,8 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
 
 ConcurrentSequenceScope::~ConcurrentSequenceScope() {
     Stream::Impl& s = stream_.impl();
-    // After an exception, the arrays that the commands use may be destroyed.
+    // After an exception, the commands are dropped, because the arrays that they use may
+    // be destroyed.
     if (std::uncaught_exceptions() == 0) s.merge_lanes();
     s.lanes.clear();
 }
@@ -389,6 +420,8 @@ void ConcurrentSequenceScope::select_lane(std::size_t sequence_index) {
     s.lane = sequence_index;
 }
 
+/// Submits all recorded commands and returns the ticket of the submission. The device
+/// signals this number on the timeline semaphore. The next recording uses the next slot.
 std::uint64_t Stream::submit_commands() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
@@ -421,6 +454,8 @@ std::uint64_t Stream::submit_commands() {
     return ticket;
 }
 
+/// Returns the measured times of all submitted launches. Waits for them, but skips the
+/// slot that is being recorded, because its queries have no results yet.
 const KernelTimes& Stream::times() const {
     for (Impl::SubmissionSlot& slot : impl_->slots) {
         const bool open = impl_->recording && &slot == &impl_->slots[impl_->current];

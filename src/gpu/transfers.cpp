@@ -72,7 +72,8 @@ void BufferTransfers::copy_buffer(const Buffer::Impl& source, const Buffer::Impl
     copy_now(source.handle, target.handle, {0, 0, n_bytes});
 }
 
-/// Needs no barrier before, because every submission of a stream ends with one.
+/// Copies and waits until the copy is complete. Needs no barrier before the copy, because
+/// every submission of a stream ends with one.
 void BufferTransfers::copy_now(VkBuffer source, VkBuffer target, const VkBufferCopy& region) {
     if (!done_) create_commands();
     vk_check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

@@ -33,7 +33,8 @@ UnsavedTestResults& unsaved_results() {
 /// If not null, this thread uses these test results instead of testing a device.
 thread_local const DeviceTestResults* fixed_trust = nullptr;
 
-/// A file is accepted only if it equals this text exactly.
+/// Returns the text of the file with a device's test results. A file is accepted only if
+/// its content equals this text exactly, so that damaged files are ignored.
 std::string format_results(const std::string& driver_version, const DeviceTestResults& results) {
     return fmt::format(
         "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
@@ -88,9 +89,12 @@ DeviceTestResults check_results(const Device::Impl& device, const DeviceOptions&
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(device.physical, &properties);
     std::filesystem::path path;
-    // Injected faults must not affect later runs.
+    // Results are not stored if a test has injected faults, because these results must
+    // not affect later runs.
     if (!options.pipeline_cache.empty() && injected_faults().empty())
         path = options.pipeline_cache / ("check_" + cache_file_name(properties) + ".txt");
+    // A check without ray queries does not test them, so its results are incomplete for a
+    // device that now traces with ray queries.
     const auto is_complete = [&](const std::optional<DeviceTestResults>& trust) {
         return trust && (trust->ray_query != CheckVerdict::unknown ||
                          device.traversal != RayTracingBackend::ray_query);
