@@ -20,5 +20,7 @@ void main() {
     for (uint i = first + thread; i < min(first + RELIDAR_TILE_SIZE, n); i += RELIDAR_TILE_THREADS)
         atomicAdd(histogram[radix_digit(i)], 1u);
     barrier();
+    // One thread per digit value. The counts of a digit are consecutive, so that
+    // radix_scan can sum them over the tiles.
     params.counts.at[thread * n_tiles() + tile] = histogram[thread];
 }

@@ -29,8 +29,10 @@ shared uint counters[ROWS * WORDS];
 shared uint digit_start[RELIDAR_SORT_DIGITS];
 uint rank[ROUNDS];  // Ranks of this lane's keys. The lane ranks one key per round.
 
+/// Returns the number of subgroups that share one row of `counters`.
 uint row_subgroups() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
+/// Returns the count of a digit value from a word with two counts.
 uint digit_count(uint packed_counts, uint digit) { return (packed_counts >> (16u * (digit & 1u))) & 0xffffu; }
 
 /// Returns a bit mask of the lanes whose keys have the same digit as the key of this
@@ -59,6 +61,8 @@ void rank_keys(uint first_key, uint key_count, uint counter_row, bool ranks_now)
         uvec2 peers = same_digit_lanes(valid, digit), before = peers & gl_SubgroupLtMask.xy;
         uint smaller = bitCount(before.x) + bitCount(before.y);
         if (ranks_now) rank[r] = digit_count(counters[counter_row + digit / 2u], digit) + smaller;
+        // All lanes must read the old counts before the first lane of each group adds to
+        // them.
         subgroupMemoryBarrierShared();
         subgroupBarrier();
         if (valid && smaller == 0u)
@@ -69,6 +73,7 @@ void rank_keys(uint first_key, uint key_count, uint counter_row, bool ranks_now)
     }
 }
 
+/// Replaces the counts in each row of `counters` by the sums of all earlier rows.
 void sum_counters(uint n_rows) {
     if (ordered_thread() >= WORDS) return;
     uint sum = 0u;
@@ -83,12 +88,16 @@ void main() {
     uint tile = workgroup_index(), thread = ordered_thread(), n = n_keys();
     if (tile >= n_tiles()) return;
     uint sharing = row_subgroups(), n_rows = gl_NumSubgroups / sharing, row = gl_SubgroupID / sharing * WORDS;
+    // Index of this lane's first key. A subgroup owns consecutive keys, and its lanes
+    // take turns.
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
     digit_start[thread] = exclusive_sum(uvec2(params.totals.at[thread], 0u), unused).x +
                           params.counts.at[thread * n_tiles() + tile];
     for (uint i = thread; i < n_rows * WORDS; i += RELIDAR_TILE_THREADS) counters[i] = 0u;
     barrier();
+    // Subgroups that share a row of counters take turns in the order of their keys,
+    // because a rank counts the earlier keys of the row.
     for (uint turn = 0u; turn < sharing; ++turn) {
         rank_keys(run, n, row, gl_SubgroupID % sharing == turn);
         barrier();

@@ -25,6 +25,7 @@ void main() {
     }
     uvec2 in_tile;
     uint start = !is_null(params.tile_sums) ? params.tile_sums.at[tile] : 0u;
+    // Adds the sums of earlier tiles and of earlier subgroups in this tile.
     uint run_start = start + earlier_sum(uvec2(sum, 0u), in_tile).x;
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;

@@ -17,6 +17,7 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
+/// Returns the index in the complete frame of ray `batch_ray` of the batch.
 uint frame_ray(uint batch_ray) {
     if (params.columns == 0u) return params.first_ray + batch_ray * params.ray_stride;
     return batch_ray / params.n_columns * params.columns + frame_column(batch_ray % params.n_columns,
@@ -26,6 +27,8 @@ uint frame_ray(uint batch_ray) {
 
 vec3 load_vec3(Floats array, uint row) { return vec3(array.at[row], array.at[row + 1u], array.at[row + 2u]); }
 
+/// Returns the weight of a sensor pose in an interpolated pose. 0 if the ray was not
+/// fired next to it.
 float knot_weight(PoseInterpolation interpolation, uint knot) {
     if (knot == interpolation.left) return 1.0 - interpolation.s;
     return knot == interpolation.left + 1u ? interpolation.s : 0.0;

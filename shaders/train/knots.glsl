@@ -4,6 +4,7 @@
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
+/// Returns the sensor pose at the firing time of a ray, interpolated between two poses.
 PoseKnot sensor_pose(PoseKnots knots, PoseInterpolation interpolation) {
     PoseKnot a = knots.at[interpolation.left];
     // If the next pose has the weight 0, it may not exist.

@@ -5,6 +5,7 @@
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
+/// Returns the bound that the traversal computes from a quantised value.
 float decode_bound(float origin, uint quantised, float scale) {
     precise float offset = float(quantised) * scale;  // exact: an 8-bit integer times a power of two
     precise float x = origin + offset;
@@ -26,6 +27,8 @@ uint quantise(float origin, uint exponent, float low, float high) {
     float scale = uintBitsToFloat(exponent << 23), steps = uintBitsToFloat((254u - exponent) << 23);
     uint q_low = uint(clamp(floor((low - origin) * steps), 0.0, 255.0));
     uint q_high = uint(clamp(ceil((high - origin) * steps), 0.0, 255.0));
+    // Corrects rounding errors with the same arithmetic as the traversal, so that the
+    // decoded box contains the exact box.
     while (q_low > 0u && decode_bound(origin, q_low, scale) > low) --q_low;
     while (q_high < 255u && decode_bound(origin, q_high, scale) < high) ++q_high;
     return q_low | q_high << 8;
@@ -36,6 +39,8 @@ struct NodeGrid {
     uvec3 exponents;
 };
 
+/// Returns the grid to which the child boxes of a node are quantised.
+/// @param bounds bounding box of the node
 NodeGrid make_node_grid(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
     return NodeGrid(frame.low,

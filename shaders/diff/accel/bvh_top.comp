@@ -36,6 +36,8 @@ Box make_world_box(InstanceEntry instance, Box model) {
     vec3 shift = vec3(instance.row0.w, instance.row1.w, instance.row2.w);
     vec3 middle = 0.5 * model.low + 0.5 * model.high, half_size = 0.5 * model.high - 0.5 * model.low;
     vec3 centre = world_from_model * (middle - shift);
+    // 2e-6 covers the rounding errors of the transform, relative to the size of its
+    // terms.
     vec3 grown = size * half_size + 2e-6 * (size * (abs(middle) + half_size + abs(shift)));
     if (instance.moves != 0u)
         grown += 1.00001 * instance.half_span_s *
@@ -69,6 +71,7 @@ Box instance_boxes() {
     return centres;
 }
 
+/// Returns the union of the boxes of all threads of the workgroup.
 Box join_workgroup(Box box) {
     box.low = subgroupMin(box.low);
     box.high = subgroupMax(box.high);
@@ -81,6 +84,8 @@ Box join_workgroup(Box box) {
     return box;
 }
 
+/// Writes the Morton code of each present instance to `keys`.
+/// @param centre_bounds bounds of the centres of all instance boxes
 void write_keys(Box centre_bounds) {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint i = ordered_thread(); i < params.n_instances; i += RELIDAR_BVH_WORKGROUP) {
@@ -103,6 +108,8 @@ void sort_instances() {
             for (uint pair = ordered_thread(); pair < params.n_padded / 2u; pair += RELIDAR_BVH_WORKGROUP) {
                 uint i = (pair & ~(reach - 1u)) * 2u + (pair & (reach - 1u)), j = i + reach;
                 uvec2 a = keys.at[i], b = keys.at[j];
+                // Blocks of `size` keys are sorted alternately in ascending and
+                // descending order.
                 if (is_key_after(a, b) != ((i & size) == 0u)) continue;
                 keys.at[i] = b;
                 keys.at[j] = a;
@@ -127,6 +134,8 @@ void write_node(uint node, uint first_child, uint n_below, uint first_node_below
             uint instance = SharedUvec2s(uvec2(params.keys)).at[first_child + s].y;
             params.bvh.top_order.at[first_child + s] = instance;
             children[s] = load_shared_box(params.boxes, instance);
+            // A leaf byte has the number of entries (1) in bits 5-7 and the first entry
+            // in bits 0-4.
             leaves[s / 4u] |= (s | 1u << 5) << (8u * (s % 4u));
         } else {
             inner_mask |= 1u << s;
@@ -159,6 +168,8 @@ void main() {
     }
     uint first_node_below = 0u;
     bool is_lowest_level = true;
+    // Writes the levels from the lowest to the root, because a node needs the boxes below
+    // it.
     for (uint n = group_present;;) {
         uint n_level = max((n + 7u) / 8u, 1u);
         n_nodes -= n_level;

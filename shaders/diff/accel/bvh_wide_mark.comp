@@ -37,6 +37,8 @@ bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
 
 uint level_end;  // Queue index at which the next level starts.
 
+/// Writes the children of a wide node. Appends the children that become wide nodes to the
+/// queue.
 void choose_children(uint queue_index) {
     uint node = SharedUints(uvec2(params.queue)).at[queue_index];
     if (node == RELIDAR_BVH_NO_NODE) return;  // the model has no surfels
@@ -51,6 +53,8 @@ void choose_children(uint queue_index) {
         if (n > RELIDAR_BVH_LEAF_SIZE) ++n_inner;
         else n_surfels += n;
     }
+    // Number of inner children in bits 0-7, number of surfels in leaves above. Later
+    // kernels sum these numbers to place nodes and leaves.
     params.demands.at[node & ~RELIDAR_BVH_LEAF] = n_inner | n_surfels << 8;
     if (n_inner == 0u) return;
     uint at = level_end + atomicAdd(SharedUints(uvec2(params.level_sizes)).at[params.level + 1u], n_inner);

@@ -16,6 +16,7 @@ struct BlendState {
     float lost;       // rounding error of `remaining`
 };
 
+/// Returns true if any value that the ray blends from its hits has a non-zero gradient.
 bool has_gradient(RayGradient gradient) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \

@@ -46,6 +46,8 @@ void store_row_sum(uint block, uint gradient_row, uint instance, bool starts_in_
         add_surfel_sums(gradient_row, instance);
         return;
     }
+    // A block can have two rows that continue in other blocks: its first and its last
+    // one.
     uint part = starts_in_block ? last_row_sum(block) : first_row_sum(block);
     for (uint k = 0u; k < 16u; ++k) params.parts.at[part + k] = sums[k];
     for (uint k = 16u; k < floats_per_sum(); ++k) params.parts.at[part + k] = sh_sums[k - 16u];

@@ -12,6 +12,8 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
+/// Returns true if the last row of this block begins in the block. Otherwise, an earlier
+/// block adds the sums of this row.
 bool has_row_start(uint block, uint gradient_row) {
     uint first = block * RELIDAR_GATHER_BLOCK;
     return params.rows.at[first] != gradient_row || first == 0u || params.rows.at[first - 1u] != gradient_row;

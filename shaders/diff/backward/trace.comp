@@ -69,6 +69,7 @@ uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gra
     uint first_surfel = scene.instances.at[blended_hit.instance].first_surfel;
     uint row = blended_hit.surfel - first_surfel + scene.instances.at[blended_hit.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[blended_hit.surfel] = 1u;
+    // Eq. 9. A clamped alpha does not depend on the surfel, so its gradient is 0.
     // Eq. 9
     float d_alpha = blended_hit.alpha > scene.alpha_max ? 0.0
                                                         : blended_hit.transmittance * blended_hit.shade -
@@ -87,6 +88,7 @@ uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gra
     return recorded ? kNoRow : row;
 }
 
+/// Loads the next hits that the forward pass has stored for this ray into the hit buffer.
 void load_kept_hits(uint first, uint count) {
     uint list = thread_index();
     reset_hits(0.0);
@@ -177,6 +179,8 @@ uint backpropagate_ray(TraceScene scene, Ray ray, uint ray_index, RenderedRay re
     return blended;
 }
 
+/// Marks the reserved records of hits that were not processed as unused, so that the sort
+/// moves them to the end.
 void clear_records(uint ray_index, uint first, uint count) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + count, params.capacity); ++k)

@@ -12,6 +12,7 @@ struct Blended {
     Surfaces surfaces;
 };
 
+/// Returns the state of a ray before its first hit: all sums 0, transmittance 1.
 Blended start_blending(TraceScene scene, uint ray_index) {
     Blended b;
 #define RELIDAR_START(name, built, value, input, slope, meaning) b.ray.name = b.lost.name = 0.0;
@@ -42,6 +43,8 @@ bool is_blocked(TraceScene scene, Hit hit, float transmittance_before) {
     return transmittance_behind(scene, hit, transmittance_before) < scene.transmittance_min;
 }
 
+/// Adds the next hit of the ray to the blended values. The median depth and its instance
+/// are those of the hit at which the transmittance falls to 0.5.
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended blended) {
     float next = transmittance_behind(scene, hit, blended.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * blended.ray.transmittance;
@@ -64,6 +67,7 @@ void store_hit(uint blend_index, Hit hit) {
         params.kept.at[hit_list_index(params.n_kept, thread_index(), blend_index)] = hit;
 }
 
+/// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended blended) {
     if (params.n_kept > 0u && blended.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // Blends the background like a hit with the drop logit 1 and all other values 0. Its

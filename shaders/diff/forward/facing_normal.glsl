@@ -5,6 +5,8 @@
 #define RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 RELIDAR_CONSTANT(uint, NORMAL, 0u);
 
+/// Returns the unit normal of a surfel in the world frame, with the sign that makes it
+/// face the sensor.
 vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;

@@ -47,6 +47,8 @@
     if (lane * HELD + h < hit_count) \
         params.lists.hits.at[hit_list_index(params.lists.room, list, lane * HELD + h)] = hits[h];
 
+/// Sorts one list with a bitonic sort. Each lane holds HELD consecutive hits, so close
+/// pairs are exchanged within a lane and distant pairs by subgroup shuffles.
 void SORT_HITS_OF_LIST(uint list, uint hit_count) {
     uint lane = gl_SubgroupInvocationID, place[HELD];
     float t[HELD];

@@ -25,6 +25,8 @@ void keep_heaviest(inout Surfaces surfaces) {
     surfaces.heaviest_t = surfaces.start + surfaces.moment / surfaces.weight;
 }
 
+/// Adds a hit to the current surface. Starts a new surface if the gap to the previous hit
+/// is larger than `max_gap_m`.
 void add_to_surfaces(float hit_t, float hit_weight, float max_gap_m, inout Surfaces surfaces) {
     if (hit_t - surfaces.last_t > max_gap_m) {
         keep_heaviest(surfaces);

@@ -17,6 +17,7 @@ RELIDAR_PARAMS(ImageLossParams);
 /// normalised_depth, the blended depth is divided by the sum of the blending weights.
 /// @return value of this loss term
 float depth_loss(RenderedRay ray, float range_m, inout RayGradient gradient) {
+    // The limit avoids a division by zero for rays that hit almost nothing.
     float weight = max(ray.weight, 1e-3);
     float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
     float error = ray.depth * scale - range_m;
@@ -50,6 +51,8 @@ float drop_loss(RenderedRay ray, bool dropped, inout RayGradient gradient) {
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
+/// Computes the loss terms of one ray with a known measurement (depth, intensity, ray
+/// drop, opacity) and adds their derivatives to `gradient`.
 vec4 loss_terms(RenderedRay ray, DeviceTarget target, inout RayGradient gradient) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);

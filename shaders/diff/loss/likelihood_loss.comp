@@ -11,6 +11,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
+/// Returns the loss of one ray with a measured return, and adds its derivative to the
+/// gradient of the ray.
 float likelihood_loss(uint ray) {
     float explained =
         params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[ray].likelihood;

@@ -10,11 +10,14 @@
 #include "../shared/refine.h"
 RELIDAR_PARAMS(NormFinishParams);
 
+/// Returns the mean and the variance of a channel over the batch.
 vec2 batch_moments(uint channel) {
     float n = 0.0, mean = 0.0, squares = 0.0;
     uint of_image = params.n_parts / params.n_images;
     for (uint part = 0u; part < params.n_parts; ++part) {
         uint at = 2u * (part * params.n_channels + channel);
+        // The first parts of an image have one pixel more if its pixels are not
+        // divisible.
         float size =
             float(params.n_pixels / of_image + (part % of_image < params.n_pixels % of_image ? 1u : 0u));
         float off = params.partial.at[at] - mean, both = n + size;

@@ -20,6 +20,7 @@ void find_large_pixels(uint small_pixel, uint n_large, uint n_small, out int fir
     count = min(int(ceil(2.0 * step)) + 4, int(n_large));
 }
 
+/// Returns the weight of a row of the small image in a row of the large image.
 float small_row_weight(int large_row, uint small_row) {
     if (large_row < 0 || large_row >= int(params.rows)) return 0.0;
     int above;
@@ -29,6 +30,7 @@ float small_row_weight(int large_row, uint small_row) {
            (clamp_row(above + 1) == small_row ? lower_weight : 0.0);
 }
 
+/// Returns the weight of a column of the small image in a column of the large image.
 float small_column_weight(int large_column, uint small_column) {
     int left;
     float right_weight;

@@ -62,6 +62,7 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
+/// Writes the indices of the stored hits to hit_place, from near to far.
 void sort_hits() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {

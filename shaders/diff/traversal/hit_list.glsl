@@ -44,6 +44,8 @@ float transmittance_factor(float alpha) {
     return 1.0 - alpha;
 }
 
+/// Appends a hit to the list. Ends the ray at the farthest hit so far when these hits
+/// absorb enough light.
 void insert_hit(HitKey key, float alpha, float alpha_max) {
     uint slot = n_hits++;
     if (slot >= listed.room) {  // The list is full, so kernel forward/trace must render this ray.

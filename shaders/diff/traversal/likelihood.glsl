@@ -10,6 +10,7 @@ RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
+/// Loads the measured range of a ray into a variable of this thread.
 void cache_range(TraceScene scene, uint ray_index) {
     measured_range = 0.0;
     if (is_null(scene.targets)) return;

@@ -16,6 +16,8 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
+/// Returns true if the distance between the ray and the origin of the model is less than
+/// `radius_m`, with a margin for rounding errors.
 bool is_near_origin(float radius_m) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
@@ -36,6 +38,8 @@ struct RayQueryParams {
 bool prepare_query(TraceScene scene, Ray ray, MovingInstance moving, out RayQueryParams query_params) {
     enter_instance(scene, ray, moving.instance);
     InstanceEntry m = scene.instances.at[moving.instance];
+    // The driver transforms rays with the stored pose. This ray is transformed back with
+    // that pose, so that the driver gets the moved ray.
     vec3 from_model = entered_origin - vec3(m.row0.w, m.row1.w, m.row2.w);
     query_params.origin = m.row0.xyz * from_model.x + m.row1.xyz * from_model.y + m.row2.xyz * from_model.z;
     query_params.direction = m.row0.xyz * entered_direction.x + m.row1.xyz * entered_direction.y +

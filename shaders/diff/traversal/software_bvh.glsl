@@ -66,6 +66,8 @@ struct BoxRay {
     float end;
 };
 
+/// Stores the ray of the current tree and the inverse of its direction. Replaces
+/// components near zero, so that the inverse is finite.
 void prepare_box_ray(inout BoxRay box_ray, vec3 origin, vec3 direction) {
     vec3 least = mix(vec3(kLeastSlope), vec3(-kLeastSlope), lessThan(direction, vec3(0.0)));
     box_ray.origin = origin;
@@ -91,6 +93,8 @@ uint intersect_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
                            uvec2(node.low_z[0], node.low_z[1]));
     uvec2 high[3] = uvec2[](uvec2(node.high_x[0], node.high_x[1]), uvec2(node.high_y[0], node.high_y[1]),
                             uvec2(node.high_z[0], node.high_z[1]));
+    // Along each axis, a ray with a positive direction enters at the lower bound and
+    // leaves at the upper bound. With a negative direction, it is the opposite.
     uvec2 near[3], far[3];
     [[unroll]] for (uint c = 0u; c < 3u; ++c) {
         near[c] = ray.inverse[c] < 0.0 ? high[c] : low[c];
@@ -106,6 +110,7 @@ uint intersect_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
             far_at;
         t[slot] = max(max(enter.x, enter.y), max(enter.z, ray.start));
         float last = min(min(leave.x, leave.y), min(leave.z, ray.end));
+        // A comparison with NaN is false, so a box with undefined distances is visited.
         if (!(t[slot] > last)) met |= 1u << slot;
     }
     return met;
@@ -131,6 +136,7 @@ void push_ray_children(uint first_inner_child, uint inner_mask, uint hit_mask, f
         (inner_mask & hit_mask & (1u << slot)) != 0u
             ? ((floatBitsToUint(t[slot]) >> 1u) & ~7u) | kIsHitFlag | slot
             : 0u;
+    // Sorting network for 8 keys: 19 pairs that are compared and exchanged.
     const uint kSortingNetworkPairs[38] =
         uint[](0u, 1u, 2u, 3u, 4u, 5u, 6u, 7u, 0u, 2u, 1u, 3u, 4u, 6u, 5u, 7u, 1u, 2u, 5u, 6u, 0u, 4u, 3u, 7u,
                1u, 5u, 2u, 6u, 1u, 4u, 3u, 6u, 2u, 4u, 3u, 5u, 3u, 4u);
@@ -287,10 +293,15 @@ uint visit_node(TraceScene scene, Ray ray, HitKey previous_key, uint tree_instan
     } else {
         intersect_leaf(scene, previous_key, tree_instance, node.first_leaf, entry_mask);
     }
+    // Boxes behind the farthest needed hit can be skipped from now on. The margin covers
+    // the rounding error of t.
     if (hits_closed) box_ray.end = last_hit_t() + (1e-4 + 1e-5 * last_hit_t());
     return n_tested;
 }
 
+/// Finds the hits of a ray behind `previous_key` and passes them to the hit buffer.
+/// Starts at the root of the top-level tree, and skips entries that are behind the last
+/// needed hit.
 void find_hits(TraceScene scene, Ray ray, HitKey previous_key) {
     BoxRay box_ray;
     box_ray.start = search_start_t(previous_key);
