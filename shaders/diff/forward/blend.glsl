@@ -43,8 +43,9 @@ bool is_blocked(TraceScene scene, Hit hit, float transmittance_before) {
     return transmittance_behind(scene, hit, transmittance_before) < scene.transmittance_min;
 }
 
-/// Adds the next hit of the ray to the blended values. The median depth and its instance
-/// are those of the hit at which the transmittance falls to 0.5.
+/// Adds the next hit of the ray to the blended values. The hit at which the transmittance
+/// falls to 0.5 gives the median depth and the instance. Until then, the instance is the
+/// one of the first hit.
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended blended) {
     float next = transmittance_behind(scene, hit, blended.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * blended.ray.transmittance;

@@ -55,6 +55,8 @@ std::vector<std::uint32_t> instance_models(const DeviceScene& scene) {
     return models;
 }
 
+/// Returns the number of nodes of a tree with `n_instances` instances and eight children
+/// per node, over all levels.
 std::uint32_t count_top_nodes(std::uint32_t n_instances) {
     std::uint32_t n_nodes = 0;
     do {
@@ -218,6 +220,8 @@ SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
             .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
+/// Sorts the surfels of all models by model and by the Morton codes of their box centres,
+/// so that neighbours in space are neighbours in the list.
 SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(surfel_tiles(n)) * kWorkgroupSize,
@@ -242,6 +246,9 @@ SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     return sort.run(stream, sort_buffers(first_set), sort_buffers(1 - first_set), n_key_bits());
 }
 
+/// Converts the binary trees to trees with up to eight children per node. First chooses
+/// the children level by level, then numbers the nodes by a prefix sum, and then writes
+/// them.
 void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
     stream.fill(level_sizes);
     shared::BvhWideParams params{.tree = binary_bvh(),
@@ -260,6 +267,9 @@ void Bvh::Impl::collapse_tree(Stream& stream, const DeviceScene& scene) {
                                  .n_models = n_models,
                                  .bound = bound,
                                  .level = 0};
+    // The number of nodes of a level is unknown on the host, so each launch has enough
+    // threads for the largest possible level. The last launch processes all remaining
+    // levels.
     for (std::uint64_t width = n_models; params.level < max_levels() - 1;
          ++params.level, width = std::min<std::uint64_t>(width * RELIDAR_BVH_WIDTH, bound))
         run(stream, wide_mark, width, params);
@@ -283,6 +293,8 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
 
 Bvh::~Bvh() = default;
 
+/// Submits the kernels of a build: surfel boxes, sort, binary trees (H-PLOC), conversion
+/// to wide nodes, boxes of the wide nodes, and the top-level tree.
 void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& b = *impl_;
     b.compute_boxes(stream, scene, options, {0, b.n});
@@ -303,6 +315,8 @@ void Bvh::build_trees(Stream& stream, const DeviceScene& scene, const AccelOptio
     rebuild_top_level(stream, scene);
 }
 
+/// Updates the boxes of the models in `r` without changing their trees, for surfels that
+/// have moved.
 void Bvh::refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& r) {
     for (const auto& [first, count] : r) {
         if (count == 0) continue;

@@ -50,6 +50,8 @@ struct BuildInput {
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
+    /// Returns the memory sizes that the build needs.
+    /// @param n_primitives number of triangles, boxes or instances
     VkAccelerationStructureBuildSizesInfoKHR query_sizes(Device::Impl& device, std::uint32_t n_primitives) {
         range.primitiveCount = n_primitives;
         info.geometryCount = 1;
@@ -61,6 +63,8 @@ struct BuildInput {
         return result;
     }
 
+    /// Selects the structure to build. With `update`, the driver refits the existing
+    /// structure instead, which is faster but keeps its tree.
     void set_target(const VulkanAccelStructure& target, bool update, std::uint64_t scratch_address) {
         info.mode = update ? VK_BUILD_ACCELERATION_STRUCTURE_MODE_UPDATE_KHR
                            : VK_BUILD_ACCELERATION_STRUCTURE_MODE_BUILD_KHR;
@@ -175,7 +179,8 @@ struct RayQueryAccel::Impl {
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// The geometry is not opaque, so that the shader can test every candidate hit.
+/// Describes the geometry of one model, which is a part of the array `geometry`. The
+/// geometry is not opaque, so that the shader can test every candidate hit.
 void RayQueryAccel::Impl::append_blas(const SurfelModel& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == ProxyShape::boxes) {
@@ -201,7 +206,8 @@ void RayQueryAccel::Impl::append_blas(const SurfelModel& model) {
                        VK_BUILD_ACCELERATION_STRUCTURE_ALLOW_UPDATE_BIT_KHR;
 }
 
-/// Leaves out absent instances and models without surfels.
+/// Writes the instances to temporary memory and returns their device address. Leaves out
+/// absent instances and models without surfels.
 std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
@@ -216,6 +222,8 @@ std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const D
         row.instanceCustomIndex = std::uint32_t(i) & 0xffffffu;
         row.mask = RELIDAR_STANDING_MASK;
         if (!scene.poses()[i].motion.is_stationary()) {
+            // A separate query tests each moving instance, so it gets one of the other
+            // mask bits.
             row.mask = (RELIDAR_STANDING_MASK << (1 + of_motion.size() % RELIDAR_MOVING_MASKS)) & 0xffu;
             of_motion.push_back({std::uint32_t(i), layout.instances[i].model, row.mask});
         }
@@ -230,6 +238,8 @@ std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const D
     return rows.empty() ? 0 : stream.stage_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
+/// Allocates memory for the structures of all models and the top level. Does not build
+/// them. All builds share one scratch buffer, in which each model has a separate part.
 RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy) {
     impl_ = std::make_unique<Impl>(device, scene.layout(), proxy, scene.primitive());
     Impl& a = *impl_;
@@ -287,15 +297,19 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
 
 RayQueryAccel::~RayQueryAccel() = default;
 
+/// Records the build or refit of the models whose surfels are in `ranges`, and then of
+/// the top level, which contains their boxes.
 void RayQueryAccel::record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                                  const SurfelRanges& ranges, bool refit_only) {
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
     // `reach` is a maximum over all 3D Gaussians: the distance between a hit and a corner
-    // of the enclosing icosahedron. It is reset only if all models are updated.
+    // of the enclosing icosahedron. It is reset only if all models are updated, because
+    // the other models would be missing from the new maximum.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.compute_proxies(stream, scene, options, range);
+    // The radii are maxima too.
     if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.compute_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;

@@ -86,6 +86,8 @@ void BackwardPass::reserve_hits(Stream& stream, std::uint64_t n_hits) {
     impl_->gather->reserve_records(n_hits);
 }
 
+/// Records the backward pass: gradients of the surfel records per hit, then of the surfel
+/// parameters, and then of the poses (Eq. 9 of the paper).
 void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const AccelerationStructure& accel,
                                    const RenderedBatch& batch, const glm::vec3& view_origin_m,
                                    DeviceGradients& gradients) {
@@ -114,6 +116,8 @@ void BackwardPass::record_backward(Stream& stream, DeviceScene& scene, const Acc
         impl_->gather->set_addresses(params);
     }
     {
+        // The kernels add to these arrays. The fills are independent, so one barrier is
+        // enough.
         const ConcurrentLaunchScope zeros(stream);
         stream.fill(gradients.records);
         if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);

@@ -44,6 +44,8 @@ void HitGather::reserve_records(std::uint64_t n_hits) {
               "sums of hit records"};
 }
 
+/// Assigns each ray a range of hit records: a prefix sum of the numbers of hits gives the
+/// first record of each ray.
 void HitGather::assign_records(Stream& stream, const RenderedBatch& batch) {
     n_rays_ = batch.rays.n_rays;
     if (n_rays_ > first_hit_.size()) {
@@ -66,6 +68,8 @@ void HitGather::set_addresses(shared::BackwardParams& params) const {
     params.capacity = sort_->capacity();
 }
 
+/// Sorts the hit records by gradient row and sums the gradients of each row. The sort
+/// keeps the order of hits, so that the sums are the same in every run.
 void HitGather::sum_gradients(Stream& stream, const shared::BackwardParams& params) {
     const auto set = [&](int index) {
         return SortBuffers{.keys = rows_[index].address().cast_tag<shared::SortKeys>(),

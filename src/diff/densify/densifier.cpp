@@ -22,7 +22,9 @@ namespace relidar {
 
 namespace {
 
-/// Returns an empty string, or the reason why the allocation failed.
+/// Tests whether `n_bytes` of device memory are available, by allocating and freeing
+/// them.
+/// @return an empty string, or the reason why the allocation failed
 std::string allocation_error(Device& device, double n_bytes) {
     // allocates in pieces, because drivers limit the size of one allocation
     constexpr double kPiece = double(256 << 20);
@@ -85,6 +87,8 @@ struct Densifier::Impl {
                                    double reserved_bytes_per_surfel, std::string& error);
 };
 
+/// Runs the kernel that chooses an action for each surfel (keep, clone, split, drop).
+/// Waits for it and returns its counters for each model.
 ModelCounts Densifier::Impl::choose_actions(Stream& stream, const DeviceScene& scene, int step) {
     const SurfelStatistics& s = arrays.statistics;
     const std::vector<float> extents(extents_m.begin(), extents_m.end());
@@ -127,6 +131,8 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, 
     const auto fits = [&](std::uint32_t target, double capacity) {
         const std::uint32_t now = arrays.capacity();
         const bool grows = capacity > now;
+        // Old and new SH coefficients, the largest array, exist at the same time during
+        // the copy.
         const double while_copied = grows ? 4.0 * kShFloats * now : 0.0;
         error = allocation_error(device, reserved_bytes_per_surfel * target +
                                              (grows ? bytes * (capacity - now) + while_copied : 0.0));
@@ -142,9 +148,12 @@ std::uint32_t Densifier::Impl::allocate_surfels(DeviceScene& scene, Adam& adam, 
         }
         return error.empty();
     };
+    // Halves the growth until it fits. Gives up below 16 new surfels.
     for (std::uint32_t growth = n_requested > before ? n_requested - before : 0; growth > 0;
          growth = growth >= 16 ? growth / 2 : 0) {
         const std::uint32_t target = before + growth;
+        // Allocates up to 1.5 times the memory, so that the next densifications need no
+        // allocation. If this fails, tries the exact size.
         const double generous = std::min(1.5 * double(arrays.capacity()),
                                          double(std::max(std::uint32_t(options.max_surfels), target)));
         const bool there = target <= arrays.capacity();
@@ -190,6 +199,8 @@ bool Densifier::is_densify_step(int step) const {
     return step >= o.from && step < o.until && step % std::max(1, o.every) == 0;
 }
 
+/// Adds and removes surfels. Counts first, because the host must know the new number of
+/// surfels before it allocates memory and moves the arrays.
 DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Adam& adam, int step,
                                          double reserved_bytes_per_surfel) {
     Impl& d = *impl_;
@@ -202,6 +213,7 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
         d.allocate_surfels(scene, adam, plan.size(), reserved_bytes_per_surfel, error);
     std::string note;
     if (surfel_capacity < plan.size()) {
+        // Remembers the limit, so that later steps do not try again.
         d.memory_limit = surfel_capacity;
         plan = limit_growth(plan, surfel_capacity);
         note = fmt::format("training stops adding surfels at {} surfels: {}", surfel_capacity, error);
@@ -217,6 +229,7 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
     d.arrays.move_surfels(stream, scene.surfel_parameters(), false, plan.size());
     d.arrays.move_surfels(stream, adam.first_moments(), true, plan.size());
     d.arrays.move_surfels(stream, adam.second_moments(), true, plan.size());
+    // After the move, both halves of a split still have the values of the original.
     relidar::run(stream, d.spawn, before,
                  {.surfels = surfel_pointers(scene.surfel_parameters()),
                   .action = d.arrays.action.address(),
@@ -230,6 +243,8 @@ DensifyReport Densifier::densify_surfels(Stream& stream, DeviceScene& scene, Ada
     return report;
 }
 
+/// Lowers all opacities to a small value at regular steps. Surfels that are needed become
+/// opaque again, and the others are removed later as too faint.
 void Densifier::reset_opacities(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
     if (!impl_) return;
     const DensifyOptions& o = impl_->options;

@@ -5,10 +5,13 @@
 
 namespace relidar {
 
+/// Returns the number of new surfels that the first surfels with this total weight get.
+/// Rounding cumulative numbers distributes n_new copies evenly, with a random phase.
 std::uint32_t GrowthPlan::cumulative_copies(std::uint64_t cumulative_weight) const {
     return total_weight == 0 ? 0u : std::uint32_t((cumulative_weight * n_new + phase) / total_weight);
 }
 
+/// Returns the models with their surfel ranges after surfels were added and removed.
 std::vector<SurfelModel> GrowthPlan::assign_ranges(std::vector<SurfelModel> m, const ModelCounts& c) const {
     std::uint32_t next = 0;
     std::uint64_t weight = 0;

@@ -48,6 +48,8 @@ std::size_t SurfelReorderer::bytes_per_surfel() const {
     return 4 * (floats_per_surfel(scratch_surfels_.parameters_used()) + 6 + 2 * statistics.n_words);
 }
 
+/// Submits the kernels that compute the new array index of each surfel: a prefix sum of
+/// weights gives each surfel its copies, and a prefix sum of copies gives the indices.
 void SurfelReorderer::compute_indices(Stream& stream, const GrowthPlan& plan, std::uint32_t n_before) {
     RELIDAR_ASSERT_LE(std::max(n_before, plan.size()), capacity());
     before_ = n_before;

@@ -51,6 +51,7 @@ void ForwardPass::record_forward(Stream& stream, const DeviceScene& scene, const
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!stored_hits || stored_hits->can_store_hits(batch), true);
+    // If the batch is an image, all rows have the same length.
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
     RELIDAR_ASSERT_LE(impl_->options.writes_surfaces() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);

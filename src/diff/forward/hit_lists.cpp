@@ -80,6 +80,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& s, std::size_t n_used, con
     if (n > kMostLists) return {};
     if (has_overflowed(s)) {
         hits_per_list_ = std::min(2 * hits_per_list_, max_hits_per_list_);
+        // Counts overflows of the new capacity from zero.
         s.fill(n_overflows_);
         overflows_before_ = 0;
     }
@@ -93,6 +94,7 @@ shared::HitLists HitListTracer::reserve_lists(Stream& s, std::size_t n_used, con
     if (uses_kept) hits_ = {};
     else if (!can_reuse_lists)
         allocate_lists(
+            // Allocates at least as many lists as before.
             std::max(n, allocated_hits_per_list_ > 0 ? hits_.size() / allocated_hits_per_list_ : 0));
     try {
         if (lengths_.size() < n)
@@ -106,12 +108,17 @@ shared::HitLists HitListTracer::reserve_lists(Stream& s, std::size_t n_used, con
             .room = uses_kept ? kept->per_ray : hits_per_list_};
 }
 
+/// Records a copy of the overflow count to the host. has_overflowed() reads it when the
+/// submission is finished.
 void HitListTracer::record_readback(Stream& stream) {
     if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.is_pending()) return;
     overflows_.record_copy(stream, n_overflows_.buffer(), sizeof(std::uint32_t));
     counted_until_ = stream.impl().last_ticket + 1;
 }
 
+/// Renders the rays with hit lists: fills the lists, sorts each list, and blends its
+/// hits. Without memory for lists it does nothing, and kernel diff/forward/trace renders
+/// all rays.
 void HitListTracer::render(Stream& s, const RayBatch& batch, shared::ForwardParams& p,
                            const StoredRayHits* kept) {
     const std::size_t n = count_threads(batch);

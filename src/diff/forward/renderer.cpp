@@ -85,6 +85,8 @@ void Renderer::wait_for_device() noexcept {
     impl_->device.impl().wait_idle();
 }
 
+/// Records a full update: poses, values that depend on the view, and a refit of the
+/// acceleration structure.
 void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
@@ -94,6 +96,8 @@ void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm
     r.placed = true;
 }
 
+/// Records new poses without a refit of rigid models. Models with a gait change their
+/// shape, so they need new surfel values and a refit.
 void Renderer::record_poses(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     if (!r.placed) return update(instance_poses, view_origin_m);
@@ -121,6 +125,7 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.fit_hit_storage(count_threads(rays));
     }
     r.batch.rays = rays;
+    // Eq. 2-4 of the paper.
     r.forward.record_forward(r.stream, r.scene, *r.accel, rays, r.rendered,
                              r.stored_hits ? &*r.stored_hits : nullptr, r.batch.surfaces);
 }
@@ -166,6 +171,7 @@ void Renderer::set_stored_hits(std::uint32_t hits_per_ray) {
     try {
         r.allocate_hits(n_threads);
     } catch (const OutOfDeviceMemory&) {
+        // Restores the old size, whose memory allocate_hits() has already freed.
         r.options.keep_hits = before;
         r.fit_hit_storage(n_threads);
         throw;

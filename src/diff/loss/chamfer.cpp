@@ -124,6 +124,8 @@ std::unique_ptr<Loss> make_chamfer_loss(Device& device, const LossWeights& weigh
     return std::make_unique<ChamferLoss>(device, weights, n_rays);
 }
 
+/// Records the Chamfer loss and its gradient: computes the points of both clouds, finds
+/// the nearest points in both directions, and adds the loss and its derivatives.
 void ChamferLoss::add_ray_losses(Stream& stream, const RenderedBatch& batch_rendered,
                                  const TargetBatch& batch, const LossTermRow& terms) {
     Impl& c = *impl_;

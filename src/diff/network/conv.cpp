@@ -19,6 +19,8 @@ constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // maximum number of floats of the partial sums
 
+/// Returns the number of parts for which partial sums of weight gradients are stored.
+/// Large layers get fewer parts, so that the sums need at most kMostPartial floats.
 std::uint32_t count_weight_sums(ImageBatchSize grid, std::size_t n_weights) {
     const std::uint32_t lines = grid.n * grid.rows;
     const std::size_t most = std::max<std::size_t>(1, kMostPartial / n_weights);
@@ -104,6 +106,7 @@ void Convolution::run_convolution(Stream& s, const Slice& in, Weights w, Bias b,
 }
 
 void Convolution::input_vjp(Stream& stream, const Slice& d_out, Weights weights, const Slice& d_in) {
+    // The gradient of the input is a convolution with transposed weights.
     run_conv_kernel(stream, d_out, d_in, weights, {}, true, false);
 }
 
@@ -112,6 +115,8 @@ std::size_t Convolution::n_partial_sums(ImageBatchSize grid, std::uint32_t n_in,
     return count_weight_sums(grid, n) * n;
 }
 
+/// Computes the gradient of the weights: first partial sums over parts of the images,
+/// then their sum, in a fixed order instead of with atomics.
 void Convolution::weights_vjp(Stream& stream, const Slice& input, const Slice& d_out, Weights d_weights) {
     RELIDAR_ASSERT_EQ(input.grid.n_pixels_total(), d_out.grid.n_pixels_total());
     const std::uint32_t n = input.channels * d_out.channels * taps_,

@@ -25,6 +25,8 @@ Joined upload_joined_values(Device& device, std::span<const RayDropImage> images
 
 }  // namespace
 
+/// Returns scale and shift of each channel, so that its values over all images have the
+/// mean 0 and the standard deviation 1. A constant channel gets the scale 0.
 std::vector<float> channel_scaling(const std::vector<RayDropImage>& images, std::size_t n_channels) {
     std::vector<float> scale_shift;
     for (std::size_t c = 0; c < n_channels; ++c) {
@@ -53,6 +55,7 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
       n_fixed_(count_fixed_channels(network)),
       logit_channel_(find_drop_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
+    // The file stores scale and shift of all channels as one flat list.
     std::vector<glm::vec2> scale_shift_pairs;
     for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
         scale_shift_pairs.emplace_back(network.normalisation[i], network.normalisation[i + 1]);

@@ -55,6 +55,8 @@ std::size_t count_parameters(const RayDropNetworkOptions& options) {
 
 namespace network {
 
+/// Returns the shape of the network that the options describe, without parameters.
+/// Options override the predefined network.
 RayDropNetwork make_network(const RayDropNetworkOptions& options) {
     const NetworkPreset& preset = find_predefined(options.network);
     const int width = options.width > 0 ? options.width : int(preset.width);
@@ -99,6 +101,9 @@ std::uint32_t count_fixed_channels(const RayDropNetwork& network) {
         [](const std::string& name) { return name == "elevation" || name.starts_with("origin"); }));
 }
 
+/// Throws an error if the size of an image does not match the network, or if a channel
+/// value is not finite.
+/// @param text start of the error message
 void check_image(const RayDropNetwork& network, const RayDropImage& image, const std::string& text) {
     const int side = network.min_image_size();
     if (image.rows < side || image.columns < side)

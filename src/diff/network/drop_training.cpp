@@ -18,6 +18,8 @@ namespace {
 constexpr double kLastRate = 0.01;         // final learning rate relative to the initial rate
 constexpr std::uint32_t kKeysOfStep = 64;  // number of dropout keys per step, one for each layer
 
+/// Checks that all images have the same size and known drops, and that at least one ray
+/// was dropped. Otherwise the network could only learn that no ray is dropped.
 void check_images(const RayDropNetwork& network, const std::vector<RayDropImage>& images) {
     if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
     double drops = 0.0;
@@ -95,6 +97,9 @@ std::size_t RayDropTraining::images_per_step() const { return impl_->batch; }
 std::size_t RayDropTraining::steps_per_epoch() const { return impl_->n_images / impl_->batch; }
 const KernelTimes& RayDropTraining::times() const { return impl_->stream.times(); }
 
+/// Runs one training step on a batch: forward pass, loss, backward pass and Adam step.
+/// The learning rate falls exponentially to kLastRate of its initial value.
+/// @return loss and accuracy before the step
 RayDropScore RayDropTraining::train_on_batch(std::span<const RotatedSample> samples, int step, int n_steps) {
     Impl& t = *impl_;
     std::size_t n_known_pixels = 0;

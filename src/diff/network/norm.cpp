@@ -85,6 +85,8 @@ void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Sli
          .dropout = drop});
 }
 
+/// Normalises with the mean and variance of this batch (training), and updates the
+/// running values.
 void Norm::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out) {
     channel_sums(s, make_sums_params(in, shared::kMomentSums));
     compute_scale(s, in, w, n, true);
@@ -96,6 +98,8 @@ void Norm::normalise(Stream& s, const Slice& in, const NormWeights& w, NormState
     apply_scale(s, in, n, out, 0.0f);
 }
 
+/// Computes the gradients of scale and shift, and then of the input. The input gradient
+/// needs these sums over the batch, so they come first.
 void Norm::norm_vjp(Stream& stream, const Slice& in, const NormState& state, const Slice& d_out,
                     const Slice& d_in, const NormGradientTarget& gradient, bool accumulate) {
     shared::ChannelSumsParams sums = make_sums_params(in, shared::kNormVjpSums);

@@ -67,6 +67,8 @@ void Adam::set_max_log_scales(Device& device, const std::vector<float>& max_log_
     impl_->max_log_scale = {device, max_log_scales, "bounds of scales"};
 }
 
+/// Records one Adam step for all groups of surfel parameters. Skips the fixed surfels at
+/// the start of the arrays and, if `touched_flags` is set, surfels without a gradient.
 void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
                        const Array<std::uint32_t, shared::TouchedSurfels>* touched_flags,
                        const LearningRates& learning_rates, int step_number, int sh_degree) {
@@ -77,6 +79,8 @@ void Adam::record_step(Stream& stream, SurfelArrays& parameters, const SurfelArr
     RELIDAR_ASSERT_EQ(a.max_log_scale.size() == 0 || a.max_log_scale.size() == parameters.n, true);
     const bool listed = a.list && touched_flags;
     if (listed) a.list->compact(stream, touched_flags->address(first), n_rows);
+    // Only harmonics up to the current degree are updated. The degree grows during
+    // training.
     const std::uint32_t active_harmonics = std::uint32_t((sh_degree + 1) * (sh_degree + 1));
     const ConcurrentLaunchScope groups(stream);  // launches may overlap, because the groups are independent
     for (const SurfelParameterGroup& group : list_groups(parameters.parameters_used())) {

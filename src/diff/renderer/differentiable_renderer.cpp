@@ -100,6 +100,10 @@ void DifferentiableRenderer::record_backward() {
                                     renderer.view_origin_m(), *impl_->gradients);
 }
 
+/// Computes the gradients of a loss over the rays that were rendered last. Waits for the
+/// GPU.
+/// @param rendered_gradients dL/d(rendered), arrays with one entry per ray or empty
+/// arrays
 HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& rendered_gradients) {
     const RenderedBatch last = last_batch();
     const std::size_t n_rays = last.rays.n_rays;
@@ -116,6 +120,9 @@ HostGradients DifferentiableRenderer::backpropagate(const RenderedGradients& ren
             download_array(g.rays, 6 * n_rays)};
 }
 
+/// Calls `change_surfels`, which adds or removes surfels. Frees the acceleration
+/// structure and the gradients before the call, so that their memory can be used during
+/// the copy.
 void DifferentiableRenderer::resize(const std::function<void(double reserved_bytes)>& change_surfels) {
     Renderer& renderer = impl_->renderer;
     const Device& device = renderer.stream().device();
@@ -123,6 +130,7 @@ void DifferentiableRenderer::resize(const std::function<void(double reserved_byt
     const std::uint64_t before = device.allocated_bytes();
     renderer.release_accel();
     impl_->gradients.reset();
+    // Reports how many bytes per surfel are allocated again after the call.
     change_surfels(double(before - device.allocated_bytes()) / std::max(renderer.scene().size(), 1u));
     impl_->allocate();
     renderer.create_accel();

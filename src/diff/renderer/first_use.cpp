@@ -97,6 +97,8 @@ int count_wrong_rays(Device& device, AccelTreeState tree_state) {
     return n_wrong;
 }
 
+/// Tests the methods that this device would use: float atomics, subgroup operations and
+/// hardware ray queries. Later tests use only what has passed before.
 DeviceTestResults test_device(const DeviceOptions& options) {
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     Device device(options);
@@ -112,6 +114,7 @@ DeviceTestResults test_device(const DeviceOptions& options) {
     if (trust.subgroup_size == 0) {
         n_wrong = count_wrong_rays(device);
     } else {
+        // Traces with the subgroup size that has passed the test above.
         const ScopedDeviceTestResults trusting_size(trust);
         Device other(options);
         n_wrong = count_wrong_rays(other);
