@@ -123,8 +123,6 @@ VkResult Buffer::Impl::allocate(const VkMemoryRequirements& requirements) {
     return vkBindBufferMemory(device->device, handle, memory.front().block->memory, memory.front().offset);
 }
 
-/// Allocates the memory of a sparse buffer in pieces of at most `max_bytes`, and binds
-/// them one after another.
 VkResult Buffer::Impl::allocate_sparse(const VkMemoryRequirements& requirements, std::uint64_t max_bytes) {
     for (std::uint64_t offset = 0; offset < requirements.size; offset += max_bytes) {
         VkMemoryRequirements piece_needs = requirements;

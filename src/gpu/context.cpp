@@ -175,8 +175,6 @@ int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptio
     return best;
 }
 
-/// Throws an error if the device lacks features that all kernels or the requested
-/// traversal method need. The message names the missing features.
 void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend) {
     if (!info.why_not_usable.empty())
         fail<DeviceError>("cannot open device {} ({}): it lacks these required features: {}", info.index,

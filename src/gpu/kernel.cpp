@@ -111,8 +111,6 @@ gpu::CompiledPipeline create_pipeline(Device::Impl& device, std::span<const std:
     return made;
 }
 
-/// Occupies one of the slots of `free_compiler_slots` during its lifetime, which limits
-/// the number of threads that compile simultaneously.
 class CompilerSlot {
 public:
     explicit CompilerSlot(std::counting_semaphore<>& free_compiler_slots) : compilers_(free_compiler_slots) {
@@ -199,7 +197,6 @@ KernelBase::KernelBase(Device& owner, std::string_view kernel_name, const Kernel
     if (device.compile_only) compile_pipeline();
 }
 
-/// Returns the pipeline, which belongs to the device. Waits until it is compiled.
 VkPipeline KernelBase::Impl::wait_for_pipeline() {
     if (pipeline_) return pipeline_;
     const gpu::CompiledPipeline made = made_.get();

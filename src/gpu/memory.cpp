@@ -33,7 +33,6 @@ std::vector<VkMemoryPropertyFlags> preferred_flags(BufferPurpose purpose) {
 
 }  // namespace
 
-/// Returns budget and use of the largest device-local heap.
 MemoryBudget query_budget(VkPhysicalDevice physical) {
     VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};

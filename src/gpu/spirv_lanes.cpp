@@ -76,8 +76,6 @@ private:
         if (is_new_lane_) emit(kOpVariable, {input_pointer_, lane_, kInput});
     }
 
-    /// Computes the zero that is added to indices, and stores it at the start of the
-    /// kernel.
     void emit_zero() {
         const std::uint32_t member_pointer = next_, nothing = next_ + 1, low = next_ + 2, lane = next_ + 3,
                             value = next_ + 4;

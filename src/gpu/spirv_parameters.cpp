@@ -174,7 +174,6 @@ private:
         variables_[path] = {id, type_id};
         return id;
     }
-    /// Returns the instructions that copy the parameters to the private variables.
     SpirvWords copy_parameters() {
         SpirvWords code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;

@@ -164,8 +164,8 @@ void Stream::Impl::record_barrier() {
                          0, nullptr);
 }
 
-/// Writes the first timestamp of a command, if the user or the speed estimate of the
-/// kernel needs the time and the slot has free queries.
+/// Writes the first timestamp of a command. Does so only if the user or the speed
+/// estimate of the kernel needs the time, and the slot has free queries.
 void Stream::Impl::begin_timing(const std::string& name, gpu::KernelSpeed* speed, std::uint32_t n_workgroups,
                                 bool continues) {
     last_kernel = name;

@@ -59,6 +59,7 @@ struct DeviceGradients {
     /// `rays` are always exact.
     Array<float, shared::SensorPoseGradient> sensor;
 
+    /// Allocates the gradient arrays on the device.
     /// @param n_rays number of rays of the largest batch
     DeviceGradients(Device& device, const DeviceScene& scene, const GradientSelection& selection = {},
                     std::uint32_t n_rays = 0);

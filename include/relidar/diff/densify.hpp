@@ -68,6 +68,7 @@ public:
     /// Records GPU commands that add the gradients of a batch to the statistics of the
     /// surfels.
     void record_statistics(Stream& stream, const DeviceScene& scene, const BackpropagatedBatch& batch);
+    /// Returns true if densify_surfels() should add and remove surfels after this step.
     bool is_densify_step(int step) const;
     /// Adds and removes surfels. Surfels keep their order, and a copy is stored next to
     /// its original. Surviving surfels keep their Adam moments; new and changed surfels

@@ -150,6 +150,7 @@ public:
     /// @throws DeviceError if a ray had too many hits and therefore ended too early
     void check_truncation();
 
+    /// Returns the number of hits per ray that are kept for the backward pass.
     std::uint32_t stored_hits_per_ray() const;
     /// Sets the number of hits per ray that are kept for the backward pass. The number
     /// applies from the next record_forward(). Waits until the stream is idle.
@@ -164,6 +165,7 @@ public:
     /// Replaces all surfel parameters on the device. Waits until the copy is complete.
     /// @throws DataError if the number of surfels or the primitive differs
     void upload_surfels(const Surfels& surfels);
+    /// Waits for the GPU and returns the scene with its current parameters.
     Scene download_scene();
 
     /// Waits until the device no longer uses the arrays of the renderer. Ignores errors,
@@ -174,6 +176,7 @@ public:
     const DeviceScene& scene() const;
     AccelerationStructure& accel();
     const ForwardPass& forward_pass() const;
+    /// Returns the view origin of the last update() or record_poses(), in metres.
     const glm::vec3& view_origin_m() const;
 
     /// Releases the acceleration structure. Must be called before surfels are added or

@@ -101,6 +101,7 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
 /// pixels are left out. For SSIM, the batch must be an image.
 class ImageLoss final : public Loss {
 public:
+    /// Creates the image loss.
     /// @param n_rays number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
@@ -126,6 +127,7 @@ private:
 /// parts of the ray list. The order of the rays affects only the speed.
 class ChamferLoss final : public Loss {
 public:
+    /// Creates the Chamfer loss.
     /// @param n_rays number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;

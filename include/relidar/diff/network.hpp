@@ -76,14 +76,15 @@ struct RayDropNetwork {
     /// logit. If false, its output replaces the rendered drop logit.
     bool residual = true;
     std::vector<float> normalisation;  ///< Scale and shift of each input channel, [channels, 2].
-    std::vector<float> parameters;     ///< Network parameters, layer by layer, in the order of result.
-    /// Running means and variances of the normalisation layers, used during result.
+    std::vector<float> parameters;     ///< Network parameters, layer by layer, in the order of inference.
+    /// Running means and variances of the normalisation layers, used during inference.
     std::vector<float> running;
 
     bool empty() const { return parameters.empty(); }
     int min_image_size() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
 };
 
+/// Returns the number of trainable parameters of the network that the options describe.
 std::size_t count_parameters(const RayDropNetworkOptions& options);
 
 struct RayDropTrainProgress {

@@ -21,6 +21,7 @@ void compile_network(Device& device, const RayDropNetworkOptions& options);
 /// the caller provides.
 class RayDropInference {
 public:
+    /// Uploads the network to the device.
     /// @throws errors of the RayDropRefiner constructor
     RayDropInference(Device& device, const RayDropNetwork& network);
     ~RayDropInference();

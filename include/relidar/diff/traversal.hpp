@@ -80,6 +80,8 @@ struct TraceOptions {
     /// at most this value, metres.
     std::optional<float> mode_gap_m{};
 
+    /// Returns true if the forward pass writes a normal and a surface distance for each
+    /// ray.
     bool writes_surfaces() const { return normals || mode_gap_m; }
 };
 
@@ -131,6 +133,7 @@ struct RenderedBatch {
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 
+/// Converts rays from host arrays to the struct that kernels read.
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
 
 }  // namespace relidar

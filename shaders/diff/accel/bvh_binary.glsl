@@ -11,7 +11,6 @@
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
 bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
-/// Returns the number of surfels in a decision word, at most 15.
 uint unpack_surfels(uint decision_word) { return decision_word & 15u; }
 /// Returns how many of the available child slots the left child gets. 0 means that one
 /// slot fewer is at least as good.
@@ -40,8 +39,7 @@ uint collect_children(BvhBinary tree, uint node, out uint children[RELIDAR_BVH_W
         uint child = stack[--n], n_slots = shares[n], n_left = 0u;
         if (!is_leaf(child)) {
             uint decision_word = tree.decisions.at[child];
-            // A decision of 0 means that one slot fewer is as good, so slots are given up
-            // until the decision is to split (above 0) or only one slot is left.
+            // Gives up slots as long as one slot fewer is as good.
             while (n_slots > 1u && unpack_left_slots(decision_word, n_slots) == 0u) --n_slots;
             if (n_slots > 1u) n_left = unpack_left_slots(decision_word, n_slots);
         }

@@ -23,8 +23,7 @@
 #extension GL_KHR_shader_subgroup_arithmetic : require
 RELIDAR_PARAMS(BvhClusterParams);
 
-// KEPT: largest number of clusters that a range keeps after a join. ROOM: number of
-// clusters of two ranges. RADIUS: number of neighbours on either side that are searched.
+// KEPT: maximum number of clusters after a join. RADIUS: neighbours searched per side.
 const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
 struct Cluster {
     Box box;
@@ -40,7 +39,6 @@ shared uint nearest[ROOM];
 // ranges together are the complete model, otherwise -1.
 shared ivec4 task;
 
-/// Waits for all lanes and makes their writes to shared memory visible.
 void sync_subgroup() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
@@ -52,8 +50,7 @@ void sync_subgroup() {
 int common_prefix(int position, int model_first, int model_last) {
     if (position < model_first || position >= model_last) return -1;
     uvec2 a = params.keys.at[position], b = params.keys.at[position + 1];
-    // Counts through the high word (32 bits), the low word, and then the positions, so
-    // that equal codes still have an order.
+    // Compares codes, then positions, so that equal codes have an order.
     if (a.y != b.y) return 31 - findMSB(a.y ^ b.y);
     if (a.x != b.x) return 63 - findMSB(a.x ^ b.x);
     return 95 - findMSB(uint(position ^ (position + 1)));
@@ -111,9 +108,8 @@ uint find_nearest(uint cluster, uint n_clusters) {
     return neighbour;
 }
 
-/// Creates a binary node whose children are two clusters. Uses a sorted position of the
-/// second cluster as the index of the node, so that indices do not depend on the order of
-/// threads.
+/// Creates a binary node with two children. Its index is a sorted position of the second
+/// cluster, so that indices do not depend on the order of threads.
 Cluster merge_clusters(Cluster first, Cluster second) {
     uint node = second.spare;
     Box box = join_boxes(first.box, second.box);
@@ -177,8 +173,7 @@ void merge_ranges() {
 /// continues with the joined range `range_first` ... `range_last`
 bool join_sibling(inout int range_first, inout int range_last, out int split, int model_first,
                   int model_last) {
-    // A range joins the neighbour with which it shares more leading bits, as in a radix
-    // tree.
+    // Joins the neighbour with which the range shares more leading bits (radix tree).
     bool leftward = common_prefix(range_first - 1, model_first, model_last) >
                     common_prefix(range_last, model_first, model_last);
     split = leftward ? range_first - 1 : range_last;
@@ -202,8 +197,7 @@ void main() {
         params.roots.at[model] = position | RELIDAR_BVH_LEAF;
         climbing = false;
     }
-    // All lanes stay in this loop until the last one stops, because merge_ranges() needs
-    // the full subgroup.
+    // All lanes stay in the loop, because merge_ranges() needs the full subgroup.
     while (subgroupAny(climbing)) {
         memoryBarrierBuffer();
         if (climbing) climbing = join_sibling(from, to, split, first, last);
@@ -211,8 +205,7 @@ void main() {
         // Short ranges are not merged, because all their surfels fit into KEPT clusters.
         bool covers_model = from == first && to == last,
              waiting = climbing && (covers_model || to - from >= int(KEPT));
-        // The lanes whose ranges need a merge take turns. The full subgroup merges the
-        // ranges of one lane.
+        // Lanes take turns. The full subgroup merges the ranges of one lane.
         while (subgroupAny(waiting)) {
             uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
             bool next = gl_SubgroupInvocationID == first_lane;

@@ -220,8 +220,8 @@ SortBuffers Bvh::Impl::sort_buffers(int set_index) const {
             .order = scratch_at<std::uint32_t, shared::SortOrder>(set_index == 0 ? kValuesAt : kCostsAt + 2)};
 }
 
-/// Sorts the surfels of all models by model and by the Morton codes of their box centres,
-/// so that neighbours in space are neighbours in the list.
+/// Sorts the surfels by model and by the Morton codes of their box centres. Neighbours in
+/// space are then neighbours in the list.
 SortBuffers Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(surfel_tiles(n)) * kWorkgroupSize,

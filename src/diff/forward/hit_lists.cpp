@@ -108,8 +108,6 @@ shared::HitLists HitListTracer::reserve_lists(Stream& s, std::size_t n_used, con
             .room = uses_kept ? kept->per_ray : hits_per_list_};
 }
 
-/// Records a copy of the overflow count to the host. has_overflowed() reads it when the
-/// submission is finished.
 void HitListTracer::record_readback(Stream& stream) {
     if (!grows_ || hits_per_list_ >= max_hits_per_list_ || overflows_.is_pending()) return;
     overflows_.record_copy(stream, n_overflows_.buffer(), sizeof(std::uint32_t));

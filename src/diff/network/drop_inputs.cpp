@@ -55,7 +55,6 @@ RayDropInputs::RayDropInputs(Device& device, const RayDropNetwork& network)
       n_fixed_(count_fixed_channels(network)),
       logit_channel_(find_drop_channel(network)),
       kernel_(device, "diff/network/drop_inputs") {
-    // The file stores scale and shift of all channels as one flat list.
     std::vector<glm::vec2> scale_shift_pairs;
     for (std::size_t i = 0; i + 1 < network.normalisation.size(); i += 2)
         scale_shift_pairs.emplace_back(network.normalisation[i], network.normalisation[i + 1]);

@@ -85,8 +85,6 @@ void Norm::apply_scale(Stream& s, const Slice& in, const NormState& n, const Sli
          .dropout = drop});
 }
 
-/// Normalises with the mean and variance of this batch (training), and updates the
-/// running values.
 void Norm::normalise_batch(Stream& s, const Slice& in, const NormWeights& w, NormState& n, const Slice& out) {
     channel_sums(s, make_sums_params(in, shared::kMomentSums));
     compute_scale(s, in, w, n, true);
