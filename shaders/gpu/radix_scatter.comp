@@ -88,8 +88,8 @@ void main() {
     uint tile = workgroup_index(), thread = ordered_thread(), n = n_keys();
     if (tile >= n_tiles()) return;
     uint sharing = row_subgroups(), n_rows = gl_NumSubgroups / sharing, row = gl_SubgroupID / sharing * WORDS;
-    // Index of this lane's first key. A subgroup owns consecutive keys, and its lanes
-    // take turns.
+    // Index of this lane's first key. A subgroup processes consecutive keys, one per lane
+    // in each round.
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
     uvec2 unused;
     digit_start[thread] = exclusive_sum(uvec2(params.totals.at[thread], 0u), unused).x +

@@ -70,7 +70,6 @@ uint add_hit_gradient(TraceScene scene, Ray ray, uint ray_index, RayGradient gra
     uint row = blended_hit.surfel - first_surfel + scene.instances.at[blended_hit.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[blended_hit.surfel] = 1u;
     // Eq. 9. A clamped alpha does not depend on the surfel, so its gradient is 0.
-    // Eq. 9
     float d_alpha = blended_hit.alpha > scene.alpha_max ? 0.0
                                                         : blended_hit.transmittance * blended_hit.shade -
                                                               blended_hit.behind / (1.0 - blended_hit.alpha);
