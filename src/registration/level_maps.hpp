@@ -10,6 +10,7 @@
 
 namespace relidar {
 
+/// Maps of the same points with large, medium and small cells. Level 0 is the coarsest.
 class PlaneMaps {
 public:
     static constexpr int kLevels = 3;

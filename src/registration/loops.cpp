@@ -31,7 +31,10 @@ constexpr double kStartGridStep_m = 1.5, kMaxStartOffset_m = 6.0, kMaxStartHeigh
 // Penalty per grid step between a start position and the predicted position. The score of
 // a start position is the share of points on planes of the map, minus this penalty.
 constexpr double kGridPenalty = 0.01;
+// Number of points of a scan from which the score of a start position is computed.
 constexpr std::size_t kGridPoints = 400;
+// An alignment ends after kMaxLoopSteps steps per map level, or after a step shorter than
+// kMinLoopStep_m. For the prior, see SinglePoseEquations::solve_step().
 constexpr int kMaxLoopSteps = 10;
 constexpr double kMinLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // Minimum share of the scan's points on planes of the map.
@@ -51,6 +54,8 @@ struct LoopClosure {
     Twist off;                   // correction of the later pose: translation, then rotation vector
 };
 
+/// Finds loop closures between keyframes of a track. Then corrects all poses, so that the
+/// passes over a road agree.
 class LoopCloser {
 public:
     LoopCloser(const PoseTrack& track, const SubsampledScans& scans, const FitRound& first,
@@ -66,6 +71,8 @@ public:
         }
     }
 
+    /// Searches a loop closure for each keyframe, and corrects the poses if there are
+    /// enough.
     LoopClosureResult run_closures(const std::function<bool(double)>& proceed) {
         LoopClosureResult result{track_, 0, 0.0};
         std::optional<LoopClosure> before;
@@ -73,6 +80,8 @@ public:
             if (later % 16 == 0 && !proceed(double(later) / double(keyframes_.size()))) return result;
             const std::optional<std::size_t> earlier = find_earlier(later);
             if (!earlier) continue;
+            // The previous closure predicts the next one only if it is at most three
+            // keyframes older.
             if (before && before->later + 3 < later) before.reset();
             if (const auto closure = find_closure(*earlier, later, before)) {
                 closures_.push_back(*closure);
@@ -101,6 +110,9 @@ private:
         return path_length_m_[keyframes_[keyframe_index]];
     }
 
+    /// Returns the nearest keyframe of an earlier pass over the same road, or nothing if
+    /// all are too far away. The allowed distance grows with the path between the two
+    /// keyframes.
     std::optional<std::size_t> find_earlier(std::size_t later_keyframe_index) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
@@ -118,6 +130,8 @@ private:
         return nearest;
     }
 
+    /// Builds the map of planes from the scans of all keyframes near a keyframe on the
+    /// path. Keeps the current map if it already belongs to this keyframe.
     void build_map(std::size_t centre_keyframe_index) {
         if (map_of_ == centre_keyframe_index) return;
         map_of_ = centre_keyframe_index;
@@ -132,7 +146,8 @@ private:
         maps_.add_points(points_m, 0.0);
     }
 
-    /// Returns the points of a keyframe's scan in the vehicle frame of its pose.
+    /// Returns the points of a keyframe's scan in the vehicle frame of its pose, with the
+    /// vehicle positions from which they were measured.
     std::vector<WorldPointWithOrigin> scan_in_keyframe(std::size_t keyframe_index) const {
         const Pose pose_from_world = inverse(keyframe_pose(keyframe_index));
         std::vector<WorldPointWithOrigin> points;
@@ -143,12 +158,16 @@ private:
         return points;
     }
 
+    /// Returns the share of points that lie on planes of the coarsest map if the scan is
+    /// at `pose`. Uses only about kGridPoints points, because many poses are tried.
     double coarse_share(const std::vector<WorldPointWithOrigin>& points, const Pose& pose) const {
         const std::size_t step = std::max<std::size_t>(1, points.size() / kGridPoints);
         std::size_t n = 0, on_planes = 0;
         for (std::size_t i = 0; i < points.size(); i += step, ++n) {
             const glm::dvec3 p = pose * points[i].point_m;
             const LocalPlane* plane = maps_.find_plane(p, 0);
+            // The weight is above 1/4 if the point is closer to the plane than the kernel
+            // scale.
             on_planes +=
                 plane && robust_weight(glm::dot(plane->normal, p - plane->point_m), first_.scale_m) > 0.25;
         }
@@ -197,6 +216,8 @@ private:
         return twist_size_m(x);
     }
 
+    /// Aligns a scan with the map, from large to small planes. Changes `pose`.
+    /// @return share of the scan's points on planes of the map
     double refine_pose(const std::vector<WorldPointWithOrigin>& points, Pose& pose) const {
         double share = 0.0;
         for (int level = 0; level < PlaneMaps::kLevels; ++level)
@@ -205,11 +226,14 @@ private:
         return share;
     }
 
+    /// Aligns the scan of a later keyframe with the map around an earlier keyframe.
+    /// Returns nothing if too few points lie on planes of the map.
     std::optional<LoopClosure> find_closure(std::size_t earlier_keyframe_index,
                                             std::size_t later_keyframe_index,
                                             const std::optional<LoopClosure>& previous_closure) {
         build_map(earlier_keyframe_index);
         const std::vector<WorldPointWithOrigin> points = scan_in_keyframe(later_keyframe_index);
+        // Radius of the search for a start pose: 1 m plus the expected drift of odometry.
         const double reach_m = 1.0 + kLoopDistanceGrowth * (path_to_keyframe_m(later_keyframe_index) -
                                                             path_to_keyframe_m(earlier_keyframe_index));
         Pose at;
@@ -234,8 +258,10 @@ private:
                            compute_twist(keyframe_pose(later_keyframe_index), at)};
     }
 
-    /// Solves for the corrections of all keyframes. Each term of the least-squares
-    /// problem gives the expected difference between the corrections of two keyframes.
+    /// Solves for the corrections of all keyframes, 6 values each. A least-squares term
+    /// gives the expected difference between the corrections of two keyframes. It is zero
+    /// for odometry, and the measured correction for a loop closure.
+    /// @param closure_weights [closures] robust weights, 0 to 1
     Eigen::VectorXd solve_corrections(const std::vector<double>& closure_weights) const {
         const auto n = Eigen::Index(keyframes_.size());
         std::vector<Eigen::Triplet<double>> entries;
@@ -246,6 +272,8 @@ private:
                     if (matrix(r, c) != 0.0)
                         entries.emplace_back(int(6 * index) + r, int(6 * j) + c, matrix(r, c));
         };
+        // The residual of a term is x_second - T x_first - expected_difference. T
+        // transfers the correction of a rigid body from the first position to the second.
         const auto add_term = [&](std::size_t first, std::size_t second, const Twist& expected_difference,
                                   double sigma_m, double sigma_rad, double weight) {
             Vector6 weights;
@@ -263,6 +291,7 @@ private:
             g.segment<6>(6 * Eigen::Index(first)) += wa.transpose() * target;
             g.segment<6>(6 * Eigen::Index(second)) += wb.transpose() * target;
         };
+        // The error of odometry grows with the path, so a longer step has a lower weight.
         for (std::size_t k = 0; k + 1 < keyframes_.size(); ++k)
             add_term(k, k + 1, Twist{}, kOdometrySigma_m, kOdometrySigma_rad,
                      kKeyframeDistance_m / (path_to_keyframe_m(k + 1) - path_to_keyframe_m(k)));
@@ -294,6 +323,9 @@ private:
             .norm();
     }
 
+    /// Corrects all poses by the loop closures. Solves several times with new robust
+    /// weights, so that a closure that contradicts the others loses its influence. Leaves
+    /// the track unchanged if too few closures remain.
     void correct_poses(LoopClosureResult& result) const {
         std::vector<double> believed(closures_.size(), 1.0);
         Eigen::VectorXd x;
@@ -303,12 +335,14 @@ private:
                 believed[k] = robust_weight(closure_error_m(closures_[k], x), kClosureKernel_m);
         }
         for (std::size_t k = 0; k < closures_.size(); ++k) {
+            // Below 1/4, the error of the closure is larger than kClosureKernel_m.
             if (believed[k] < 0.25) continue;
             ++result.n_closures;
             const Twist& off = closures_[k].off;
             result.largest_m = std::max(result.largest_m, glm::length(glm::dvec3(off[0], off[1], off[2])));
         }
         if (result.n_closures < kMinLoopClosures) return;
+        // Interpolates the corrections of the two nearest keyframes by path length.
         std::size_t key = 0;
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             while (key + 1 < keyframes_.size() && keyframes_[key + 1] <= k) ++key;

@@ -52,6 +52,8 @@ constexpr double kTrialStep_m = 0.5, kMaxTrialMotion_m = 4.0, kMaxTrialReverse_m
 /// Section of a log. Poses within a section are estimated one after the other.
 using LogSection = ProcessGroup::PartRange;
 
+/// Estimates the poses of one section of a log, one after the other. Aligns each scan
+/// with a map of the earlier scans of the section.
 class SectionOdometry {
 public:
     SectionOdometry(const PoseTrack& initial_track, const OdometryOptions& options, std::size_t begin,
@@ -65,7 +67,9 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predict_poses(begin + 1).front();
     }
 
-    /// Must be called for each pose in order.
+    /// Estimates a pose from its scan, and adds the scan to the map. A scan that does not
+    /// match the map gets its predicted pose and is not added. Must be called for each
+    /// pose in order.
     void add_pose(std::size_t pose_index, const std::vector<SubsampledPoint>& scan) {
         const std::vector<Pose> starts =
             pose_index == begin_ ? std::vector<Pose>{track_.pose[pose_index]} : predict_poses(pose_index);
@@ -82,6 +86,8 @@ public:
         if (scan.empty()) return;
         share_ += best.share;
         lost_in_a_row_ = is_lost ? lost_in_a_row_ + 1 : 0;
+        // After several lost scans, the map probably shows another place. A new map then
+        // starts with this scan.
         if (is_lost && lost_in_a_row_ < kMaxLostScans) return;
         if (is_lost) maps_.clear();
         extend_map(scan);
@@ -105,6 +111,8 @@ private:
     double travelled_m_ = 0.0, forgotten_m_ = 0.0, share_ = 0.0;
     int lost_in_a_row_ = 0;
 
+    /// Adds a scan to the map at its estimated pose, and removes map cells that have
+    /// become too old.
     void extend_map(const std::vector<SubsampledPoint>& scan) {
         std::vector<glm::dvec3> points_m(scan.size());
         parallel_blocks(scan.size(), [&](std::size_t index) {
@@ -126,6 +134,7 @@ private:
                            (t[pose_index] - t[pose_index - 1]) / (t[pose_index - 1] - t[pose_index - 2]));
     }
 
+    /// Returns the motion from the previous pose to pose `pose_index` in the given poses.
     Pose initial_motion(std::size_t pose_index) const {
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }
@@ -136,12 +145,16 @@ private:
         const Pose constant_motion_pose = track_.pose[pose_index - 1] * predict_motion(pose_index);
         if (!options_.use_pose_motion) return {constant_motion_pose};
         const Pose pose_file_prediction = track_.pose[pose_index - 1] * initial_motion(pose_index);
+        // The velocity is unknown at the first two poses. If both predictions agree,
+        // aligning the scan twice gives the same result.
         if (pose_index < begin_ + 2 || glm::distance(pose_file_prediction.translation,
                                                      constant_motion_pose.translation) < kSamePrediction_m)
             return {pose_file_prediction};
         return {pose_file_prediction, constant_motion_pose};
     }
 
+    /// Sets a pose, and sets the next pose to its prediction. The next pose is needed
+    /// because points that are fired after the pose are interpolated between both.
     void set_pose(std::size_t pose_index, const Pose& pose) {
         track_.pose[pose_index] = pose;
         if (pose_index + 1 < track_.pose.size())
@@ -164,13 +177,22 @@ private:
         return {track_.pose[pose], share};
     }
 
-    /// @return length of the step
+    /// Moves pose `pose_index` by one Gauss-Newton step, so that the points of its scan
+    /// come closer to planes of the map.
+    /// @param kernel_scale_m distance from a plane at which a point has a quarter of its
+    /// weight
+    /// @param fraction_on_planes output: share of the points that lie on planes before
+    /// the step
+    /// @return length of the step, metres (twist_size_m())
     double gauss_newton_step(std::size_t pose_index, const Pose& start_pose,
                              const std::vector<SubsampledPoint>& scan, int map_level, double kernel_scale_m,
                              double& fraction_on_planes) {
         const SinglePoseEquations equations =
             sum_point_equations(scan.size(), [&](SinglePoseEquations& part, std::size_t i) {
                 const WorldPointWithOrigin at = point_to_world(track_, scan[i]);
+                // A point fired before the pose moves only by its fraction `s`, because
+                // the previous pose is fixed. Later points move with the pose and its
+                // prediction.
                 const double moves_along = scan[i].left + 1 == pose_index ? double(scan[i].s) : 1.0;
                 if (const LocalPlane* plane = maps_.find_plane(at.point_m, map_level))
                     part.add_residual(make_residual(at, *plane, kernel_scale_m), moves_along);
@@ -193,6 +215,7 @@ Pose find_first_motion(const PoseTrack& initial_track, const SubsampledScans& sc
     for (double step_m = -kMaxTrialReverse_m; step_m <= kMaxTrialMotion_m; step_m += kTrialStep_m) {
         const Pose motion{{1.0, 0.0, 0.0, 0.0}, {step_m, 0.0, 0.0}};
         SectionOdometry follower(initial_track, options, section.begin, motion);
+        // Scans without points do not count as trial scans.
         int n = 0;
         for (std::size_t k = section.begin; k < section.end && n < kTrialScans; n += !scans[k++].empty())
             follower.add_pose(k, scans[k]);
@@ -229,6 +252,8 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
     for (std::size_t i = 1; i < sections.size(); ++i) {
         section_begin += std::ptrdiff_t(sections[i - 1].end - sections[i - 1].begin);
         const auto [begin, end] = sections[i];
+        // The pose of a scan without points is only a prediction, so it cannot connect
+        // two sections.
         std::size_t last = track.size() - 1;
         while (last > begin && scans[last].empty()) --last;
         const Pose track_from_section = track[last] * inverse(section_begin[std::ptrdiff_t(last - begin)]);
@@ -245,7 +270,9 @@ std::vector<Pose> join_sections(const std::vector<LogSection>& sections,
 
 PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& scans,
                        const OdometryOptions& options) {
-    // The last section can be up to twice as long as the previous sections.
+    // Divides the log into overlapping sections, so that several threads and processes
+    // can share the work. The last section can be up to twice as long as the previous
+    // sections.
     std::vector<LogSection> stretches{{0, scans.size()}};
     for (std::size_t begin = kPosesPerSection; begin + kPosesPerSection <= scans.size();
          begin += kPosesPerSection) {
@@ -255,6 +282,8 @@ PoseTrack run_odometry(const PoseTrack& initial_track, const SubsampledScans& sc
     const ProcessGroup::PartRange share = options.group.part_range(stretches.size());
     std::size_t n = 0;
     for (std::size_t i = share.begin; i < share.end; ++i) n += stretches[i].end - stretches[i].begin;
+    // `options.proceed` may be called only from the calling thread. All other threads
+    // read from `ended` whether it has stopped the estimation.
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done = 0;
     std::atomic<bool> ended = false;

@@ -27,6 +27,8 @@ struct FrameRays {
     std::vector<SubsampledPoint> points;
 };
 
+/// Selects returns from the frames of all LiDARs that swept at the time of a pose.
+/// @param pose index into Log::world_from_vehicle
 std::vector<FrameRays> rays_at_pose(const Log& log, std::size_t pose, const RegistrationOptions& options) {
     std::vector<FrameRays> frames;
     for (int i = 0; i < static_cast<int>(log.frames.size()); ++i) {
@@ -57,6 +59,7 @@ ScanAlignment align_scan(const Log& sequence, std::size_t pose_index, const Scen
     for (int i = 0; i < kMaxAlignmentSteps && step_m > kConvergedStep_m; ++i) {
         SinglePoseEquations equations;
         for (const FrameRays& f : frames) {
+            // Rays are cast again after each step, because they then hit other surfaces.
             const std::vector<SurfaceHit> surfaces = scene_view(f.position, f.rays, track);
             equations += sum_point_equations(surfaces.size(), [&](SinglePoseEquations& part, std::size_t k) {
                 if (surfaces[k].normal == glm::dvec3(0.0)) return;

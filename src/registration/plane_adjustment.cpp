@@ -20,6 +20,7 @@ constexpr double kGridShift_cells = 0.37;  // Shift of the cell grid from one ro
 // Weight of a term that pulls pose corrections to zero, relative to the mean weight of
 // the points. The term matters only in directions that the points do not determine.
 constexpr double kAdjustmentPrior = 1e-4;
+// Minimum number of points on planes that determine a pose reliably.
 constexpr std::size_t kMinPlacedPoints = 30;
 // The registration of a scan failed if less than this share of its points lies on planes.
 constexpr double kMinShareOnPlanes = 0.05;
@@ -38,6 +39,8 @@ Twist twist_of_pose(const Eigen::VectorXd& stacked_twists, std::size_t pose_inde
     return twist;
 }
 
+/// Returns the twists from the poses of the first track to the poses of the second track,
+/// stacked in one vector with 6 values per pose.
 Eigen::VectorXd stack_twists(const PoseTrack& first_track, const PoseTrack& second_track) {
     Eigen::VectorXd result(6 * Eigen::Index(first_track.pose.size()));
     for (std::size_t k = 0; k < first_track.pose.size(); ++k) {
@@ -55,6 +58,8 @@ std::vector<std::optional<LocalPlane>> fit_cell_planes(const PointCellGrid& cell
     std::vector<std::optional<LocalPlane>> planes(cells.size());
     parallel_blocks(cells.size(), [&](std::size_t c) {
         const std::span<const std::uint32_t> members = cells.points_in_cell(c);
+        // The points of a cell are sorted by pose. A plane that only one sweep observes
+        // moves with the pose of this sweep, so it contributes nothing.
         if (points[members.front()].pose != points[members.back()].pose)
             planes[c] = fit_plane(world_points, members, round.cell_m, round.scale_m);
     });
@@ -94,6 +99,11 @@ PlaneMap PoseAdjustment::fit_planes(const FitRound& round_settings) const {
     return map;
 }
 
+/// Fits a plane to the points in each cell, and moves all poses by one Gauss-Newton step
+/// towards these planes.
+/// @param grid_shift_cells offset of the grid, so that cell borders differ from round to
+/// round
+/// @return the settings with the statistics of this round
 FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_cells) {
     const std::vector<WorldPointWithOrigin> placed = points_to_world(track_, points_);
     const PointCellGrid cells(placed, round_settings.cell_m, grid_shift_cells);
@@ -122,7 +132,10 @@ FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_ce
     return round_settings;
 }
 
+/// Adds the terms of the prior: they pull each correction to zero, and consecutive
+/// corrections towards each other.
 void PoseAdjustment::add_prior(PoseEquations& equations) const {
+    // The weights `link` are given for poses that are this far apart.
     constexpr double kLinkTime_s = 0.1;
     const Eigen::VectorXd correction = stack_twists(start_, track_);
     const auto of_pose = [&](std::size_t index) -> Vector6 {
@@ -136,9 +149,12 @@ void PoseAdjustment::add_prior(PoseEquations& equations) const {
     }
 }
 
+/// Moves the track like one rigid body, so that the mean correction of the gauge poses is
+/// zero. The points cannot determine this common motion.
 void PoseAdjustment::centre_poses() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
     // Three passes are needed, because the mean of rotation vectors is only approximate.
+    // Each pass removes most of the remaining mean.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -170,6 +186,8 @@ double PoseAdjustment::time_fraction(std::size_t before, std::size_t pose, std::
     return (t[pose] - t[before]) / (t[after_index] - t[before]);
 }
 
+/// Interpolates unknown corrections over time between the nearest known corrections. At
+/// the ends of the track, uses the nearest known correction.
 void PoseAdjustment::fill_corrections(const std::vector<bool>& is_correction_known) {
     const Eigen::VectorXd corrections = stack_twists(start_, track_);
     for (std::size_t k = 0; k < is_correction_known.size(); ++k) {
@@ -210,7 +228,8 @@ double PoseAdjustment::deviation_m(std::size_t pose_index, const std::vector<boo
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), time_fraction(before, pose_index, after));
     // The initial track can jump between this pose and one neighbour. Their corrections
-    // then differ, although both are right.
+    // then differ, although both are right. Therefore the smallest of the three
+    // differences counts.
     double least = glm::distance(correction(pose_index), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose_index), correction(neighbour)));

@@ -30,6 +30,8 @@ struct PoseCorrectionPrior {
     Vector6 link = Vector6::Zero();
 };
 
+/// Optimises all poses of a track so that points of different sweeps lie on common
+/// planes. The planes are fitted again in each round.
 class PoseAdjustment {
 public:
     /// @param initial_track  poses before any correction
@@ -83,9 +85,12 @@ private:
     void add_prior(PoseEquations& equations) const;
     void centre_poses();
     void fill_corrections(const std::vector<bool>& is_correction_known);
-    /// Returns `pose_index` for a side on which no pose is selected.
+    /// Returns the nearest selected poses before and after a pose. For a side on which no
+    /// pose is selected, returns `pose_index`.
     static std::pair<std::size_t, std::size_t> find_neighbours(std::size_t pose_index,
                                                                const std::vector<bool>& is_selected);
+    /// Returns the time of a pose as a fraction of the interval from `before` to
+    /// `after_index`.
     double time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const;
 };
 

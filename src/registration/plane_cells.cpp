@@ -75,6 +75,7 @@ std::optional<LocalPlane> fit_plane(const std::vector<WorldPointWithOrigin>& poi
                 glm::dot(plane.normal, points[point_indices[k]].point_m - plane.point_m), scale_m);
             within += weight[k] > 0.25;
         }
+        // Such a cell contains several surfaces or none, so more iterations do not help.
         if (within < 0.3 * double(point_indices.size())) return std::nullopt;
     }
     const double spread = std::max(kMinSpreadPerCell * cell_size_m, kMinSpreadPerKernel * scale_m);

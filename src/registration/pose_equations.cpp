@@ -129,6 +129,8 @@ void PoseEquations::add_cell(const std::vector<SubsampledPoint>& points,
         stiffness += row.weight * b * b.transpose();
         pull += row.weight * row.residual_m * b;
     }
+    // The couplings are stored relative to the Cholesky factor of this matrix. Therefore
+    // the points are visited a second time below.
     const Eigen::LLT<Eigen::Matrix3d> root(stiffness);
     if (root.info() != Eigen::Success) return;
     const auto whitened = [&](const Eigen::Vector3d& b) -> Eigen::Vector3d {
@@ -192,6 +194,8 @@ Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
         [&](std::size_t first, std::size_t last) {
             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
             for (std::size_t plane = first; plane < last; ++plane) {
+                // Computes c (c^T x): first sums c^T x over the poses of the plane, then
+                // multiplies by the c of each pose.
                 const std::size_t begin = plane == 0 ? 0 : plane_end_[plane - 1], end = plane_end_[plane];
                 Eigen::Vector3d moved = Eigen::Vector3d::Zero();
                 for (std::size_t k = begin; k < end; ++k)
@@ -208,6 +212,8 @@ Eigen::VectorXd PoseEquations::multiply(const Eigen::VectorXd& x) const {
 /// of the solver's preconditioner.
 class PoseGroupEquations {
 public:
+    /// Sums the equations of all poses to equations of their groups, and factorises them.
+    /// @param pull diagonal of the prior of each pose
     PoseGroupEquations(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
         : n_(equations.diagonal_.size()) {
         for (std::size_t k = 0; k < n_; ++k)
@@ -258,6 +264,8 @@ private:
         return blocks_.try_emplace({row, column}, Matrix6::Zero()).first->second;
     }
 
+    /// Subtracts the Schur complement of one plane. First adds up the couplings of poses
+    /// in the same group, because they move together.
     void add_couplings(std::span<const PoseEquations::PlanePoseCoupling> couplings) {
         std::vector<std::pair<std::size_t, Eigen::Matrix<double, 6, 3>>> groups;
         for (const PoseEquations::PlanePoseCoupling& coupling : couplings) {
@@ -292,8 +300,11 @@ Eigen::VectorXd PoseEquations::solve_steps(const PoseTrack& track, const Eigen::
     const Vector6 pull = prior_weight * mean;  // quadratic penalty on the correction of each pose
     std::vector<Eigen::LLT<Matrix6>> inverse;
     for (const Matrix6& d : diagonal_)
+        // The small constant keeps the matrix of a pose without points invertible.
         inverse.emplace_back(d + Matrix6(pull.asDiagonal()) + 1e-12 * Matrix6::Identity());
     const PoseGroupEquations groups(*this, track, pull);
+    // Preconditioner: the diagonal block of each pose, plus the common motion of each
+    // group, which would need many iterations otherwise.
     const auto preconditioned = [&](const Eigen::VectorXd& r) {
         Eigen::VectorXd z(r.size());
         for (std::size_t k = 0; k < n; ++k)

@@ -30,6 +30,9 @@ struct PlaneResidual {
     Vector6 j;
     bool is_on_plane() const { return weight > 0.25; }
 };
+/// Returns the distance of a point from a plane, with its robust weight and its
+/// derivatives by the twist of the vehicle pose (translation, rotation).
+/// @param scale_m distance at which the weight is 1/4
 PlaneResidual make_residual(const WorldPointWithOrigin& point, const LocalPlane& plane, double scale_m);
 
 /// Gauss-Newton equations for one pose, while planes and other poses are fixed. Also
@@ -83,13 +86,18 @@ class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
+    /// Adds the distance of a point from a fixed plane. The point moves with the two
+    /// poses between which it was measured.
     void add_point(const SubsampledPoint& point, const PlaneResidual& plane_residual);
     /// Adds the distances of the points of a grid cell from its plane. A Schur complement
     /// eliminates the changes of the plane (offset and two tilts).
     void add_cell(const std::vector<SubsampledPoint>& points,
                   const std::vector<WorldPointWithOrigin>& world_points,
                   std::span<const std::uint32_t> point_indices, const LocalPlane& plane, double scale_m);
+    /// Adds partial sums over other cells, and frees their memory.
     void add_equations(PoseEquations&& other);
+    /// Adds a term that pulls the correction of a pose to zero.
+    /// @param correction current correction, total since the first round
     void add_zero_prior(std::size_t pose, const Vector6& weights, const Vector6& correction);
     /// Adds a term that pulls the corrections of a pose and the next pose towards each
     /// other. `difference`: second minus first correction
@@ -120,6 +128,8 @@ private:
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
+    /// Returns H times a vector without building H, which would be dense because planes
+    /// couple many poses.
     Eigen::VectorXd multiply(const Eigen::VectorXd& input_vector) const;
     friend class PoseGroupEquations;
 };

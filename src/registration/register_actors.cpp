@@ -19,6 +19,7 @@ namespace {
 constexpr double kMinObjectSize_m = 1.2;
 // Lower points of a box can belong to the ground.
 constexpr double kAboveGround_m = 0.25;
+// Minimum number of points of an actor, of points of a pose, and of poses with points.
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr FitRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
 // The corrected track replaces the labelled track only if the share of the points on
@@ -28,6 +29,7 @@ constexpr double kMinShareGain = 0.02;
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
 constexpr double kMaxStandingMotion_m = 3.0;  // a box that moves farther than this is not standing
 constexpr int kPosesPerSide = 3;  // number of poses on each side that are used to interpolate a pose
+// Maximum distance in time to the poses from which a pose is interpolated.
 constexpr double kLongestGap_s = 1.0;
 
 /// Points of an object, in the frame of its labelled box.
@@ -94,6 +96,7 @@ std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>
         }
         if (n == 0) return std::nullopt;
     }
+    // A parabola through three poses would follow their noise, so they get a line.
     const int n_terms = used.size() >= 4 ? 3 : 2;
     const Pose& reference = track.pose[used.front()];
     Eigen::MatrixXd powers(Eigen::Index(used.size()), n_terms), twists(Eigen::Index(used.size()), 6);
@@ -105,6 +108,7 @@ std::optional<Pose> fit_parabola(const PoseTrack& track, const std::vector<bool>
     }
     const Eigen::MatrixXd fit = powers.colPivHouseholderQr().solve(twists);
     Twist twist;
+    // The constant term is the value at t = 0, the time of `pose_index`.
     for (int c = 0; c < 6; ++c) twist[std::size_t(c)] = fit(0, c);
     return apply_twist(reference, twist);
 }
@@ -140,6 +144,8 @@ bool is_stationary(const BoxTrack& box, const BoxFramePoints& actor_points,
     const Pose middle = track.pose[track.pose.size() / 2];
     for (const Pose& pose : track.pose)
         if (glm::distance(pose.translation, middle.translation) > kMaxStandingMotion_m) return false;
+    // Moves the points to the frame of the middle pose, as if the box had stood still
+    // there.
     std::vector<SubsampledPoint> still = actor_points.points;
     for (SubsampledPoint& point : still)
         point.point_m = glm::vec3(inverse(middle) * point_to_world(track, point).point_m);
@@ -164,6 +170,7 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = compute_twist(Pose{}, adjustment.track().pose[k]);
+        // A single implausible correction means that the optimisation has failed.
         const double length_m = glm::length(glm::dvec3(twist[0], twist[1], twist[2]));
         if (length_m > kLargestCorrection_m ||
             glm::length(glm::dvec3(twist[3], twist[4], twist[5])) > kLargestCorrection_rad)
@@ -177,11 +184,14 @@ void refine_track(BoxTrack& box, const BoxFramePoints& actor_points, ActorRegist
         return;
     }
     if (registered_share < labelled_share + kMinShareGain) return;
+    // The adjustment moved the points within the box. The box moves by the inverse
+    // instead.
     PoseTrack& track = box.world_from_box;
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(adjustment.track().pose[k]);
         track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
     }
+    // Poses without points were not registered. They follow their registered neighbours.
     const PoseTrack registered = track;
     for (std::size_t k = 0; k < track.pose.size(); ++k)
         if (!has_points[k]) track.pose[k] = fit_parabola(registered, has_points, k).value_or(track.pose[k]);

@@ -29,7 +29,11 @@ constexpr FitRound kFinalOdometryRound{0.5, 0.1};
 constexpr int kTestLevels = 5, kStepsPerLevel = 3;  // number of levels and steps per level for held-out scans
 
 /// Aligns the held-out (test) scans with planes of the training scans, coarse to fine.
-/// @return indices of the scans that could not be aligned
+/// @param test_scans [sweeps] points of the held-out scans; empty for other sweeps
+/// @param max_deviation_m largest accepted difference from the corrections of the
+/// neighbours
+/// @return indices of the scans that could not be aligned, which keep their interpolated
+/// poses
 std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std::vector<bool>& is_test_sweep,
                                            const std::vector<bool>& is_training_sweep,
                                            const SubsampledScans& test_scans, const FitRound& first_round,
@@ -45,6 +49,7 @@ std::vector<std::size_t> align_test_sweeps(PoseAdjustment& adjustment, const std
             if (!is_test_sweep[k]) continue;
             for (int step = 0; step < kStepsPerLevel; ++step)
                 adjustment.align_pose(map, k, test_scans[k], scale_m);
+            // Only the finest level shows whether the alignment has succeeded.
             if (level + 1 < kTestLevels) continue;
             const bool is_registered = PoseAdjustment::has_enough_planes(
                 adjustment.share_on_planes(map, test_scans[k], scale_m), test_scans[k].size());
@@ -99,7 +104,8 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
                             is_test = flag_sweeps(sweeps, split.test, log.frames.size());
     const auto n_train = static_cast<std::size_t>(std::ranges::count(is_train, true));
     if (n_train < 2) return result;
-    // Each scan keeps one point per grid cell of this size.
+    // Each scan keeps one point per grid cell of this size. With few scans, the cells are
+    // smaller, so that each plane still has enough points.
     const double thin_m = std::clamp(kMaxThinningCell_m * std::sqrt(double(n_train) / kScansPerCell),
                                      kMinThinningCell_m, kMaxThinningCell_m);
     const auto proceed = [&](const char* text) {
@@ -108,6 +114,8 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
             return !(result.stopped = options.stop && options.stop());
         };
     };
+    // The first cells are twice as large as the largest pose error, so that all scans of
+    // a surface have points in the same cell.
     const FitRound first{std::max(2.0 * options.largest_m, kFinalRound.cell_m),
                          std::max(0.5 * options.largest_m, kFinalRound.scale_m)};
 
@@ -134,6 +142,7 @@ RegistrationResult register_scans(const Log& log, const Split& split, const Regi
             "cannot register the scans of {}: no two of its {} training scans show the same surface; try "
             "train.refine_poses=none",
             log.name, split.train.size());
+    // Training scans are finished first, because held-out scans must not affect them.
     const PlaneMap map = adjustment.fit_planes(kFinalRound);
     result.on_planes = median_share(adjustment, map, scans, is_train);
     result.lost = adjustment.interpolate_lost(map, is_train, kFinalRound.scale_m, options.largest_m);

@@ -39,6 +39,7 @@ PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, c
     PoseTrack all = initial;
     for (std::size_t pose = 0; pose < all.pose.size(); ++pose) {
         const double t_s = all.time_s[pose];
+        // Keeps the motion of this pose relative to the interpolated track of the sweeps.
         all.pose[pose] = corrected.pose_at(t_s) * (inverse(sweeps.track.pose_at(t_s)) * initial.pose[pose]);
         all.pose[pose].rotation = glm::normalize(all.pose[pose].rotation);
     }
@@ -56,6 +57,7 @@ std::vector<std::size_t> select_returns(const Log& sequence, int frame_index,
         if (!(scan.range_m[ray] > 0.0f)) continue;
         const std::uint64_t cell = grid_key(scan.return_point(ray), cell_size_m);
         if (occupied_cells.contains(cell)) continue;
+        // The test of the boxes is slow, so it follows the test of the cell.
         const WorldReturn world_return = locate_return(sequence, frame, ray);
         const auto contains_return = [&](const BoxTrack& box) {
             return box.is_observed(world_return.time_s) &&

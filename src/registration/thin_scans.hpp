@@ -18,6 +18,8 @@ struct SweepSet {
     std::vector<std::size_t> pose;         ///< [sweeps] index in Log::world_from_vehicle, ascending
     std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Log::frames
 };
+/// Groups the frames of all LiDARs into sweeps, one for each vehicle pose at which the
+/// main LiDAR has a frame.
 SweepSet group_sweeps(const Log& sequence);
 /// Corrects all poses of a log. Interpolates the corrections between registered sweeps.
 PoseTrack spread_corrections(const PoseTrack& initial, const SweepSet& sweeps, const PoseTrack& corrected);
@@ -38,6 +40,7 @@ using SubsampledScans = std::vector<std::vector<SubsampledPoint>>;
 struct WorldPointWithOrigin {
     glm::dvec3 point_m, vehicle_m;
 };
+/// Moves a point to the world frame, with the pose interpolated at its firing time.
 WorldPointWithOrigin point_to_world(const PoseTrack& track, const SubsampledPoint& point);
 /// The vehicle pose at the firing time of a point is interpolated between two poses of
 /// the track. Returns the weight of pose `pose_index` in this interpolation.

@@ -36,6 +36,7 @@ const LocalPlane* VoxelPlaneMap::find_plane_at(const glm::dvec3& point_m) const 
     const VoxelPlaneCell& cell = cell_entry->second;
     if (cell.is_outdated()) {
         const std::scoped_lock lock(cell_mutex(&cell));
+        // Another thread may have fitted the plane while this thread waited for the lock.
         if (cell.is_outdated()) refit_plane(cell, cell_centre(point_m));
     }
     return cell.plane ? &*cell.plane : nullptr;

@@ -13,11 +13,15 @@
 
 namespace relidar {
 
+/// Grid of cells with one plane each, to which points can be added at any time.
 class VoxelPlaneMap {
 public:
     explicit VoxelPlaneMap(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
+    /// Adds a point to its cell.
+    /// @param travelled_distance_m distance that the sensor had driven when it measured
+    /// the point
     void add_point(const glm::dvec3& point_m, double travelled_distance_m);
     /// Returns the plane of the cell that contains a point, or null if its points do not
     /// form a plane. Several threads can call this function at the same time.
@@ -46,6 +50,8 @@ private:
     glm::dvec3 cell_centre(const glm::dvec3& point_m) const {
         return (glm::floor(point_m / cell_m_) + 0.5) * cell_m_;
     }
+    /// Fits the plane of a cell. Stores no plane if the points are too narrow or too
+    /// thick.
     void refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const;
 };
 
