@@ -24,6 +24,7 @@ struct TimeSpan {
     double first_s, last_s;
 };
 
+/// Returns the time interval in which a LiDAR fires the rays of a sweep.
 TimeSpan sweep_span(const Log& log, const SweepTiming& sweep) {
     const Lidar& lidar = log.lidars[std::size_t(sweep.lidar)];
     if (!log.rolling_shutter) return {sweep.time_s, sweep.time_s};
@@ -39,7 +40,8 @@ TimeSpan sweep_span(const Log& log, const SweepTiming& sweep) {
     return {sweep.time_s + double(*first), sweep.time_s + double(*last)};
 }
 
-/// Returns 0 if the LiDAR does not scan the azimuths in order.
+/// Returns how many seconds the LiDAR needs to turn by one radian. Returns 0 if it does
+/// not scan the azimuths in order.
 double seconds_per_rad(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
     const ScanPatternSummary summary = summarise_pattern(*lidar.pattern);
@@ -76,6 +78,8 @@ TimeSpan facing_span(const Log& log, const PoseTrack& world_from_box, const glm:
                world_from_box.pose_at(t_s);
     };
     double faced_s = sweep.time_s;
+    // The facing time depends on the pose of the box, which depends on the time. Three
+    // iterations converge.
     for (int step = 0; step < 3; ++step)
         faced_s = facing_time_s(log, sensor_from_box(faced_s).translation, sweep);
     const double angle = half_width_rad(sensor_from_box(faced_s), half_size_m);
@@ -90,7 +94,8 @@ InstancePose box_pose_in_sweep(const Log& log, const PoseTrack& world_from_box, 
                                const SweepTiming& sweep) {
     const TimeSpan span = facing_span(log, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    // If all rays fire at the same time, the pose of the actor is constant.
+    // If all rays fire at the same time, the pose of the actor is constant. Its velocity
+    // is then measured between `kVelocityStep_s` before and after this time.
     const bool moves = half_s > 0.0;
     const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
     const Pose first = world_from_box.pose_at(measured.first_s),

@@ -67,6 +67,8 @@ bool has_word(const std::string& word_list, const std::string& word) {
     return std::find(words.begin(), words.end(), word) != words.end();
 }
 
+/// Returns true if the settings select a box as an actor: by its id, its class or its
+/// kind.
 bool is_actor(const BoxTrack& box, const InitOptions& options) {
     if (options.unlabelled_movers == UnlabelledMoverPolicy::actors && box.category == kDiscoveredCategory)
         return true;
@@ -75,6 +77,8 @@ bool is_actor(const BoxTrack& box, const InitOptions& options) {
            has_word(options.actor_classes, name_of(parse_kind(box.category)));
 }
 
+/// Returns the kind of object in a box. If the box has no label, guesses the kind from
+/// its size: persons and cyclists are narrow and tall.
 ObjectKind guess_kind(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return parse_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
@@ -83,6 +87,8 @@ ObjectKind guess_kind(const BoxTrack& box) {
     return length < 2.2 ? ObjectKind::cyclist : ObjectKind::other;
 }
 
+/// Checks that the size of a box is positive and that all its poses are finite.
+/// @throws DataError if a size or a pose is invalid
 void check_box(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
@@ -111,7 +117,7 @@ void pad_samples(LidarSamples& samples, std::size_t min_count, const BoxTrack& b
     for (const LidarSample& s : samples) intensity += s.intensity / double(samples.size());
     Random random(hash_pair(seed, hash_integer(std::hash<std::string>{}(box.id))));
     while (samples.size() < min_count) {
-        // In the order z, y, x. Another order would change the points.
+        // Draws in the order z, y, x. Another order would change the points of a seed.
         glm::dvec3 fraction;
         for (int axis = 2; axis >= 0; --axis) fraction[axis] = random.sample_uniform();
         const glm::dvec3 p = box.size_m * (fraction - 0.5);
@@ -168,7 +174,8 @@ double walked_at_start_m(const BoxTrack& logged_box, const PoseTrack& new_track)
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// @param find_track  returns the track of an actor, or null if the actor is absent
+/// Returns the poses of the background and of all actors during a sweep.
+/// @param find_track returns the track of an actor, or null if the actor is absent
 template <class TrackOf>
 std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& log, const SweepTiming& sweep,
                                          const TrackOf& find_track) {
@@ -184,6 +191,8 @@ std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& log, con
                                : InstancePose{{}, false});
         const double stride_m = double(model.stride_m);
         if (!track || stride_m <= 0.0) continue;
+        // The phase of the walk continues the logged walk if the caller supplied another
+        // track.
         const BoxTrack* logged_box = find_box(log, instance.track);
         const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
         const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()

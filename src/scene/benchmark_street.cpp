@@ -146,8 +146,8 @@ glm::dvec4 quaternion_of_axes(const glm::dvec3& x_axis, const glm::dvec3& y_axis
     return glm::normalize(candidates[best]);
 }
 
-/// The normals scatter around the normals of the rectangles. The rotation about the
-/// normal is uniform.
+/// Draws random rotations. The normals scatter around the normals of the rectangles, and
+/// the rotation about the normal is uniform.
 void sample_rotations(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
     std::vector<glm::dvec3> normal(indices.size());
@@ -166,6 +166,8 @@ void sample_rotations(const Rectangles& rectangles, const RectangleIndices& indi
     }
 }
 
+/// Draws random scales of 0.1 to 0.3 m and opacities of 0.1 to 0.99. With `shrink`, more
+/// surfels are smaller, so that they cover the same area.
 void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
     const double factor = shrink ? std::sqrt(1e5 / double(surfels.mean.size())) : 1.0;
     for (glm::vec2& log_scale : surfels.log_scale)
@@ -177,8 +179,9 @@ void sample_scales(bool shrink, NumpyRandomState& random, Surfels& surfels) {
     }
 }
 
-/// Rounds to multiples of 1/4096 (degree 0) or 1/256 (other degrees), and half to even,
-/// like scene_gen.py.
+/// Draws random spherical harmonics. Rounds them to multiples of 1/4096 (degree 0) or
+/// 1/256 (other degrees), and half to even. scene_gen.py rounds in the same way, so that
+/// both make the same surfels.
 void sample_harmonics(const Rectangles& rectangles, const RectangleIndices& indices, NumpyRandomState& random,
                       Surfels& surfels) {
     const auto put_dc = [&](std::size_t surfel, int channel, double value) {

@@ -45,6 +45,7 @@ struct FrameSamples {
 };
 using SamplesByFrame = std::vector<std::unique_ptr<FrameSamples>>;
 
+/// Groups the samples by frame, and computes the distance that the actor walks per frame.
 SamplesByFrame group_by_frame(const LidarSamples& samples) {
     SamplesByFrame frames;
     for (auto& [frame, of_frame] : group_samples(samples))
@@ -70,6 +71,7 @@ glm::vec3 estimate_shift(const SamplesByFrame& frames, std::size_t frame, const 
         here.index.find_in_radius(sample.position, kPatchRadius_m, kMaxPatchPoints);
     glm::vec3 best(0.0f);
     double least = std::numeric_limits<double>::infinity();
+    // Tries all shifts on a grid. An actor does not move sideways in its box, so y is 0.
     for (float x = -kMaxShift_m; x < kMaxShift_m + 0.5f * kShiftStep_m; x += kShiftStep_m)
         for (float z = -kMaxShiftUp_m; z < kMaxShiftUp_m + 0.5f * kShiftStep_m; z += kShiftStep_m) {
             const glm::vec3 shift(x, 0.0f, z);
@@ -110,6 +112,8 @@ std::vector<glm::vec3> smooth_shifts(const LidarSamples& samples, const std::vec
     return medians;
 }
 
+/// Makes one surfel for each sample. `gaits[i]` defines in which phase of the walk the
+/// surfel of sample i is visible, and how it moves.
 Surfels make_gait_surfels(const LidarSamples& samples, const std::vector<GaitPhaseWindow>& gaits,
                           const InitOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
@@ -132,8 +136,9 @@ std::vector<char> mark_static(const LidarSamples& samples, const SamplesByFrame&
     return is_static;
 }
 
-/// Makes surfels with the shape of an actor in one frame. Their opacity is a Gaussian of
-/// the walked distance with the standard deviation `FrameSamples::spacing_m`.
+/// Makes surfels with the shape of an actor in one frame. They fade out while the actor
+/// walks on: their opacity is a Gaussian of the walked distance. Its standard deviation
+/// is `FrameSamples::spacing_m`, the distance that the actor walks per frame.
 /// @param changing samples of this frame where the shape of the actor changes
 Surfels make_frame_surfels(const SamplesByFrame& by_frame, std::size_t frame_index,
                            const LidarSamples& samples, const LidarSamples& changing, double period_m,
@@ -166,6 +171,8 @@ DeformingActorSurfels make_deforming(const LidarSamples& samples, const InitOpti
             {}, 0.0, fmt::format("it walked {:.1f} m, expected at least {} m", recorded_m, kFewestWalked_m)};
     DeformingActorSurfels actor;
     actor.period_m = recorded_m * (1.0 + kFramesBetween / double(frames.size() - 1));
+    // Parts that do not change are modelled once for all frames. They get at most half of
+    // the surfels.
     const std::vector<char> rests = mark_static(samples, frames);
     LidarSamples resting;
     for (std::size_t i = 0; i < samples.size(); ++i)

@@ -65,6 +65,8 @@ struct InstanceGradientRows {
     }
 };
 
+/// Returns the model table for the device: the surfel range, the size and the gradient
+/// rows of each model.
 std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {
@@ -113,6 +115,7 @@ struct DeviceScene::Impl {
 
     std::uint32_t count_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
+    /// Stores the poses of all instances, and returns the instance table for the device.
     /// Each entry has the transform from world to model, the motion, and the range of
     /// surfels, which is empty for an absent instance.
     std::vector<shared::InstanceEntry> make_instances(const std::vector<InstancePose>& instance_poses) {
@@ -216,6 +219,8 @@ bool DeviceScene::can_skip_surfels() const { return impl_->list.has_value(); }
 void DeviceScene::activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& origin_m,
                                const ActivationGradients& gradients) {
     if (size() == 0) return;
+    // On a CPU, only surfels with a gradient are processed. If the others must be set to
+    // zero, all surfels are processed.
     const bool listed = gradients.touched_is_marked && can_skip_surfels() && !gradients.zero_untouched;
     if (listed) impl_->list->compact(stream, gradients.touched->address(), size());
     run(stream, impl_->activate_vjp, listed ? impl_->list->choose_threads(size()) : size(),
@@ -248,7 +253,8 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // The table of rows keeps its size, because the number of instances does not change.
+    // The new surfel ranges change the gradient rows of the instances. The table of rows
+    // keeps its size, because the number of instances does not change.
     impl_->placements = InstanceGradientRows(impl_->layout, n);
     impl_->models.upload(make_models(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

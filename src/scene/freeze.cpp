@@ -12,7 +12,10 @@ namespace {
 
 using ShBasis = std::array<double, kShCoefficients>;
 
-/// The same as shaders/scene/gaussian/sh.glsl, up to degree 3 in double precision.
+/// Evaluates the real spherical harmonics up to degree 3, which are orthonormal on the
+/// sphere. Computes the same values as shaders/scene/gaussian/sh.glsl, in double
+/// precision.
+/// @param direction unit vector
 ShBasis evaluate_sh(const glm::dvec3& direction) {
     const double x = direction.x, y = direction.y, z = direction.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
@@ -41,6 +44,7 @@ using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficien
 /// weighted sum over four heights z (Gauss-Legendre) with eight azimuths each is exact,
 /// because the integrands have degree 6.
 ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
+    // height and weight of each Gauss-Legendre node
     constexpr std::array<std::array<double, 2>, 4> kGaussNodes{{{-0.8611363115940526, 0.3478548451374538},
                                                                 {-0.3399810435848563, 0.6521451548625461},
                                                                 {0.3399810435848563, 0.6521451548625461},
@@ -69,7 +73,9 @@ void rotate_sh(const ShRotation& rotation, float* coefficients) {
     std::ranges::copy(rotated, coefficients);
 }
 
-/// The same as shaders/scene/gaussian/gait.glsl.
+/// Moves a surfel of a walking actor to its position at a phase of the walk. Reduces its
+/// opacity if it was recorded at another phase. Same formulas as
+/// shaders/scene/gaussian/gait.glsl.
 void apply_gait(Surfels& surfels, std::size_t surfel, double phase) {
     const GaitPhaseWindow& gait = surfels.gait[surfel];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);
@@ -82,6 +88,8 @@ void apply_gait(Surfels& surfels, std::size_t surfel, double phase) {
     surfels.opacity_logit[surfel] = float(std::log(std::max(opacity, kMinOpacity) / (1.0 - opacity)));
 }
 
+/// Moves surfels from their model frame to the world frame. Spherical harmonics depend on
+/// directions, so their coefficients are rotated too.
 void surfels_to_world(Surfels& surfels, const Pose& world_from_model) {
     const ShRotation sh_rotation = make_sh_rotation(world_from_model.rotation);
     parallel_blocks(surfels.size(), [&](std::size_t index) {

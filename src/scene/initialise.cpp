@@ -39,7 +39,8 @@ struct CellHash {
     }
 };
 
-/// Returns the points of one frame in the world frame outside `boxes`.
+/// Returns the points of one frame in the world frame. Skips points inside `boxes`,
+/// because the objects in these boxes get separate models.
 LidarSamples background_samples(const Log& log, const Frame& frame, const std::vector<BoxTrack>& boxes,
                                 const InitOptions& options) {
     LidarSamples samples;
@@ -103,8 +104,9 @@ struct VoxelHashTable {
     }
 };
 
-/// Returns the mean sample of each voxel, sorted by the first sample of the voxel. Reads
-/// only a few frames at a time, so that memory does not grow with the number of frames.
+/// Returns the mean sample of each voxel, sorted by the first sample of the voxel. This
+/// order does not depend on the threads. Reads only a few frames at a time, so that
+/// memory does not grow with the number of frames.
 LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames, const InitOptions& options,
                             const Progress& progress) {
     constexpr std::size_t kFramesPerBatch = 16;
@@ -120,6 +122,8 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
             std::uint32_t number = 0;
             for (const LidarSample& s : background_samples(log, frame, separate, options)) {
                 const VoxelCell cell = find_voxel_cell(s.position, sensors, options);
+                // Divides the voxels into parts by hash, so that one thread per part can
+                // add samples without a lock.
                 frames[std::size_t(index)][CellHash{}(cell) % kHashParts].push_back({s, cell, number++});
             }
         });
@@ -144,7 +148,8 @@ LidarSamples average_voxels(const Log& log, const std::vector<int>& train_frames
     return means;
 }
 
-/// Removes samples at positions where other frames observe empty space.
+/// Removes samples at positions where other frames observe empty space. Such samples
+/// belong to moving objects.
 LidarSamples remove_movers(const LidarSamples& samples, const Log& log, const std::vector<int>& frames,
                            const Progress& progress) {
     VisibilityChecker visibility(log, frames);

@@ -91,8 +91,9 @@ struct ScanLineGap {
     bool is_line_missing() const { return left_m == 0.0 || right_m == 0.0; }
 };
 
-/// @param neighbours indices of points on the surface, sorted by distance; the
-/// first is the point itself
+/// Measures the distance from a point to the next scan line on each side.
+/// @param neighbours indices of points on the surface, sorted by distance; the first is
+/// the point itself
 ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbours, const glm::dvec3& normal) {
     // number of nearest neighbours that lie on the same scan line as the point
     constexpr std::size_t kOnLine = 4;
@@ -104,6 +105,7 @@ ScanLineGap measure_gap(const LidarSamples& samples, const Neighbours& neighbour
     constexpr double kMaxSlope = 0.1, kMaxPlaneNoise_m = 0.05;
     const glm::dvec3 point(samples[neighbours[0]].position), x = perpendicular_at(normal, 0.0),
                                                              y = glm::cross(normal, x);
+    // Averages the directions to the nearest points, which lie on the same scan line.
     // Doubles each angle, because opposite directions mean the same line.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
@@ -185,12 +187,14 @@ SurfelPlacement estimate_surface(const Tree& tree, const LidarSamples& samples, 
     return placement;
 }
 
+/// Computes all parameters of a surfel from its sample and the nearby samples.
 void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& samples, const Tree& tree,
                 const InitOptions& options, double incidence) {
     const std::size_t k =
         std::min<std::size_t>(std::max(options.normal_neighbours, kScaleNeighbours) + 1, samples.size());
     std::vector<float> distance2;
     Neighbours nearest = find_nearest(tree, samples[surfel], k, distance2);
+    // The mean distance to the three nearest other samples determines the scale.
     double distance_sum_m = 0.0;
     std::size_t n_others = 0;
     for (std::size_t j = 1; j < nearest.size() && n_others < kScaleNeighbours; ++j, ++n_others)
@@ -198,7 +202,7 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
     const double spacing = n_others ? distance_sum_m / double(n_others) : options.voxel_m;
     Random random(hash_pair(options.seed, surfel));
     nearest.resize(std::min(nearest.size(), std::size_t(options.normal_neighbours) + 1));
-    // In the order z, y, x. Another order would change the surfels.
+    // Draws in the order z, y, x. Another order would change the surfels of a seed.
     glm::dvec3 random_direction;
     for (int axis = 2; axis >= 0; --axis) random_direction[axis] = random.sample_normal();
     SurfelPlacement placement{{{}, random_direction / std::max(glm::length(random_direction), 1e-12)}, {}};
@@ -212,6 +216,8 @@ void set_surfel(Surfels& surfels, std::size_t surfel, const LidarSamples& sample
     glm::dvec3 x = perpendicular_at(plane.normal, random.sample_uniform(0.0, 2.0 * kPi));
     const double width = std::max(placement.gap.left_m, placement.gap.right_m),
                  round = std::min(spacing * options.scale_factor, options.max_scale_m);
+    // A wide gap between scan lines is filled: the surfel becomes longer across the
+    // lines.
     const bool reaches =
         !placement.gap.is_line_missing() && width > kMinGapRatio * spacing && width < options.max_gap_m;
     if (reaches) x = placement.gap.across;
@@ -246,7 +252,7 @@ Surfels make_surfels(const LidarSamples& samples, const InitOptions& options, do
 }
 
 LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleIndices* kept) {
-    // The jitter of labelled boxes blurs smaller details.
+    // Edge length of a voxel. The jitter of labelled boxes blurs smaller details.
     constexpr double kThinningVoxel_m = 0.06;
     std::unordered_set<std::uint64_t> occupied_voxels;
     SampleIndices first;
@@ -258,6 +264,7 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleI
         if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
     if (first.size() > most) {
+        // Selects the remaining samples in an order that depends only on their positions.
         const auto order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
             return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),

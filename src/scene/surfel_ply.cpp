@@ -41,6 +41,7 @@ struct PlyProperty {
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
+/// Returns the properties of a PLY file in the order in which they are stored.
 std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     std::vector<PlyProperty> list;
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
@@ -67,7 +68,8 @@ std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     return list;
 }
 
-/// Returns zero if the quaternion is zero or not a number.
+/// Returns the normal of a surfel, the third column of its rotation matrix. Returns zero
+/// if the quaternion is zero or not a number.
 glm::vec3 quaternion_normal(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
@@ -112,6 +114,9 @@ std::size_t type_bytes(const std::string& type_name) {
          quote(type_name));
 }
 
+/// Parses the header of a PLY file, and computes the byte offset of each property.
+/// @throws DataError for another format than binary_little_endian, for lists, and for
+/// other elements than `vertex`
 PlyRecordLayout parse_ply_header(const std::string& header) {
     PlyRecordLayout layout;
     bool has_vertex = false, has_format = false;
@@ -158,6 +163,8 @@ struct PlyColumns {
     std::vector<PlyProperty> missing;
 };
 
+/// Finds the properties that the reader uses. Lists the missing ones separately, because
+/// the surfels of the run can supply them.
 PlyColumns find_columns(const PlyRecordLayout& layout, SurfelParameterSet parameters) {
     PlyColumns columns;
     // A file of degree 1 or 2 has 3 times 3 or 3 times 8 harmonics above degree 0.
@@ -218,6 +225,7 @@ public:
         std::optional<std::pair<Difference, std::uint32_t>> best;
         bool has_twin = false;         // true if a surfel of another model fits equally well
         std::set<std::uint64_t> keys;  // of the cells that the sphere of matching positions touches
+        // The sphere can reach into neighbouring cells.
         for (int corner = 0; corner < 8; ++corner)
             keys.insert(
                 key_of(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1,
@@ -230,6 +238,8 @@ public:
                 if (!(distance_m <= kSamePosition_m)) continue;
                 const float other = std::abs(run_.opacity_logit[k] - surfels.opacity_logit[i]) +
                                     glm::length(run_.log_scale[k] - surfels.log_scale[i]);
+                // Prefers the nearest surfel, then the most similar one, then one that is
+                // not used yet.
                 const std::pair found(Difference(distance_m, other, used_[k]), k);
                 const bool is_tie =
                     best && std::get<0>(best->first) == distance_m && std::get<1>(best->first) == other;
@@ -320,6 +330,8 @@ Scene group_by_model(const Surfels& surfels, const std::vector<std::uint32_t>& m
     return scene;
 }
 
+/// Parses a PLY file to a scene with the models and instances of `scene_layout`.
+/// @param note output: says which properties were copied from the run
 Scene parse_ply(const std::vector<std::byte>& bytes, const Scene& scene_layout, SurfelParameterSet parameters,
                 std::string& note) {
     const std::string start(reinterpret_cast<const char*>(bytes.data()),
@@ -352,6 +364,8 @@ Scene parse_ply(const std::vector<std::byte>& bytes, const Scene& scene_layout, 
     return group_by_model(surfels, model, scene_layout);
 }
 
+/// Returns the header of a PLY file.
+/// @param frame name of the coordinate frame of the positions, for a comment line
 std::string make_header(const Surfels& surfels, const std::vector<PlyProperty>& properties, const char* frame,
                         const FileMetadata& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";

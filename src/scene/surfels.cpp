@@ -105,7 +105,8 @@ Scene replace_background(const Scene& scene, const Surfels& background) {
     other.blocks.clear();
     other.surfels = background.reorder(kd_tree_order(background.mean));
     other.models.front().count = n;
-    // If `n - before` wraps around (modulo 2^32), the sum wraps back.
+    // If the new background has fewer surfels, `n - before` wraps around (modulo 2^32).
+    // The sum wraps back to the correct index.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append_surfels(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;
@@ -157,6 +158,8 @@ std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points) {
     return order;
 }
 
+/// Checks that the surfels of each model directly follow those of the previous model. The
+/// kernels need this order, because they find a surfel's model by binary search.
 void check_layout(const Scene& scene) {
     std::size_t next = 0;
     for (const SurfelModel& model : scene.models) {
@@ -182,6 +185,7 @@ double model_extent_m(const Scene& scene, std::size_t model) {
     glm::dvec3 centre(0.0);
     for (auto p = first; p != last; ++p) centre += glm::dvec3(*p);
     centre /= double(range.count);
+    // The 90th percentile ignores a few surfels that are far away.
     std::vector<double> distance;
     for (auto p = first; p != last; ++p) distance.push_back(2.0 * glm::length(glm::dvec3(*p) - centre));
     const auto q90 = distance.begin() + static_cast<std::ptrdiff_t>(0.9 * double(distance.size() - 1));

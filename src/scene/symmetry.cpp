@@ -24,6 +24,8 @@ Surfels mirror_surfels(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
         if (surfels.bends) surfels.gait[i].swing.y *= -1.0f;
+        // The mirrored rotation has a mirrored axis and turns in the opposite direction.
+        // So x and z of the quaternion change their signs, and y does not.
         glm::vec4& q = surfels.rotation[i];  // (w, x, y, z)
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)

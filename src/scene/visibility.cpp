@@ -11,6 +11,7 @@
 namespace relidar {
 namespace {
 
+// Limits of the size of a grid. A scan without rows gets kEvenRows rows.
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
 // Ratio (columns of a range image per turn) / (rays per turn in a scan row). The 2 x 3
 // cells around a point then contain four or five returns: two rows of 3 / (4/3) rays.
@@ -30,6 +31,7 @@ constexpr double kMaxTileDistance_m = 40.0;
 // Farther frames are used up to this multiple of the smallest such distance of all
 // frames, so that distant tiles have frames.
 constexpr double kHardlyFarther = 1.25;
+// Maximum number of frames with which a point is compared.
 constexpr std::size_t kMostViews = 64;
 
 double elevation_rad(const glm::vec3& direction) {
@@ -83,6 +85,7 @@ BeamGrid::BeamGrid(const Scan& scan) {
     if (scan.rays.direction.empty()) return;
     columns_ = choose_columns(scan.rays);
     const std::vector<double> elevations = row_elevations_rad(scan.rays);
+    // Joins beams that are closer than this to one row, because some scans have hundreds.
     const double least_height = (elevations.front() - elevations.back()) / kMostRows;
     for (auto first = elevations.begin(); first != elevations.end();) {
         const auto end = std::find_if(first, elevations.end(),
@@ -156,6 +159,8 @@ void VisibilityChecker::make_requested() {
     requested_views_.clear();
 }
 
+/// Stores the nearest range in each cell of a frame, and the sensor pose for each sector
+/// of the sweep. Sectors have separate poses, because the vehicle moves during the sweep.
 void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) const {
     const Pose& mounted = sequence_.lidar_of(frame).vehicle_from_sensor;
     const int n_sectors = sequence_.rolling_shutter ? kAzimuthSectors : 1;
@@ -168,6 +173,8 @@ void VisibilityChecker::make_image(VisibilityImage& view, const Frame& frame) co
     view.range_m = grids_[std::size_t(frame.lidar)].nearest_ranges_m(frame.scan);
 }
 
+/// Selects the frames for each tile of the ground: the near ones, at most kMostViews,
+/// evenly spaced in time.
 void VisibilityChecker::select_frames() {
     using ImageDistance = std::pair<double, std::uint32_t>;  // metres, view
     std::unordered_map<std::uint64_t, std::vector<ImageDistance>> all;
@@ -202,9 +209,12 @@ const std::vector<std::uint32_t>& VisibilityChecker::find_views_near(const glm::
     return tile == tiles_.end() ? none : tile->second.views;
 }
 
+/// Returns the range of a point and the returns in the 2 x 3 cells around its direction.
 VisibilityChecker::NeighbourRanges VisibilityChecker::ranges_around(const VisibilityImage& view,
                                                                     const glm::dvec3& point_m) const {
     const int n_sectors = static_cast<int>(view.sensor_from_world.size());
+    // The sector depends on the sensor pose and the other way round. The pose in the
+    // middle of the sweep is accurate enough to find the sector.
     const glm::dvec3 roughly = view.sensor_from_world[std::size_t(n_sectors / 2)] * point_m;
     const int sector = static_cast<int>((0.5 + std::atan2(roughly.y, roughly.x) / (2.0 * kPi)) * n_sectors);
     const glm::dvec3 p = view.sensor_from_world[std::size_t(std::clamp(sector, 0, n_sectors - 1))] * point_m;
@@ -225,6 +235,7 @@ PointVisibility VisibilityChecker::classify_point(std::uint32_t view_index, cons
     const NeighbourRanges here = ranges_around(views_[view_index], point_m);
     if (here.n < kMinReturns) return PointVisibility::unknown;
     const auto [nearest, farthest] = std::minmax_element(here.returned_m, here.returned_m + here.n);
+    // The margin, metres, allows errors of poses, of oblique surfaces and of wide beams.
     const double range = here.range_m, margin = 0.3 + 0.02 * range;
     if (*nearest > range + kMinBehindMargins * margin) return PointVisibility::empty;
     return range > *nearest - margin && range < *farthest + margin ? PointVisibility::occupied

@@ -29,6 +29,8 @@ constexpr double kMinBoxStraightness = 0.5;  // minimum ratio of net motion to p
 // Maximum rotation of a vehicle per metre of its path, plus a constant angle.
 constexpr double kMaxRotationPer_m = 0.4, kMaxExtraRotation_rad = 0.5;
 
+/// Returns true if the size, the speed and the motion of a box are plausible. Its motion
+/// must exceed the apparent motion of a static object whose visible part changes.
 bool is_plausible(const BoxTrack& box) {
     const std::vector<double> speeds = speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
@@ -55,6 +57,7 @@ std::optional<BoxTrack> fit_moved_box(const VisibilityChecker& visibility, Mover
     const BoxTrack box = fit_box(track);
     for (MoverObservation& o : track.observations) sum += remove_static(visibility, o.cluster, box);
     if (!sum.is_moving()) return std::nullopt;
+    // Frames in which nearly all points were static do not show the object.
     std::erase_if(track.observations, [](const MoverObservation& observation) {
         return observation.cluster.points_m.size() < kMinMoverPoints;
     });
@@ -187,6 +190,7 @@ bool should_fit_box(const MoverTrack& track, const PoseTrack& world_from_vehicle
                                    : !std::ranges::all_of(track.observations, is_labelled);
 }
 
+/// Returns the boxes of the moving objects that one LiDAR observed.
 std::vector<BoxTrack> discover_in_lidar(int lidar, const Log& log, std::vector<int> frames,
                                         const Progress& progress, const ProcessGroup& group) {
     std::erase_if(frames, [&](int position) { return log.frames[std::size_t(position)].lidar != lidar; });

@@ -90,6 +90,8 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
         const auto [low, high] = extents[k];
         const double sensor = glm::dot(axes[k], track.observations[k].sensor_m);
         double centre = 0.5 * (low + high);
+        // The near end is reliable. If the sensor is beside the object, both ends are
+        // visible.
         if (sensor > high) centre = high - half_size_m;
         else if (sensor < low) centre = low + half_size_m;
         centres.push_back(centre);
@@ -241,6 +243,8 @@ void enlarge_box(BoxTrack& box, const MoverTrack& track) {
     if (box.size_m.y < kind->least_width_m) grown.y = kind->width_m;
     if (grown == box.size_m) return;
     for (int axis = 0; axis < 2; ++axis)
+        // The visible side stays where it was measured, so the box grows away from the
+        // sensor.
         shift[axis] = -0.5 * facing_side(box, track, axis) * (grown[axis] - box.size_m[axis]);
     box.size_m = grown;
     box.size_guess = kind->name;
@@ -263,6 +267,7 @@ BoxTrack extend_in_time(const MoverTrack& track, const BoxTrack& label) {
     for (int round = 0; round < kPathCorrections; ++round) {
         const GroundPath ground_poses = compute_ground_poses(path, track);
         positions_m = place_object(track, ground_poses, glm::dvec2(label.size_m));
+        // The labels at both ends define how the box lies relative to the visible points.
         before = median_offset(track, first_labels, ground_poses, positions_m, label);
         after = median_offset(track, last_labels, ground_poses, positions_m, label);
         for (std::size_t k = 0; k < positions_m.size(); ++k)

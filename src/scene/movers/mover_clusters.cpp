@@ -86,6 +86,8 @@ MoverCluster mean_of_sums(MoverCluster sums) {
     return sums;
 }
 
+/// Separates the returns of a frame into returns inside moving labelled boxes and returns
+/// outside all labelled boxes.
 FrameMoverReturns split_by_boxes(const Log& log, const Frame& frame) {
     const std::vector<LabelledBox> labelled = labelled_boxes_at(log, frame.time_s);
     std::vector<MoverCluster> of_boxes(labelled.size());
@@ -203,6 +205,8 @@ std::vector<MoverCluster> cluster_returns(const std::vector<MoverReturn>& return
     return clusters;
 }
 
+/// Returns the clusters of points on moving objects in consecutive frames. Decides once
+/// per grid cell whether its returns moved, because frames share most cells.
 ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, VisibilityChecker& view) {
     std::vector<FrameMoverReturns> frames(indices.size());
     parallel_for(static_cast<int>(indices.size()), [&](int index) {
@@ -229,6 +233,7 @@ ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, Vis
     return clusters;
 }
 
+/// Collects the clusters from all processes, as three arrays of fixed-size elements.
 ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame& local_clusters) {
     if (group.size == 1) return local_clusters;
     struct ClusterRecord {

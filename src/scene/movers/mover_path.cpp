@@ -41,13 +41,18 @@ glm::dmat3 process_noise(double dt_s) {
                                      d3 / 6.0, d2 / 2.0, dt_s);
 }
 
+/// Runs a Kalman filter over the positions, and a smoother back from the last position.
+/// All axes share a covariance, because their noise is the same.
+/// @param weights [times] weight of each observed position, 0 to 1
 KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector<glm::dvec3>& positions_m,
                            const std::vector<double>& weights) {
     const std::size_t n = times_s.size();
     std::vector<KalmanState> filtered(n), before(n);
+    // The initial velocity and acceleration are unknown, so their variances are large.
     before[0].covariance = glm::dmat3(1e3, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0.0, 10.0);
     for (int axis = 0; axis < 3; ++axis) before[0].state[axis][0] = positions_m[0][axis];
     for (std::size_t k = 0; k < n; ++k) {
+        // Predicts the state at this time from the previous state.
         if (k > 0) {
             const KalmanState& previous = filtered[k - 1];
             const double dt_s = times_s[k] - times_s[k - 1];
@@ -56,6 +61,8 @@ KinematicPath run_smoother(const std::vector<double>& times_s, const std::vector
                          f * previous.covariance * glm::transpose(f) + process_noise(dt_s)};
         }
         filtered[k] = before[k];
+        // Updates the prediction with the observed position. A low weight acts like more
+        // noise.
         const glm::dvec3 column = before[k].covariance[0];
         const glm::dvec3 gain = column / (column.x + kPositionNoise_m * kPositionNoise_m / weights[k]);
         for (int axis = 0; axis < 3; ++axis)

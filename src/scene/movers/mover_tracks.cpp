@@ -84,6 +84,8 @@ class OpenTrackSet {
 public:
     explicit OpenTrackSet(const Log& log) : sequence_(log) {}
 
+    /// Continues the open tracks with the clusters of the next frame, the best match
+    /// first. Each remaining cluster starts a track.
     void link_frame(double frame_time_s, const std::vector<MoverCluster>& clusters) {
         std::erase_if(open_, [&](std::size_t t) {  // tracks that have ended
             const MoverTrack& track = tracks_[t];
@@ -112,6 +114,8 @@ private:
     MoverTracks tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
+    /// Returns all possible pairs of a track and a cluster, from the best match to the
+    /// worst.
     std::vector<Match> list_matches(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Match> result;
         for (const std::size_t t : open_)
@@ -164,6 +168,7 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
         for (const glm::dvec3& q : other.points_m)
             gap_m = std::min(gap_m, glm::distance(glm::dvec2(p), glm::dvec2(q)));
     if (gap_m > kMaxPartDistance_m) return false;
+    // Parts of one vehicle keep their distance, while two vehicles move independently.
     glm::dvec3 sum(0.0), squares(0.0);
     for (const auto& [a, b] : common) {
         const glm::dvec3 apart =
@@ -176,8 +181,9 @@ bool is_same_vehicle(const MoverTrack& track, const MoverTrack& other_track) {
     return variance.x + variance.y < kMaxOffsetSigma_m * kMaxOffsetSigma_m;
 }
 
-/// Returns how badly a later track continues an earlier track after a gap. A value above
-/// 1 means that the tracks belong to different objects.
+/// Returns how badly a later track continues an earlier track after a gap. Predicts the
+/// motion across the gap from each track. A value above 1 means that the tracks belong to
+/// different objects.
 double gap_cost(const MoverTrack& earlier, const MoverTrack& later) {
     if (earlier.label != kNoLabel && later.label != kNoLabel) return 2.0;
     if (std::min(earlier.observations.size(), later.observations.size()) < kEndsOfGap) return 2.0;
