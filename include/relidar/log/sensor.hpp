@@ -41,6 +41,7 @@ struct ScanMemoryUse {
     std::uint64_t in_memory = 0;
     std::uint64_t in_file = 0;
 };
+/// Returns how many bytes the arrays of all scans use now, in memory and in the file.
 ScanMemoryUse scan_memory_use();
 
 /// Allocates an array in memory, or in a mapped file if the memory limit is reached.
@@ -344,6 +345,7 @@ struct ScanPatternSummary {
     /// set only for a sensor that does not spin and fires column by column
     std::optional<AzimuthSweep> sweep = {};
 };
+/// Returns the number of rays, the duration and the sweep of a scan pattern.
 ScanPatternSummary summarise_pattern(const SensorPattern& pattern);
 /// Returns ScanPatternSummary::period_s.
 double scan_period_s(const SensorPattern& pattern);
@@ -357,10 +359,12 @@ struct SensorModel {
     SensorPattern pattern;
 };
 
+/// Returns the rays of a sensor's scan at a time, in the order of firing.
 /// @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// Returns nothing for a spinning sensor.
+/// Returns the scan pattern of a sensor that does not spin, or nothing for a spinning
+/// sensor.
 std::optional<SensorPattern> other_pattern(const SensorModel& sensor);
 
 /// Returns the names that find_built_in() accepts.

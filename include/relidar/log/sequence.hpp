@@ -108,6 +108,7 @@ struct SweepTiming {
     int lidar = 0;        ///< index into Log::lidars
     std::optional<SweepStart> start = {};
 };
+/// Returns the recorded timing of a frame.
 inline SweepTiming timing_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 struct Lidar;
 /// Returns the start of a sweep of any LiDAR, or nothing if it is the default (half a
@@ -142,6 +143,7 @@ struct Lidar {
     double sweep_period_s() const { return pattern ? scan_period_s(*pattern) : sensor.period_s; }
 };
 
+/// Sets the nominal sensor of a LiDAR, either its beams or its scan pattern.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
 /// Returns the nominal (ideal) sensor of a LiDAR. It has no beams if it is unknown.
 SensorModel sensor_of(const Lidar& lidar);

@@ -14,6 +14,7 @@ namespace relidar {
 /// Sides of the box of an actor, without the bottom.
 enum class BoxSide { front, rear, left, right, top };
 inline constexpr std::size_t kBoxSides = 5;
+/// Returns the name of a side: "front", "rear", "left", "right" or "top".
 const char* name_of(BoxSide side);
 
 /// Axes of a side of a box: its outward normal is axis `normal` with the sign `sign`.
@@ -95,10 +96,13 @@ private:
     std::optional<BoxSurfacePatch> find_patch(const glm::dvec3& point_m) const;
     /// Returns the index of a patch in the array observed_patches_[patch.side].
     std::size_t index_of_patch(const BoxSurfacePatch& patch) const;
+    /// Returns the patch at the mirrored position on the other side of the x-z plane.
     BoxSurfacePatch mirror_patch(BoxSurfacePatch patch) const;
     /// Returns false if the patch is near the ground, where patches are ignored.
     bool is_above_ground(const BoxSurfacePatch& patch) const;
     bool is_patch_set(const BoxSurfacePatch& patch) const;
+    /// Returns the observed fraction by area, or the fraction that only mirror patches
+    /// show.
     double compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirrored) const;
 };
 

@@ -110,6 +110,7 @@ struct SurfelParameterGroup {
     std::vector<std::size_t> array_shape(std::size_t n_surfels) const;
 };
 
+/// Makes the description of a group of parameters.
 /// @param kHost, kDevice members of Surfels and SurfelArrays with the parameters
 template <auto kHost, auto kDevice>
 constexpr SurfelParameterGroup make_group(
@@ -177,6 +178,7 @@ SurfelParameterSet read_parameter_set(const std::string& where,
                                       const std::map<std::string, std::string>& metadata,
                                       const std::string& key,
                                       const std::function<bool(const char*)>& has_array);
+/// Returns the number of floats of a surfel, summed over all parameter groups.
 constexpr std::uint32_t floats_per_surfel(SurfelParameterSet parameters) {
     std::uint32_t sum = 0;
     for (const SurfelParameterGroup& group : list_groups(parameters)) sum += group.count_floats();
@@ -247,10 +249,12 @@ public:
     /// Sets the pose world_from_model of every instance. All are present. Waits until the
     /// upload is finished.
     void upload_poses(const std::vector<Pose>& world_from_instance);
-    /// The same with motions and absent instances.
+    /// Sets the poses and motions of all instances, some of which may be absent. Waits
+    /// until the upload is finished.
     void upload_poses(const std::vector<InstancePose>& instance_poses);
-    /// The same without waiting. The acceleration structure has the new poses only after
-    /// record_refit() or record_top_level().
+    /// Records GPU commands that set the poses and motions of all instances. Does not
+    /// wait. The acceleration structure has the new poses only after record_refit() or
+    /// record_top_level().
     void stage_poses(Stream& stream, const std::vector<InstancePose>& instance_poses);
     const std::vector<InstancePose>& poses() const;
     /// Returns true if the new poses change the phase of an actor's walking cycle, so

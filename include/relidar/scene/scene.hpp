@@ -378,6 +378,7 @@ std::vector<std::uint32_t> kd_tree_order(const std::vector<glm::vec3>& points);
 /// 4 times the diagonal of the box. Other models: 3 times the 90th percentile of 2 |p -
 /// centre| over the surfels. Without surfels: 1.
 double model_extent_m(const Scene& scene, std::size_t model_index);
+/// Returns the extent of an actor's model in metres: 4 times the diagonal of its box.
 double actor_extent_m(const glm::vec3& half_size_m);
 /// The extent of the background.
 double scene_extent_m(const Scene& scene);

@@ -70,7 +70,8 @@ bool contains(const glm::dvec3& half_m, const glm::dvec3& local_m, double margin
            local_m.z >= kGroundHeight_m - half_m.z && local_m.z <= half_m.z;
 }
 
-/// @param world_from_frame  frame whose y axis is mirrored
+/// Returns the pose of a box without a fault.
+/// @param world_from_frame frame whose y axis is mirrored
 Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_from_frame,
                  const BoxFault& fault) {
     if (fault.is_bottom) return world_from_box * Pose{{1, 0, 0, 0}, {0.0, 0.0, 0.5 * height_m}};
@@ -81,6 +82,8 @@ Pose correct_box(const Pose& world_from_box, double height_m, const Pose& world_
     return world_from_frame * box;
 }
 
+/// Adds the points of a scan that a box gains and loses if it is corrected.
+/// @param points_m points in the frame of the sensor
 void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from_sensor,
                    const Pose& corrected_from_sensor, const glm::dvec3& half_m, const BoxFault& fault,
                    PointGain& gain) {
@@ -98,6 +101,7 @@ void add_box_gains(const std::vector<glm::dvec3>& points_m, const Pose& box_from
         n_lost += was_inside && !is_inside && (!fault.is_bottom || before_m.z < -0.5 * kGroundHeight_m);
         n_in_shell += !is_inside && contains(half_m, after_m, kShellWidth_m);
     }
+    // A mirrored box may hit a wall by chance. Only isolated points look like an object.
     const bool is_isolated = !fault.is_mirrored || double(n_in_shell) < kMaxShellShare * double(n_gained);
     gain.add_view(is_isolated ? n_gained : 0, n_lost);
 }
@@ -115,6 +119,7 @@ void add_frame_gains(const Log& sequence, const Frame& frame, PointGains& gains)
     };
     for (const BoxTrack& box : sequence.boxes) {
         if (!box.is_observed(frame.time_s)) continue;
+        // The sensor faces the box at another time than the reference time of the frame.
         double time_s = frame.time_s;
         for (int round = 0; round < 2; ++round)
             time_s = facing_time_s(

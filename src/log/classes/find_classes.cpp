@@ -63,7 +63,8 @@ SurfaceClassMap map_classes(const Log& sequence, const PoseTrack& world_from_veh
         map[cells.of[i]].grid_index = votes[i].grid_index;
         ++counts[cells.of[i]][std::size_t(votes[i].surface)];
     }
-    // In a tie, the class with the higher number wins.
+    // A cell has the class with most votes. In a tie, the class with the higher number
+    // wins.
     for (std::size_t cell = 0; cell < map.size(); ++cell) {
         const std::array<std::uint32_t, kSurfaceClasses>& votes_per_class = counts[cell];
         std::size_t best = 0;

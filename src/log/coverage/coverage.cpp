@@ -32,7 +32,8 @@ bool is_addressable(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
-/// Calls visit_cell(cell, length_m) for each crossed cell, in order along the segment.
+/// Calls visit_cell(cell, length_m) for each cell that a line segment crosses, in order
+/// along the segment.
 template <class Visit>
 void walk_cells(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit& visit_cell) {
     if (!is_addressable(start_m) || !is_addressable(end_m)) return;
@@ -57,6 +58,7 @@ void walk_cells(const glm::dvec3& start_m, const glm::dvec3& end_m, const Visit&
     }
     double at = 0.0;
     for (int border = 0; border < n_borders; ++border) {
+        // Axis of the nearest border. Of equally near borders, the lowest axis is first.
         int axis = next.y <= next.z ? 1 : 2;
         if (next.x <= next.y) axis = next.x <= next.z ? 0 : 2;
         visit_cell(cell, std::max(next[axis] - at, 0.0) * length_m);

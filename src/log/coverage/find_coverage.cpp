@@ -34,6 +34,8 @@ std::vector<double> observed_lengths_m(const std::vector<double>& ranges_m, doub
     return result;
 }
 
+/// Marks the space between two neighbouring rays as observed, up to the shorter ray.
+/// Otherwise cells between diverging rays would stay unobserved.
 void fill_between(ObservedVoxelSet& coverage, const RaySegment& first_ray, const RaySegment& second_ray) {
     const double length_m = std::min(first_ray.length_m, second_ray.length_m);
     const int n = int(length_m * glm::distance(first_ray.ray.direction, second_ray.ray.direction) /
@@ -53,7 +55,8 @@ ObservedVoxelSet observe_frame(const Log& sequence, const PoseTrack& world_from_
     const Scan& scan = frame.scan;
     const std::size_t columns = std::size_t(std::max(scan.rays.columns, 1)),
                       rows = scan.range_m.size() / columns;
-    // Skips columns (at most 15) that cross the same grid cells.
+    // Uses only every `step`-th column, at most every 16th, because the columns in
+    // between cross the same grid cells.
     std::size_t step = 1;
     if (rows > 1) {
         const int sensor_columns = sequence.lidar_of(frame).sensor.columns;

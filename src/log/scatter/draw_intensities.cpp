@@ -54,6 +54,7 @@ std::vector<float> draw_intensities(const IntensityScatterModel& scatter,
         }
     };
     const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;
+    // A wave contains all tiles with the same 2 * row + tile, which are independent.
     const int n_waves = 2 * (rendered.rows - 1) + n_tiles;
     for (int wave = 0; wave < n_waves; ++wave) {
         const int first_row = std::max(0, (wave - n_tiles + 2) / 2);

@@ -91,6 +91,8 @@ RayFeatures return_features(std::span<const PairedIntensities> images, ImageRay 
     return RayFeatureExtractor(image.rendered, image.measured).compute_features(ray / columns, ray % columns);
 }
 
+/// Computes the feature bins and the intensity class of each return. The bins are
+/// quantiles, so that each holds a similar number of returns.
 ScatterSamples make_samples(std::span<const PairedIntensities> images, const std::vector<ImageRay>& indices) {
     ScatterSamples result{std::vector<ScatterSample>(indices.size())};
     const std::size_t stride = indices.size() / kQuantileReturns + 1;
@@ -150,7 +152,8 @@ struct TreeNodeSplit {
 constexpr std::size_t kFeaturesPerPass = 4;
 using BinCounts = std::array<ClassCounts, kBins>;
 
-/// @param class_counts_by_bin  number of returns of each class in each bin of the feature
+/// Returns the best split of a tree node by one feature.
+/// @param class_counts_by_bin number of returns of each class in each bin of the feature
 TreeNodeSplit split_by_feature(const BinCounts& class_counts_by_bin, std::size_t feature,
                                std::size_t n_bin_borders, const std::vector<double>& k_log_k_table) {
     TreeNodeSplit best;
@@ -256,7 +259,8 @@ void check_image_sizes(std::span<const PairedIntensities> images) {
     }
 }
 
-/// Euclid's algorithm for real numbers. Remainders below `tolerance` count as zero.
+/// Returns the greatest common divisor of two real numbers by Euclid's algorithm.
+/// Remainders below `tolerance` count as zero.
 double approximate_gcd(double first, double second, double tolerance) {
     while (second > tolerance) {
         const double rest = std::abs(std::remainder(first, second));
@@ -280,7 +284,8 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? approximate_gcd(double(value), step, kMaxRelativeError * largest) : double(value);
         if (value > 0.0f && step < kMinRelativeStep * largest) return 0.0;
-        // `value` is n * step. A larger n gives a more accurate step.
+        // `value` is an integer multiple of the step, n * step. Recomputes the step as
+        // value / n, because a larger n gives a more accurate step.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -68,10 +68,12 @@ BeamRow parse_beam_row(const std::vector<std::string_view>& cells, const std::ve
     return value;
 }
 
+/// Adds the beam in one line of a beam table to a sensor.
 /// @throws DataError if the beam is higher than the previous one, or if its range limits
 /// differ from the first line
 void append_beam(SpinningSensor& sensor, const BeamRow& row_values, const std::string& where) {
-    // The head turns clockwise.
+    // The head turns on between the nominal time and the firing. The rotation is
+    // negative, because the head turns clockwise.
     const double turned_rad = -2.0 * kPi / sensor.period_s * row_values[kFiring] * 1e-6;
     const Beam beam{row_values[kElevation] * kPi / 180.0,
                     row_values[kAzimuthOffset] * kPi / 180.0 + turned_rad, row_values[kOriginOffset],

@@ -80,8 +80,9 @@ SensorModel make_model(SpinningSensor sensor, const std::string& text) {
     return {sensor.name, text, sensor.range_limits(), std::move(sensor)};
 }
 
-/// The upper 32 beams start at +2 degrees, with steps of 1/3 degree. The lower 32 beams
-/// end at -24.33 degrees, with steps of 1/2 degree.
+/// Returns the HDL-64E as described in its data sheet. The upper 32 beams start at +2
+/// degrees, with steps of 1/3 degree. The lower 32 beams end at -24.33 degrees, with
+/// steps of 1/2 degree.
 SensorModel make_hdl64e(int columns, double rate_hz) {
     SpinningSensor sensor = make_spinning("HDL-64E", columns ? columns : 2083, rate_hz);
     append_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
@@ -137,8 +138,8 @@ SensorModel make_tabled(const BeamTableSensor& data_sheet, int columns, double r
     return make_model(std::move(sensor), source_of(table));
 }
 
-/// Mirrors scan 120 degrees from left to right in 0.1 s. Azimuth offsets of beams are
-/// relative to the mirrors.
+/// Returns the AT128 as a table of rays. Mirrors scan 120 degrees from left to right in
+/// 0.1 s. Azimuth offsets of beams are relative to the mirrors.
 SensorModel make_at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
@@ -158,7 +159,7 @@ SensorModel make_at128() {
     return {"AT128", source_of(table), {0.5, 200.0}, std::move(rays)};
 }
 
-/// data sheet of the AT128
+/// Returns a scanning-window sensor with the data-sheet values of the AT128.
 SensorModel make_window_128() {
     return {"window-128",
             "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 columns of "
@@ -168,7 +169,8 @@ SensorModel make_window_128() {
                              -12.5 * kDegree}};
 }
 
-/// Data sheet of the Mid-40. The rotation rates of the prisms were measured on a Mid-40.
+/// Returns a rosette sensor with the data-sheet values of the Mid-40. The rotation rates
+/// of the prisms were measured on a Mid-40.
 SensorModel make_rosette() {
     return {"rosette",
             "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays "

@@ -30,7 +30,8 @@ struct PatternKind {
     ScanPatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// @tparam Functions  struct with the type Pattern and the static functions parse, write,
+/// Makes the table row of a sensor kind from the static functions of a struct.
+/// @tparam Functions struct with the type Pattern and the static functions parse, write,
 /// make_rays and describe
 template <class Functions>
 PatternKind make_kind(const char* kind_name, const char* json_member_names) {
@@ -49,12 +50,14 @@ const std::vector<PatternKind>& all_pattern_kinds();
 PatternKind spinning_kind();
 /// In a sensor file, an object with the member "directions" is of this kind.
 PatternKind ray_table_kind();
+/// Returns the kind of sensor that a JSON object names, or null if it names none.
 const PatternKind* find_kind(const JsonField& field);
 
 namespace sensor {
 
-/// Reads NAME_rad or NAME_deg and returns radians.
-/// @throws DataError if both are missing, or the angle is outside +-max_abs_deg
+/// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
+/// @return radians
+/// @throws DataError if both members are missing, or the angle is outside +-max_abs_deg
 double read_angle_rad(const JsonField& field, const std::string& name, double max_abs_deg);
 double read_angle_or_rad(const JsonField& field, const std::string& name, double default_rad,
                          double max_abs_deg);
@@ -68,19 +71,24 @@ struct CommonMembers {
     RangeLimits limits;
     double period_s, divergence_rad;
 };
+/// Reads the members that all kinds of sensors can have.
+/// @param min_s smallest allowed period
 CommonMembers read_common(const JsonField& field, const std::string& default_name, double min_s = 1e-6);
 /// Members of all sensors are allowed, too. An angle NAME is NAME_rad or NAME_deg.
 /// @throws DataError for an unknown member
 void check_members(const JsonField& field, std::vector<std::string> allowed_member_names,
                    const std::vector<std::string>& allowed_angle_names);
 
+/// Returns value number `index` of `count` evenly spaced values.
 double spaced_value(double first_value, double last_value, int index, int count);
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
+/// Checks the number of rays of a sensor.
 /// @throws UsageError if the number is not in the range 1 to kMaxRays
 void check_ray_count(const std::string& sensor_name, double n_rays);
-/// @param sum_of_values  sum of all angles and rates, which is not finite if one of them
+/// Checks that the values of a pattern are finite and that its period is positive.
+/// @param sum_of_values sum of all angles and rates, which is not finite if one of them
 /// is not
-/// @throws UsageError if a value is not finite or the period is not positive
+/// @throws UsageError if a check fails
 void check_finite_sum(const std::string& sensor_name, double sum_of_values, double period_s);
 
 }  // namespace sensor

@@ -31,7 +31,8 @@ std::vector<glm::dvec2> spread_sub_rays(int n_sub_rays) {
             offsets.push_back(radius *
                               glm::dvec2(std::cos(first + k * kPi / 2.0), std::sin(first + k * kPi / 2.0)));
     };
-    // The mean of radius^2 is 1/2, as for a uniform disc of radius 1.
+    // Chooses the radii, in units of the beam radius, so that the mean of radius^2 over
+    // all sub-rays is 1/2, as for a uniform disc.
     if (n_sub_rays == 5) add_ring(std::sqrt(5.0 / 8.0), 0.0);
     if (n_sub_rays == 9) {
         add_ring(0.5, kPi / 4.0);
@@ -49,7 +50,8 @@ std::vector<glm::dvec2> spread_sub_rays(int n_sub_rays) {
 bool is_full_turn(int rows, int columns, std::span<const glm::vec3> directions) {
     constexpr double kLeastTurn_rad = 350.0 / 180.0 * kPi;
     if (columns < 3 || directions.size() < std::size_t(rows) * std::size_t(columns)) return false;
-    // First and last column alone cannot tell a narrow image from a full turn.
+    // Adds the steps of one row, because first and last column alone cannot tell a narrow
+    // image from a full turn.
     const std::span<const glm::vec3> row =
         directions.subspan(std::size_t(rows / 2) * std::size_t(columns), std::size_t(columns));
     double turned_rad = 0.0;

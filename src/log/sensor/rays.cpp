@@ -101,6 +101,8 @@ RayTable make_rays(const SpinningSensor& sensor) {
         const int shift = offset_columns(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
+            // The beam points to the azimuth of this column when the head is `shift`
+            // columns away.
             const int firing = ((column + shift) % columns + columns) % columns;
             const double azimuth_rad = sensor.first_azimuth_rad - firing * 2.0 * kPi / columns;
             // to [-pi, pi], without changing -pi and pi

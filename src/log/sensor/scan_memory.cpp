@@ -52,7 +52,7 @@ std::size_t round_to_page(std::size_t bytes) {
         missing_bytes > 0 ? fmt::format("{} more bytes are needed; ", missing_bytes) : "");
 }
 
-/// without a name; its parts are used as memory for arrays
+/// A file without a name, mapped to memory. Its parts are used as memory for arrays.
 class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
@@ -82,7 +82,8 @@ public:
         const auto free_range =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = free_range == free_.end() ? end_ : free_range->first;
-        // A write to a mapped page kills the process if the disk is full.
+        // Reserves the disk space now, because a write to a mapped page kills the process
+        // if the disk is full.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             fail_storage(folder_, size, error);
         if (free_range == free_.end()) end_ += size;
@@ -105,6 +106,7 @@ public:
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
+        // Joins the free range with its free neighbours, so that larger arrays fit again.
         auto [range, is_new] = free_.emplace(offset, size);
         if (const auto next = std::next(range); next != free_.end() && offset + size == next->first) {
             range->second += next->second;
@@ -139,7 +141,8 @@ struct ScanMemoryState {
     MappedFile& mapped_file() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // Never closed, because static objects may free arrays after main().
+        // The file stays open until the process ends, because static objects may free
+        // arrays after main().
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }

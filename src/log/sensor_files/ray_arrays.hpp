@@ -26,6 +26,10 @@ struct RayFileArrays {
     bool keeps_floats = false;
 };
 
+/// Checks rays and creates a sensor from them.
+/// @param where name of the file in error messages
+/// @throws DataError for different lengths, for values out of range, and for directions
+/// without unit length
 SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name, const std::string& where);
 
 /// @param ray_divergence_rad  [n] radians, or empty
@@ -33,7 +37,10 @@ SensorModel make_ray_sensor(const RayFileArrays& arrays, const std::string& name
 std::vector<double> choose_divergence(std::vector<double> ray_divergence_rad,
                                       std::optional<double> common_divergence_mrad, const std::string& where);
 
+/// Parses the text of a ray table in CSV format.
+/// @throws DataError naming the line and the value that is wrong
 SensorModel parse_ray_csv(const std::string& csv_text, const std::string& name, const std::string& where);
+/// Reads a ray table from an npz file (a zip archive of NumPy arrays).
 SensorModel read_ray_npz(const std::string& path, const std::string& name);
 /// Parses a pattern, a ray table, or the metadata of an Ouster.
 /// @param columns_or_zero,rate_hz_or_zero  if above 0, replace the values in Ouster
@@ -42,6 +49,8 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name);
 SensorModel parse_json_sensor(const std::string& json_text, const std::string& name, const std::string& where,
                               int columns_or_zero, double rate_hz_or_zero);
 
+/// Sets the maximum range of a sensor file that has none.
+/// @throws DataError if the maximum range is not above the minimum range
 void set_missing_range(SensorModel& sensor, double max_range_m, const std::string& where);
 
 }  // namespace relidar::sensor_files

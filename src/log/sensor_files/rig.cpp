@@ -44,7 +44,8 @@ std::string read_text(const Json& sensor_json, const char* key, const std::strin
     return sensor_json.at(key).get<std::string>();
 }
 
-/// The entry contains the name of a sensor, the name of a file, or a JSON object.
+/// Returns the sensor of one rig entry. The entry contains the name of a sensor, the name
+/// of a file, or a JSON object.
 SensorModel read_rig_sensor(const Json& sensor_json, const std::string& sensor_name,
                             const std::string& rig_file, const std::string& place) {
     if (!sensor_json.contains("sensor") || !sensor_json.at("sensor").is_object()) {
@@ -73,7 +74,8 @@ void check_sensor_name(const std::string& name, const std::set<std::string>& use
     if (used.contains(name)) fail("{}: name: \"{}\" occurs twice, expected it once", place, name);
 }
 
-/// A misspelt "translation" would mount the sensor at the origin.
+/// Throws for unknown keys. Otherwise a misspelt "translation" would mount the sensor at
+/// the origin of the rig.
 void check_keys(const Json& object, const std::vector<std::string>& known_keys, const std::string& place) {
     for (const auto& [key, value] : object.items())
         if (std::find(known_keys.begin(), known_keys.end(), key) == known_keys.end())

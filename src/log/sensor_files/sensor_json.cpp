@@ -28,6 +28,8 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
+/// Returns the value of a key in a JSON object or in one of its member objects, or null.
+/// The old form of Ouster's metadata is flat, the newer form is nested.
 const Json* find_json_value(const Json& json, const std::string& key,
                             std::initializer_list<const char*> member_object_names) {
     if (json.contains(key)) return &json.at(key);
@@ -46,6 +48,7 @@ RangeLimits ouster_limits(const Json& metadata) {
     return find_built_in(sensor_name)->limits;
 }
 
+/// Reads the number of columns and the rate from the mode of an Ouster sensor. The mode
 /// "1024x10" means 1024 columns at 10 Hz.
 std::pair<int, double> ouster_mode(const Json& metadata, const std::string& where) {
     const Json* mode = find_json_value(metadata, "lidar_mode", {"config_params"});

@@ -52,7 +52,8 @@ ItemCellIndices cells_of_returns(const std::vector<ReturnPoint>& returns, double
                         [&](std::size_t index) { return grid_key(returns[index].point_m, cell_size_m); });
 }
 
-/// Returns a normal of length zero for cells whose returns do not form a plane.
+/// Computes the surface normal in each cell. The normal has length zero if the returns in
+/// the cell do not form a plane.
 std::vector<glm::vec3> estimate_normals(const std::vector<ReturnPoint>& returns,
                                         const ItemCellIndices& cells) {
     const CellItemLists items(cells);
@@ -83,6 +84,7 @@ CellReturns collect_cells(const Log& sequence, const std::vector<int>& frames) {
             returns[index].cell_return.cosine =
                 std::abs(glm::dot(normals[cells.of[index]], returns[index].direction));
         });
+        // Drops returns without a normal, because their angle of incidence is unknown.
         std::size_t n = 0;
         for (std::size_t i = 0; i < returns.size(); ++i)
             if (normals[cells.of[i]] != glm::vec3(0.0f)) returns[n++] = returns[i];

@@ -23,6 +23,7 @@
 namespace relidar {
 namespace {
 
+// Ranges at which the intensity factor is fitted. It is linear between them.
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReferenceKnot = 3;  // index of the range at which the intensity factor is fixed to 1
 // Weight of the prior in this fit, as a number of returns. The prior keeps beams with few
@@ -32,6 +33,7 @@ constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor =
 // The intensity model has two parts: range and incidence terms, and beam terms. A part is
 // used only if (RMS error with it / RMS error without it) is below this ratio.
 constexpr double kMaxErrorRatio = 0.95;
+// Levenberg-Marquardt steps, and the initial damping relative to the diagonal.
 constexpr int kFitSteps = 12;
 constexpr double kDamping = 1e-3;
 constexpr std::size_t kChunks = 64;  // number of partial sums, independent of the number of threads
@@ -72,6 +74,7 @@ void for_each_cell(const std::vector<CellReturn>& returns_sorted_by_cell, const 
     });
 }
 
+/// Computes the albedo of each cell by least squares, with all other variables fixed.
 void fit_albedos(IntensityFit& model, const CellReturns& returns) {
     for_each_cell(returns.sorted_returns, [&](std::span<const CellReturn> place, std::size_t) {
         double sum = 0.0, weight = 0.0;
@@ -109,10 +112,12 @@ struct JacobianRow {
     double by_albedo, error;
 };
 
+/// Returns the derivatives and the error of one return.
 JacobianRow jacobian_row(const IntensityFit& model, const VariableIndices& variable_indices,
                          const CellReturn& measured_return) {
     const BeamGainOffset& beam = model.beams[measured_return.beam];
-    // `s` is 0 at kKnots_m[knot] and 1 at the next sampled range.
+    // Finds the two sampled ranges around `range_m`. `s` is 0 at kKnots_m[knot] and 1 at
+    // the next one. Outside all sampled ranges, `s` is clamped.
     const double range_m = measured_return.range_m;
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t knot = std::size_t(
@@ -161,6 +166,9 @@ struct alignas(64) Sums {
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
 
+    /// Adds the returns of one cell, and eliminates the albedo of the cell (Schur
+    /// complement).
+    /// @param cell_returns all returns of the cell
     void add_cell(const IntensityFit& model, const VariableIndices& variable_indices,
                   std::span<const CellReturn> cell_returns) {
         double cc = 0.0, ce = 0.0;
@@ -209,6 +217,7 @@ NormalEquations build_equations(const IntensityFit& model, const VariableIndices
     return sys;
 }
 
+/// Adds priors for variables that few returns determine.
 void add_priors(NormalEquations& equations, const IntensityFit& model, const VariableIndices& indices) {
     const auto pull = [&](Eigen::Index i, double weight, double error) {
         equations.h(i, i) += weight;
@@ -216,8 +225,9 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
     };
     const double prior =
         kResponsePrior * (equations.mean * equations.mean + equations.spread * equations.spread);
-    // A prior pulls the factor at range kKnots_m[k] towards linear interpolation between
-    // the factors k - 1 and k + 1. It matters only at ranges with few returns.
+    // If the intensity factor over range is fitted (`shared`), a prior smooths it. It
+    // pulls the factor at range kKnots_m[k] towards linear interpolation between the
+    // factors k - 1 and k + 1. It matters only at ranges with few returns.
     for (std::size_t k = 1; indices.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -236,6 +246,8 @@ void add_priors(NormalEquations& equations, const IntensityFit& model, const Var
         pull(VariableIndices::kIncidenceChannel, 1e-3 * prior, -model.shared.incidence);
     }
     for (std::size_t b = 0; indices.parts.beams && b < model.beams.size(); ++b)
+        // Pulls each beam to the mean beam with two virtual measurements, whose
+        // intensities are typical: x should give gain * x + offset = x.
         for (const double x : {equations.mean - equations.spread, equations.mean + equations.spread}) {
             const double weight = 0.5 * kResponsePrior,
                          error = x - model.beams[b].gain * x - model.beams[b].offset;
@@ -299,6 +311,9 @@ double rms_error(const IntensityFit& model, const CellReturns& returns) {
     return std::sqrt(all / double(returns.sorted_returns.size()));
 }
 
+/// Fits the model by Levenberg-Marquardt steps. A step that increases the error is undone
+/// and repeated with more damping.
+/// @param terms_to_fit parts of the model; the other parts keep their neutral values
 IntensityFit fit_intensity(const CellReturns& returns, std::size_t n_beams, FittedTerms terms_to_fit) {
     IntensityFit m;
     m.albedo.resize(returns.n_cells);
@@ -353,6 +368,8 @@ IntensityCalibrationResult calibrate_intensity(Log& sequence, const std::vector<
     const auto better = [](const IntensityFit& first, const IntensityFit& second) {
         return first.rms < kMaxErrorRatio * second.rms;
     };
+    // Compares fits without terms, with each part, and with both. A more complex model
+    // must reduce the error clearly.
     IntensityFit best = fit_intensity(returns, n, {false, false});
     result.rms_before = best.rms;
     const IntensityFit shared = fit_intensity(returns, n, {true, false}),

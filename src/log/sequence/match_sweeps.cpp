@@ -21,7 +21,8 @@ double median_interval_s(std::vector<double> sweep_times_s) {
 std::vector<std::optional<std::size_t>> match_sweeps(const std::vector<double>& main_times_s,
                                                      const std::vector<double>& other_times_s,
                                                      double max_difference_s) {
-    // Sweeps half a period apart have two nearest sweeps. All use the earlier one.
+    // If the LiDARs sweep half a period apart, each sweep has two nearest sweeps. All use
+    // the earlier one, so that rounding does not change the choice.
     constexpr double kTieShare = 0.05;  // in units of max_difference_s
     std::vector<std::optional<std::size_t>> beside(main_times_s.size());
     for (std::size_t i = 0; i < other_times_s.size(); ++i) {

@@ -36,6 +36,8 @@ std::size_t find_bin(const auto& bin_upper_ends, double value) {
         bin_upper_ends.size() - 1);
 }
 
+/// Collects second differences of the ranges of three consecutive firings of a beam, by
+/// bin of range and incidence.
 DifferencesByBin collect_differences(const Frame& frame) {
     DifferencesByBin result;
     const Scan& scan = frame.scan;
@@ -85,6 +87,8 @@ std::pair<RangeNoiseTable, std::size_t> estimate_noise(const std::vector<Differe
         for (const DifferencesByBin& frame : differences)
             all.insert(all.end(), frame[b].begin(), frame[b].end());
         n += all.size();
+        // The second difference of three independent ranges has sqrt(1 + 4 + 1) times
+        // their noise.
         if (all.size() >= kFewestOfBin)
             noise.sigma_m[b] = kOfMedian * double(compute_median(all)) / std::sqrt(6.0);
     }

@@ -92,6 +92,8 @@ struct CellPlane {
     glm::dvec3 point, normal;
 };
 
+/// Fits a plane to the corrected returns of a cell. Returns nothing if the points are too
+/// few, too thick or too narrow.
 std::optional<CellPlane> fit_cell_plane(std::span<const RawReturn> cell_returns,
                                         const std::vector<double>& beam_offsets_m) {
     if (cell_returns.size() < std::size_t(kMinReturns)) return std::nullopt;
@@ -167,6 +169,8 @@ RangeCalibrationResult calibrate_ranges(Log& sequence, const std::vector<int>& f
     RangeCalibrationResult result;
     if (cells.returns.empty()) return result;
     std::vector<double> offset_m(beams.size(), 0.0);
+    // Alternates: planes are fitted with the current offsets, then offsets to these
+    // planes.
     for (int round = 0; round < kMaxRounds; ++round) {
         const BeamResiduals r = sum_residuals(cells, offset_m);
         double mean = 0.0, weight = 0.0;

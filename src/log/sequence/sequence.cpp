@@ -254,6 +254,7 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     constexpr double kMinMeanLength = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
+    // About 4096 rays are enough for the mean.
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
     const auto sum_at_zero = parallel_sum(n, 256, [&](std::size_t begin, std::size_t end) {
         std::complex<double> part = 0.0;
@@ -325,6 +326,7 @@ double facing_time_s(const Log& sequence, const glm::dvec3& point_m, const Sweep
             (sensor.clockwise ? -1.0 : 1.0) * (azimuth - sweep.start->azimuth_rad) / (2.0 * kPi);
         return sweep.time_s + sweep.start->time_s + (turned - std::floor(turned)) * sensor.period_s;
     }
+    // By default, the head faces forward (azimuth 0) at the reference time.
     const double after_s = azimuth / (2.0 * kPi) * sensor.period_s;
     return sweep.time_s + (sensor.clockwise ? -after_s : after_s);
 }

@@ -74,6 +74,8 @@ Split split_frames(const Log& sequence, int test_every_nth_frame, const std::str
         if (added_numbers.insert(frame.index).second) sweeps.push_back(frame.index);
     const std::vector<int>& published_test_frames = sequence.test_frames;
     std::set<int> held_out;
+    // The list of the user takes precedence over the published split, and the published
+    // split over every n-th frame.
     if (!test_frame_list.empty()) held_out = parse_frame_list(test_frame_list, sweeps);
     else if (test_every_nth_frame == kPublishedEvery && !published_test_frames.empty()) {
         for (const int index : sweeps)

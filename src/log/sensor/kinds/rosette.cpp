@@ -23,6 +23,8 @@ RayTable make_rays(const RosetteSensor& rosette, double time_s) {
     rays.divergence_rad = float(rosette.divergence_rad);
     for (int i = 0; i < rosette.n_rays; ++i) {
         const double offset_s = ((i + 0.5) / rosette.n_rays - 0.5) * rosette.period_s;
+        // Each prism deflects the beam by the same angle in the direction of its
+        // rotation angle.
         const double first = 2.0 * kPi * std::fmod(rosette.first_hz * (time_s + offset_s), 1.0);
         const double second = 2.0 * kPi * std::fmod(rosette.second_hz * (time_s + offset_s), 1.0);
         const double left = rosette.deflection_rad * (std::cos(first) + std::cos(second));

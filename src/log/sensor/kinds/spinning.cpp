@@ -68,7 +68,8 @@ nlohmann::ordered_json make_beam_json(const Beam& beam) {
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
-    /// The beams can be missing, if only the scans of a LiDAR are known.
+    /// Reads a spinning sensor from JSON. The beams can be missing if only the scans of a
+    /// LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& default_name) {
         check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;
