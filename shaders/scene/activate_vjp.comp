@@ -136,7 +136,6 @@ void record_vjp(uint surfel, bool has_surfel) {
         set_sh_access(has_gradient, has_surfel && (has_gradient || params.zero_untouched != 0u));
         vec3 d_direction =
             channels_vjp(surfel, has_gradient, direction, vec3(d_record[7], d_record[11], d_record[15]));
-        // Derivative of the normalised direction by the position of the mean.
         d_to_mean = (d_direction - direction * dot(direction, d_direction)) * inverse_length;
     }
     if (has_gradient) {

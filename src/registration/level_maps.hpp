@@ -10,7 +10,6 @@
 
 namespace relidar {
 
-/// Maps of the same points with large, medium and small cells. Level 0 is the coarsest.
 class PlaneMaps {
 public:
     static constexpr int kLevels = 3;

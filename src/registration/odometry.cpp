@@ -134,7 +134,6 @@ private:
                            (t[pose_index] - t[pose_index - 1]) / (t[pose_index - 1] - t[pose_index - 2]));
     }
 
-    /// Returns the motion from the previous pose to pose `pose_index` in the given poses.
     Pose initial_motion(std::size_t pose_index) const {
         return inverse(initial_track_.pose[pose_index - 1]) * initial_track_.pose[pose_index];
     }

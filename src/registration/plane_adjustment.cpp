@@ -135,7 +135,6 @@ FitRound PoseAdjustment::run_round(FitRound round_settings, double grid_shift_ce
 /// Adds the terms of the prior: they pull each correction to zero, and consecutive
 /// corrections towards each other.
 void PoseAdjustment::add_prior(PoseEquations& equations) const {
-    // The weights `link` are given for poses that are this far apart.
     constexpr double kLinkTime_s = 0.1;
     const Eigen::VectorXd correction = stack_twists(start_, track_);
     const auto of_pose = [&](std::size_t index) -> Vector6 {

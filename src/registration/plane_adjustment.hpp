@@ -89,8 +89,6 @@ private:
     /// pose is selected, returns `pose_index`.
     static std::pair<std::size_t, std::size_t> find_neighbours(std::size_t pose_index,
                                                                const std::vector<bool>& is_selected);
-    /// Returns the time of a pose as a fraction of the interval from `before` to
-    /// `after_index`.
     double time_fraction(std::size_t before, std::size_t pose, std::size_t after_index) const;
 };
 

@@ -94,10 +94,7 @@ public:
     void add_cell(const std::vector<SubsampledPoint>& points,
                   const std::vector<WorldPointWithOrigin>& world_points,
                   std::span<const std::uint32_t> point_indices, const LocalPlane& plane, double scale_m);
-    /// Adds partial sums over other cells, and frees their memory.
     void add_equations(PoseEquations&& other);
-    /// Adds a term that pulls the correction of a pose to zero.
-    /// @param correction current correction, total since the first round
     void add_zero_prior(std::size_t pose, const Vector6& weights, const Vector6& correction);
     /// Adds a term that pulls the corrections of a pose and the next pose towards each
     /// other. `difference`: second minus first correction

@@ -50,8 +50,6 @@ private:
     glm::dvec3 cell_centre(const glm::dvec3& point_m) const {
         return (glm::floor(point_m / cell_m_) + 0.5) * cell_m_;
     }
-    /// Fits the plane of a cell. Stores no plane if the points are too narrow or too
-    /// thick.
     void refit_plane(const VoxelPlaneCell& cell, const glm::dvec3& cell_centre_m) const;
 };
 

@@ -67,8 +67,6 @@ bool has_word(const std::string& word_list, const std::string& word) {
     return std::find(words.begin(), words.end(), word) != words.end();
 }
 
-/// Returns true if the settings select a box as an actor: by its id, its class or its
-/// kind.
 bool is_actor(const BoxTrack& box, const InitOptions& options) {
     if (options.unlabelled_movers == UnlabelledMoverPolicy::actors && box.category == kDiscoveredCategory)
         return true;

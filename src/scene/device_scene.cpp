@@ -65,8 +65,6 @@ struct InstanceGradientRows {
     }
 };
 
-/// Returns the model table for the device: the surfel range, the size and the gradient
-/// rows of each model.
 std::vector<shared::ModelEntry> make_models(const Scene& scene, const InstanceGradientRows& rows) {
     std::vector<shared::ModelEntry> entries;
     for (std::size_t i = 0; i < scene.models.size(); ++i) {

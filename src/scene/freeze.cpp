@@ -44,7 +44,6 @@ using ShRotation = std::array<std::array<double, kShCoefficients>, kShCoefficien
 /// weighted sum over four heights z (Gauss-Legendre) with eight azimuths each is exact,
 /// because the integrands have degree 6.
 ShRotation make_sh_rotation(const glm::dquat& world_from_model) {
-    // height and weight of each Gauss-Legendre node
     constexpr std::array<std::array<double, 2>, 4> kGaussNodes{{{-0.8611363115940526, 0.3478548451374538},
                                                                 {-0.3399810435848563, 0.6521451548625461},
                                                                 {0.3399810435848563, 0.6521451548625461},

@@ -264,7 +264,6 @@ LidarSamples thin_samples(const LidarSamples& samples, std::size_t most, SampleI
         if (occupied_voxels.insert(key).second) first.push_back(static_cast<std::uint32_t>(i));
     }
     if (first.size() > most) {
-        // Selects the remaining samples in an order that depends only on their positions.
         const auto order = [&](std::uint32_t index) {
             const glm::vec3& p = samples[index].position;
             return hash_pair(std::uint64_t(std::int64_t(p.x * 1e4f)),

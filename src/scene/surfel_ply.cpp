@@ -41,7 +41,6 @@ struct PlyProperty {
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
 
-/// Returns the properties of a PLY file in the order in which they are stored.
 std::vector<PlyProperty> list_properties(SurfelParameterSet parameters) {
     std::vector<PlyProperty> list;
     const auto add = [&](const std::string& prefix, std::uint32_t count, const SurfelParameterGroup& group,
@@ -225,7 +224,6 @@ public:
         std::optional<std::pair<Difference, std::uint32_t>> best;
         bool has_twin = false;         // true if a surfel of another model fits equally well
         std::set<std::uint64_t> keys;  // of the cells that the sphere of matching positions touches
-        // The sphere can reach into neighbouring cells.
         for (int corner = 0; corner < 8; ++corner)
             keys.insert(
                 key_of(surfels.mean[i] + kSamePosition_m * glm::vec3(corner & 1 ? 1 : -1, corner & 2 ? 1 : -1,

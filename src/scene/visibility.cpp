@@ -31,7 +31,6 @@ constexpr double kMaxTileDistance_m = 40.0;
 // Farther frames are used up to this multiple of the smallest such distance of all
 // frames, so that distant tiles have frames.
 constexpr double kHardlyFarther = 1.25;
-// Maximum number of frames with which a point is compared.
 constexpr std::size_t kMostViews = 64;
 
 double elevation_rad(const glm::vec3& direction) {

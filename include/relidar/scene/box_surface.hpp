@@ -96,13 +96,10 @@ private:
     std::optional<BoxSurfacePatch> find_patch(const glm::dvec3& point_m) const;
     /// Returns the index of a patch in the array observed_patches_[patch.side].
     std::size_t index_of_patch(const BoxSurfacePatch& patch) const;
-    /// Returns the patch at the mirrored position on the other side of the x-z plane.
     BoxSurfacePatch mirror_patch(BoxSurfacePatch patch) const;
     /// Returns false if the patch is near the ground, where patches are ignored.
     bool is_above_ground(const BoxSurfacePatch& patch) const;
     bool is_patch_set(const BoxSurfacePatch& patch) const;
-    /// Returns the observed fraction by area, or the fraction that only mirror patches
-    /// show.
     double compute_area_fraction(std::optional<BoxSide> only_side, bool only_mirrored) const;
 };
 

@@ -153,8 +153,6 @@ void test_float_positions(const CheckedLog& log, const FaultReport& report) {
         bool is_rounded = true;
         for (const Pose& pose : log.sequence.world_from_vehicle.pose) {
             const double value_m = pose.translation[axis] + log.sequence.world_offset_m[axis];
-            // A coordinate in single precision is a multiple of the float step at its
-            // magnitude.
             step_m = float_step_m(value_m);
             const double n_steps = value_m / step_m;
             is_rounded = is_rounded && step_m > kMinFloatStep_m &&

@@ -79,7 +79,6 @@ CommonMembers read_common(const JsonField& field, const std::string& default_nam
 void check_members(const JsonField& field, std::vector<std::string> allowed_member_names,
                    const std::vector<std::string>& allowed_angle_names);
 
-/// Returns value number `index` of `count` evenly spaced values.
 double spaced_value(double first_value, double last_value, int index, int count);
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
 /// Checks the number of rays of a sensor.

@@ -33,7 +33,6 @@ constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor =
 // The intensity model has two parts: range and incidence terms, and beam terms. A part is
 // used only if (RMS error with it / RMS error without it) is below this ratio.
 constexpr double kMaxErrorRatio = 0.95;
-// Levenberg-Marquardt steps, and the initial damping relative to the diagonal.
 constexpr int kFitSteps = 12;
 constexpr double kDamping = 1e-3;
 constexpr std::size_t kChunks = 64;  // number of partial sums, independent of the number of threads

@@ -254,7 +254,6 @@ std::optional<SweepStart> find_sweep_start(const RayTable& rays, const SpinningS
     constexpr double kMinMeanLength = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
-    // About 4096 rays are enough for the mean.
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
     const auto sum_at_zero = parallel_sum(n, 256, [&](std::size_t begin, std::size_t end) {
         std::complex<double> part = 0.0;

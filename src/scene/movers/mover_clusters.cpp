@@ -233,7 +233,6 @@ ClustersByFrame cluster_frames(const Log& log, std::span<const int> indices, Vis
     return clusters;
 }
 
-/// Collects the clusters from all processes, as three arrays of fixed-size elements.
 ClustersByFrame gather_clusters(const ProcessGroup& group, const ClustersByFrame& local_clusters) {
     if (group.size == 1) return local_clusters;
     struct ClusterRecord {

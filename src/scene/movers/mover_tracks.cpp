@@ -114,8 +114,6 @@ private:
     MoverTracks tracks_;
     std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
-    /// Returns all possible pairs of a track and a cluster, from the best match to the
-    /// worst.
     std::vector<Match> list_matches(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Match> result;
         for (const std::size_t t : open_)
