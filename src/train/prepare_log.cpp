@@ -24,6 +24,8 @@ bool has_usable_poses(const Log& sequence, const Config& config) {
 struct PoseCorrectionStatistics {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
+    /// Computes the median and the maximum of the corrections from the poses of the log
+    /// to the registered poses.
     PoseCorrectionStatistics(const PoseTrack& from, const PoseTrack& to) {
         std::vector<double> metres, degrees;
         for (std::size_t k = 0; k < from.pose.size(); ++k) {
@@ -48,7 +50,8 @@ struct PoseCorrectionStatistics {
             "{:.2f} degrees",
             median_m, median_deg, most_m, most_deg);
     }
-    /// Empty if the corrections are as small as the usual errors of good vehicle poses.
+    /// Returns a warning if the corrections are larger than the usual errors of good
+    /// vehicle poses. Otherwise returns an empty text.
     std::string describe_large() const {
         constexpr double kMaxUsual_m = 0.5, kMaxUsual_deg = 5.0;
         if (most_m <= kMaxUsual_m && most_deg <= kMaxUsual_deg) return "";
@@ -68,9 +71,10 @@ std::string describe_length(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
-// One failed scan is always allowed.
+// Maximum share of scans that may fail to register. One failed scan is always allowed.
 constexpr double kMostLost = 0.05;
 
+/// Prints which scans could not be registered.
 /// @throws DataError if too many scans failed
 void report_unregistered(const Log& sequence, const RegistrationResult& registration, const Config& config,
                          const LogPreparationCallbacks& session) {
@@ -93,6 +97,9 @@ void report_unregistered(const Log& sequence, const RegistrationResult& registra
     session.report_line(text + "; their poses are interpolated from their neighbours");
 }
 
+/// Estimates the vehicle poses by registering the scans of the log with each other, and
+/// prints the result.
+/// @return registration; `done` is true if it has new poses
 RegistrationResult register_log(Log& sequence, const Split& split, const Config& config,
                                 const LogPreparationCallbacks& session) {
     RegistrationResult registration;
@@ -134,6 +141,8 @@ RegistrationResult register_log(Log& sequence, const Split& split, const Config&
     return registration;
 }
 
+/// Registers the scans and sets the new vehicle poses in the processes of the group.
+/// Keeps the poses of the log if the registration has none.
 void register_vehicle(Log& log, const Split& split, const Config& config,
                       const LogPreparationCallbacks& call) {
     RegistrationResult registration = register_log(log, split, config, call);
@@ -143,6 +152,7 @@ void register_vehicle(Log& log, const Split& split, const Config& config,
     if (!track.pose.empty()) set_trajectory(log, std::move(track));
 }
 
+/// Estimates a range offset for each beam, so that beams agree on the position of planes.
 void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& config,
                        const LogPreparationCallbacks& session) {
     const std::size_t n = sequence.count_beams();
@@ -157,6 +167,8 @@ void calibrate_offsets(Log& sequence, const Split& split, const SensorConfig& co
     }
 }
 
+/// Estimates how intensities depend on the beam, the range and the angle of incidence,
+/// and prints how much this correction reduces the differences.
 void calibrate_intensities(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     const IntensityCalibrationResult calibration = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
@@ -195,7 +207,9 @@ void check_interrupted(const LogPreparationCallbacks& session) {
                     "interrupted during the preparation of the log, before the training started");
 }
 
-/// The first process computes the results and sends them to the others.
+/// Calibrates ranges, noise and intensities of all LiDARs. The first process computes the
+/// results and sends them to the others. Noise follows after offsets, because offsets of
+/// the beams would look like noise.
 void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& config,
                       const LogPreparationCallbacks& session) {
     if (session.group.is_first()) {
@@ -222,6 +236,7 @@ void calibrate_lidars(Log& sequence, const Split& split, const SensorConfig& con
         session.group.broadcast(std::vector{sequence.intensity_response.incidence}).front();
 }
 
+/// Returns a text with the id, size, mean speed and duration of a box.
 std::string describe_box(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
@@ -234,6 +249,8 @@ std::string describe_box(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
+/// Detects moving objects without a label, and adds their boxes to the log. Also extends
+/// tracks of labelled objects to frames without a label.
 void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     std::vector<std::string> movers, extended;
     const Progress progress = [&](std::string_view description, double done) {
@@ -262,6 +279,8 @@ void add_movers(Log& sequence, const Split& split, const LogPreparationCallbacks
                         fmt::join(extended, ", ")));
 }
 
+/// Refines the poses of moving boxes by registering their points. The first process
+/// computes the poses and sends them to the other processes.
 void refine_boxes(Log& sequence, const Split& split, const LogPreparationCallbacks& session) {
     ActorRegistrationResult registration;
     if (session.group.is_first())

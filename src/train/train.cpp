@@ -21,11 +21,13 @@ double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
+/// Creates the scene with which training starts, from the points of the training frames.
 Scene initial_scene(const Log& log, const Split& split, const Config& config, const TrainSession& session) {
     InitOptions options = config.init;
     options.seed = config.train.seed;
     // The ray-drop probability is a softmax of a hit and a drop logit (docs/method.md
-    // M6). With `one_logit`, the hit logit is 0, and the initial probability is the same.
+    // M6). With `one_logit`, the hit logit is 0. The drop logit then starts at the
+    // difference of both, so that the initial probability is the same.
     options.one_logit = config.image.single_drop_logit;
     std::vector<std::string> notes;
     Scene scene = init_scene(log, split.train, options, session.progress, &notes);
@@ -35,7 +37,8 @@ Scene initial_scene(const Log& log, const Split& split, const Config& config, co
     return scene;
 }
 
-/// Training ignores the returns inside boxes of moving objects without surfels.
+/// Prints which boxes of moving objects have no surfels in the scene. Training ignores
+/// the returns inside these boxes.
 void report_ignored(const Scene& scene, const Log& log, const Config& config, const TrainSession& session) {
     const std::vector<BoxTrack> masked = find_unmodelled(scene, log, config.init);
     if (masked.empty() || !session.note) return;
@@ -45,6 +48,7 @@ void report_ignored(const Scene& scene, const Log& log, const Config& config, co
                     masked.size(), format_box_list(masked)));
 }
 
+/// Prints how many training frames are kept in device memory, unless all are kept.
 void report_evicted(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.count_resident() == frames.all().size() || !session.note) return;
     session.note(
@@ -53,7 +57,9 @@ void report_evicted(const TrainingFrames& frames, const Config& config, const Tr
                     frames.count_resident(), frames.all().size(), config.train.frame_memory_mib));
 }
 
-/// The pose of a single sweep is not constrained relative to the other sweeps.
+/// Turns off the refinement of sensor poses if all training frames belong to one sweep.
+/// No other training frame constrains the pose of this sweep, so it would drift away from
+/// the poses of held-out sweeps.
 Config with_useful_poses(Config config, const Log& log, const Split& split, const Scene& initial,
                          const TrainSession& calls) {
     const auto get_sweep = [&](int frame) { return log.frames[std::size_t(frame)].index; };
@@ -72,6 +78,8 @@ Config with_useful_poses(Config config, const Log& log, const Split& split, cons
     return config;
 }
 
+/// Downloads the trained scene and its poses. Then estimates the drops of the sensor, the
+/// observed space, and the classes of the background, with the refined poses.
 void fill_result(TrainLoop& loop, Device& device, const Log& log, const Split& split, const Config& config,
                  const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;

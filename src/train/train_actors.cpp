@@ -74,6 +74,8 @@ struct ActorTrainingSection {
     std::set<std::size_t> blocks;
 };
 
+/// Returns a frame and the actors that are near enough to have returns in it. An actor is
+/// near if its box is within the range of the farthest return.
 FrameWithSightings find_sightings(const Run& run, int index, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(index)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
@@ -92,8 +94,10 @@ FrameWithSightings find_sightings(const Run& run, int index, const std::vector<P
     return result;
 }
 
-/// Starts a new section if its blocks would have more than kMaxSectionSurfels surfels.
-/// Each section has at least one frame.
+/// Divides the training frames that show actors into sections, which are trained
+/// separately so that their scene blocks fit into memory. Starts a new section if its
+/// blocks would have more than kMaxSectionSurfels surfels. Each section has at least one
+/// frame.
 std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<PoseTrack>& sensor_tracks) {
     std::vector<ActorTrainingSection> stretches(1);
     for (const int position : run.split.train) {
@@ -115,7 +119,8 @@ std::vector<ActorTrainingSection> divide_log(const Run& run, const std::vector<P
     return stretches;
 }
 
-/// As a list without rows and columns, without rays that the sensor itself usually drops.
+/// Returns the rays of a scan that pass near an actor, as a list without rows and
+/// columns. Leaves out rays that the sensor itself usually drops.
 Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                        const std::vector<ActorSighting>& visible_actors) {
     const Scan& all = frame.scan;
@@ -139,6 +144,8 @@ Scan select_actor_rays(const Run& run, const Frame& frame, const PoseTrack& worl
     return scan;
 }
 
+/// Returns a log with the frames of one section, which contain only rays near actors.
+/// Frames without such rays are left out.
 Log section_log(const Run& run, const ActorTrainingSection& section, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(section.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int index) {
@@ -155,7 +162,8 @@ Log section_log(const Run& run, const ActorTrainingSection& section, const std::
     return log;
 }
 
-/// Hit by a ray that passes near an actor, in front of it or behind it.
+/// Returns the surfels that can affect rays to actors: a ray that passes near an actor
+/// hits them, in front of the actor or behind it.
 Surfels select_surfels(const Surfels& surfels, const std::vector<const FrameWithSightings*>& frames) {
     std::vector<std::uint8_t> is_selected(surfels.size(), 0);
     parallel_blocks(surfels.size(), [&](std::size_t index) {
@@ -180,6 +188,8 @@ struct SectionScene {
     double extent_m = 1.0;
 };
 
+/// Returns the actors of the run in front of the background that rays to actors can hit.
+/// Loads one block at a time, because all blocks may not fit into memory.
 SectionScene section_scene(const Run& run, const ActorTrainingSection& section) {
     std::vector<const FrameWithSightings*> all;
     for (const FrameWithSightings& frame : section.frames) all.push_back(&frame);
@@ -196,7 +206,8 @@ SectionScene section_scene(const Run& run, const ActorTrainingSection& section) 
     return {replace_background(run.scene, background), extent_m};
 }
 
-/// Uses all rays, and does not refine poses or change the number of surfels.
+/// Returns the settings for training only the actors. Uses all rays, and does not refine
+/// poses or change the number of surfels.
 Config actor_config(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
@@ -243,6 +254,7 @@ TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCall
         loop.finish();
         done += std::size_t(config.train.iterations);
         const Scene trained = loop.download_scene();
+        // Copies only the trained actors, which are the last surfels of the section.
         Surfels surfels = run.scene.surfels.slice(0, n_before);
         surfels.append_surfels(trained.surfels.slice(trained.surfels.size() - n_actors, n_actors));
         run.scene.surfels = std::move(surfels);

@@ -22,6 +22,7 @@ FrameSampler::FrameSampler(std::size_t count, std::uint64_t seed) : order_(count
     std::iota(order_.begin(), order_.end(), std::uint64_t(0));
 }
 
+/// Returns the next frame. Shuffles the order (Fisher-Yates) at the start of each epoch.
 std::size_t FrameSampler::next_frame() {
     if (position_ == 0)
         for (std::size_t i = order_.size(); i > 1; --i)
@@ -45,6 +46,8 @@ constexpr double kShRestFactor = 0.05;
 // cost has grown too much, the tree is rebuilt.
 constexpr int kGrowthEvery = 32;
 
+/// Returns the learning rates of an iteration. All rates decay exponentially. The rate of
+/// positions is relative to the extent of the scene, in metres.
 LearningRates learning_rates(const TrainConfig& config, double extent_m, int step) {
     const double decay = interpolate_exp(1.0, config.rate_decay, step, config.iterations);
     return {
@@ -58,8 +61,9 @@ LearningRates learning_rates(const TrainConfig& config, double extent_m, int ste
         .intensity_factor = config.intensity_factor};
 }
 
-/// Proportional to the extent of the model. Steps suitable for a street would move an
-/// actor's surfels out of its box.
+/// Returns the learning rate of positions for each model, relative to the rate of the
+/// background. It is proportional to the extent of the model. Steps suitable for a street
+/// would move an actor's surfels out of its box.
 /// @return [models] factors
 std::vector<float> position_factors(const Scene& scene_layout, double background_extent_m) {
     std::vector<float> factors;
@@ -70,6 +74,8 @@ std::vector<float> position_factors(const Scene& scene_layout, double background
     return factors;
 }
 
+/// Returns the degree of spherical harmonics that an iteration trains. It starts low and
+/// increases by one after each interval.
 int active_sh_degree(const TrainConfig& config, int step) {
     return config.sh_degree_start + std::max(step - 1, 0) / std::max(1, config.sh_degree_interval);
 }
@@ -81,28 +87,30 @@ struct TreeRefitSchedule {
     AccelOptions accel;
 };
 
-/// In one iteration, a surfel moves by millimetres and grows by a few per cent. If most
-/// surfels are fixed, refits would take most of the time. If spherical harmonics are
-/// evaluated per ray, only a refit updates the surfel records.
+/// Returns how often the tree is refitted, and its margin. In one iteration, a surfel
+/// moves by millimetres and grows by a few per cent. If most surfels are fixed, refits
+/// would take most of the time. If spherical harmonics are evaluated per ray, only a
+/// refit updates the surfel records, so every iteration refits.
 TreeRefitSchedule choose_refit(const Config& config, std::uint32_t n_fixed_surfels) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed_surfels > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Every step is due while the learning rate is so high that surfels could outgrow the
-/// margin.
+/// Returns true if the tree must be refitted in this step. It is refitted in every step
+/// while the learning rate is so high that surfels could outgrow the margin.
 bool is_refit_due(const TreeRefitSchedule& refit_options, const TrainConfig& config, int step) {
-    // Share of the margin for a growing scale. The remainder is for a growing opacity,
-    // because a more opaque surfel also needs a larger box.
+    // Share of the margin that is for a growing scale. The remainder is for a growing
+    // opacity, because a more opaque surfel also needs a larger box.
     constexpr double kScaleShareOfMargin = 0.9;
     const double growth = (refit_options.every - 1) * learning_rates(config, 1.0, step).log_scale;
     return growth > kScaleShareOfMargin * std::log(refit_options.accel.margin_scale) ||
            (step - 1) % refit_options.every == 0;
 }
 
-/// Proportional to the initial scale: surfels close to each other start small, surfels
-/// far apart must be able to fill the gaps.
+/// Returns the logarithm of the maximum scale of each surfel, which is proportional to
+/// its initial scale. Surfels close to each other start small and need little growth.
+/// Surfels far apart must be able to fill the gaps between them.
 std::vector<float> log_scale_limits(const Surfels& surfels, double max_growth_factor) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -118,6 +126,8 @@ bool has_dense_gradients(const Config& config) {
     return config.loss.box > 0.0f && !config.train.only_touched;
 }
 
+/// Returns the rule that selects measurements which training ignores: rays that the
+/// sensor itself usually drops, and returns in moving boxes without a model.
 IgnoredMeasurements training_mask(const Log& log, const Split& split, const Scene& scene,
                                   const Config& config) {
     IgnoredMeasurements masks{
@@ -127,7 +137,8 @@ IgnoredMeasurements training_mask(const Log& log, const Split& split, const Scen
     return masks;
 }
 
-/// Nothing if training uses the rays of the sensor.
+/// Returns the grid whose cells are used as training rays, or nothing if training uses
+/// the rays of the sensor.
 /// @throws UsageError if another setting requires the rays of the sensor
 std::optional<RangeImageGrid> training_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
@@ -196,6 +207,7 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
     return frame;
 }
 
+/// Records GPU commands that render a batch, and compute its losses and gradients.
 void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms) {
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
     for (const std::unique_ptr<Loss>& loss : losses_)
@@ -203,6 +215,9 @@ void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, c
     differentiable_.record_backward();  // computes the gradients (equation 9)
 }
 
+/// Records and submits one iteration: render a batch, compute gradients, run an Adam
+/// step, and densify if due. The reports and pose updates are those of kReadbackLag
+/// iterations before, so that the host does not wait for the device.
 void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     check_reports(step - kReadbackLag);
     refiner_.apply_until(stream_, step - kReadbackLag);
@@ -213,6 +228,7 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     const TrainingFrameData& frame =
         upload_frame(frame_index, is_refit_due(choose_refit(config_, n_fixed_), config_.train, step));
     if (const std::optional<std::size_t> next_frame_index = sampler_.peek_frame())
+        // Computes the arrays of the next frame on the host while the device works.
         frames_.prefetch_frame(*next_frame_index);
     const SampledBatch batch = batches_.draw_batch(stream_, frame, sampler_.generator());
     const LossTermRow terms = reports_.loss_row();
@@ -249,6 +265,8 @@ void TrainLoop::run_iteration(int step, bool is_last_of_log_interval) {
     last_step_ = step;
 }
 
+/// Starts a copy of the losses and counters since the last report to the host, without
+/// waiting. Adds a log line if a log interval ends.
 void TrainLoop::start_readback(int step, bool is_last_of_log_interval) {
     const BackwardPass& backward = differentiable_.backward_pass();
     const DeviceHitCounters counts{&renderer_.forward_pass().n_truncated_rays(),
@@ -262,6 +280,8 @@ void TrainLoop::start_readback(int step, bool is_last_of_log_interval) {
             : std::nullopt);
 }
 
+/// Reads all reports that are available up to `last_step`, checks their losses, and
+/// enlarges the memory for hits if the counters require it.
 void TrainLoop::check_reports(int last_step) {
     while (const std::optional<IterationReports::IterationGroupReport> report =
                reports_.take_oldest(stream_, last_step)) {
@@ -275,6 +295,8 @@ void TrainLoop::check_reports(int last_step) {
     }
 }
 
+/// Doubles the capacity of the hit buffer before it is full. A deterministic step stores
+/// all hits of a batch, so that it can sum gradients in a fixed order.
 void TrainLoop::grow_hit_capacity(const IterationReports::IterationGroupReport& report) {
     if (report.most_hits > report.hit_capacity)
         fail<DeviceError>(
@@ -288,8 +310,10 @@ void TrainLoop::grow_hit_capacity(const IterationReports::IterationGroupReport& 
     differentiable_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
+/// Increases the number of stored hits per ray if too many rays had more hits. Keeps the
+/// number if the device has no memory for more.
 void TrainLoop::resize_stored_hits(const IterationReports::IterationGroupReport& report) {
-    // The iterations of an older report ran before the last increase.
+    // Ignores a report whose iterations ran before the last increase.
     if (report.stored_hits_per_ray != renderer_.stored_hits_per_ray() || hit_memory_exhausted_) return;
     const std::uint32_t n_hits = grow_stored_hits(report.stored_hits_per_ray, report.overfull);
     if (n_hits == report.stored_hits_per_ray) return;
@@ -303,6 +327,7 @@ void TrainLoop::resize_stored_hits(const IterationReports::IterationGroupReport&
     }
 }
 
+/// Waits until the device has run all submitted iterations, and reads their last report.
 void TrainLoop::finish_steps() {
     start_readback(last_step_, false);
     submitted_ = stream_.submit_commands();
@@ -330,21 +355,24 @@ void TrainLoop::restore_from(const Checkpoint& checkpoint) {
     refiner_.update_corrected();
 }
 
+/// Estimates how often the sensor itself drops rays: renders some rays of each frame and
+/// counts drops where the scene predicts a return.
 RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
-    // In a full log, one batch of each frame gives hundreds of rays per bin of the drop
-    // table.
+    // Rays in a batch. In a full log, one batch of each frame is enough: each bin of the
+    // drop table (a beam and an azimuth interval) then gets hundreds of rays.
     constexpr std::uint32_t kRaysPerBatch = 20000;
-    // Minimum. In a short log, several batches of each frame, or all of its rays, are
-    // used.
+    // Minimum number of rays per bin. In a short log, several batches of each frame are
+    // used to reach it, or all rays of the frame.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRaysPerBatch;
-    // The image loss would restrict a batch to a window of columns, but all directions
-    // are needed.
+    // With the image loss, a batch would be a window of neighbouring columns. It is off,
+    // so that each batch has rays of all directions.
     some_rays.loss.intensity_ssim = 0.0f;
     BatchSampler batches(device, some_rays, frames_.all());
     RayDropCounts counts(sequence);
     renderer_.set_sh_degree(active_sh_degree(config_.train, config_.train.iterations));
+    // number of rays to use from each frame
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.n_bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
@@ -363,10 +391,12 @@ RayDropTable TrainLoop::sensor_drop_rates(Device& device, const Log& sequence) {
     return drops;
 }
 
+/// Renders a batch and counts the rays for which the scene predicts a return. The counts
+/// also contain whether the sensor measured one.
 void TrainLoop::count_drops(RayDropCounts& counts, const Log& log, const TrainingFrameData& frame,
                             const SampledBatch& batch) {
-    // Minimum blending weight of a ray that hits a solid surface. Other rays count only
-    // in sectors that training ignores.
+    // Minimum blending weight of a ray that hits a solid surface. Rays below it count
+    // only in sectors that training ignores, because the scene has no surfaces there.
     constexpr float kMinSolidWeight = 0.9f;
     const Frame& sweep = log.frames[std::size_t(frame.position)];
     const RayDropTable& observed = frames_.mask_rules().observed_drops;

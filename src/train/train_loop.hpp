@@ -69,14 +69,17 @@ public:
     /// Waits for all submitted iterations and reads their reports.
     /// @throws DataError if a loss of these iterations was not finite
     void finish_steps();
+    /// Waits for all iterations and applies the pose updates that are still pending.
     void finish();
     /// Waits for all iterations and saves the complete training state.
     /// @throws DataError if a loss of these iterations was not finite
     void save_to(Checkpoint& checkpoint);
-    /// The loop must have been created with the scene and the log of the checkpoint.
+    /// Restores the state from a checkpoint. The loop must have been created with the
+    /// scene and the log of the checkpoint.
     /// @throws DataError if an array is missing or has another shape
     void restore_from(const Checkpoint& checkpoint);
-    /// Uses only rays for which the scene predicts a return. Waits for the device.
+    /// Estimates the probability that the sensor itself drops a ray. Uses only rays for
+    /// which the scene predicts a return. Waits for the device.
     RayDropTable sensor_drop_rates(Device& device, const Log& sequence);
     std::optional<RefinedPoses> refined_poses() const {
         return refiner_.is_enabled() ? std::optional(refiner_.refined_poses()) : std::nullopt;
@@ -133,7 +136,8 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records the rays of a frame and the poses of its instances.
+    /// Uploads a frame if it is not on the device, moves its rays to the corrected poses,
+    /// and records the poses of its instances.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const TrainingFrameData& upload_frame(std::size_t frame_index, bool surfels_changed);
     void record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms);

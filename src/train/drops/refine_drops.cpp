@@ -21,8 +21,9 @@ bool uses_grid_rays(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// If the network corrects range images (refine.image is "grid"), the rays of the cells,
-/// otherwise those of the LiDAR.
+/// Returns the rays along which a frame is rendered to train the network. If the network
+/// corrects range images (refine.image is "grid"), these are the rays of the cells,
+/// otherwise the rays of the LiDAR.
 SimulatedSensor choose_sensor(const Config& config, const Log& sequence, const Frame& frame) {
     if (!uses_grid_rays(config)) return nominal_sensor(config, sequence, frame);
     SimulatedSensor sensor = make_sensor(config, sequence, frame.lidar);
@@ -31,8 +32,9 @@ SimulatedSensor choose_sensor(const Config& config, const Log& sequence, const F
     return sensor;
 }
 
-/// The scene fits the original rays unusually well. Rays rotated towards the next column
-/// are as accurate as those of held-out frames.
+/// Rotates the rays towards the next column by a fraction of the column spacing. The
+/// scene fits the original rays unusually well, because it was trained with them. Images
+/// along rotated rays are as accurate as images of held-out frames.
 RayTable rotate_rays(RayTable rays, float column_fraction) {
     const RayTable original = rays;
     // Without a full turn, the last column has no next column and is not rotated.
@@ -48,8 +50,9 @@ RayTable rotate_rays(RayTable rays, float column_fraction) {
     return rays;
 }
 
-/// [cells] 0 returned, 1 dropped, -1 unknown: a return of the cell belongs to a ray with
-/// a negative value in `drops`.
+/// Returns the state of each cell of the range image: 0 returned, 1 dropped, -1 unknown.
+/// A cell is unknown if one of its returns belongs to a ray with a negative value in
+/// `drops`.
 std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const std::vector<float>& drops) {
     std::vector<float> cells = measured_image(config, frame.scan).drop_prob;
     const RangeImageGrid grid = find_grid(config.sensor.grid);
@@ -61,7 +64,9 @@ std::vector<float> drops_to_grid(const Config& config, const Frame& frame, const
     return cells;
 }
 
-/// Those with the most common image size, or all if refine.image is "grid".
+/// Returns the training frames that the network can read as images. These are all frames
+/// if refine.image is "grid". Otherwise they are the frames with the most common number
+/// of rows and columns, because the images must have the same shape.
 std::vector<int> select_frames(const Config& config, const Log& log, const std::vector<int>& train_frames) {
     if (uses_grid_rays(config)) return train_frames;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
@@ -75,8 +80,8 @@ std::vector<int> select_frames(const Config& config, const Log& log, const std::
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// Inputs of the network and measured drops of training frames. Empty if the user
-/// stopped.
+/// Renders the inputs of the network for training frames, and adds their measured drops.
+/// Returns an empty list if the user stopped.
 std::vector<RayDropImage> render_images(Device& device, const Run& run, const Config& config,
                                         const RayDropTrainingSession& session) {
     const std::vector<int> positions =
@@ -96,6 +101,8 @@ std::vector<RayDropImage> render_images(Device& device, const Run& run, const Co
             session.progress("rendering training frames", double(images.size()) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(position)];
         SimulatedSensor sensor = choose_sensor(config, run.sequence, frame);
+        // A network of single pixels needs no neighbours, so stripes of each image
+        // suffice.
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
         const ImageStripes stripes(parted ? choose_interval(sensor.rays) : 1, sensor.rays, images.size());
         sensor.rays = stripes.stripe_rays(rotate_rays(std::move(sensor.rays), 0.5f));

@@ -10,6 +10,7 @@
 namespace relidar {
 namespace {
 
+// Image columns per azimuth bin, so that each bin gets enough rays.
 constexpr int kColumnsPerBin = 3;
 // bins on each side over which the local drop rate is averaged
 constexpr int kNeighbourBins = 2;
@@ -21,6 +22,7 @@ constexpr std::uint32_t kMinRaysPerRate = 60;
 constexpr double kPriorRays = 8.0;
 // minimum width of a sector without returns, as a share of the full circle
 constexpr double kMinSectorShare = 10.0 / 360.0;
+// A beam is blind at an azimuth if at least this share of its rays is dropped.
 constexpr float kMinBlindRate = 0.95f;
 
 int count_azimuth_bins(const Log& sequence) {
@@ -29,10 +31,12 @@ int count_azimuth_bins(const Log& sequence) {
     return std::max(1, columns / kColumnsPerBin);
 }
 
-/// Calls visit_sector(first, n) for each run of n neighbouring bins that fulfil a
-/// condition. Ignores narrow sectors. Does nothing if all bins fulfil the condition.
+/// Calls visit_sector(first, n) for each sector, which is a run of n neighbouring bins
+/// that fulfil a condition. Ignores sectors narrower than kMinSectorShare. Does nothing
+/// if all bins fulfil the condition.
 template <class Condition, class Visit>
 void for_each_sector(int n_bins, const Condition& is_bin_in_sector, const Visit& visit_sector) {
+    // Starts at a bin outside all sectors, so that a sector across bin 0 is not split.
     int begin = 0;
     while (begin < n_bins && is_bin_in_sector(begin)) ++begin;
     if (begin == n_bins) return;
@@ -63,6 +67,8 @@ void RayDropCounts::add_ray(const Frame& frame, std::size_t ray) {
         std::atomic_ref(drops_[slot]).fetch_add(1, std::memory_order_relaxed);
 }
 
+/// Computes the rates of persistent drops. From each bin, grows an interval until it has
+/// enough rays, and gives its rate to all of its bins. A bin keeps the maximum.
 RayDropTable RayDropCounts::persistent_rates() const {
     RayDropTable table = index_;
     table.probability.assign(rays_.size(), 0.0f);
@@ -87,6 +93,7 @@ RayDropTable RayDropCounts::persistent_rates() const {
     return table;
 }
 
+/// Sets the drop rate of a beam to 1 in sectors in which it never fires.
 void RayDropCounts::drop_unfired(RayDropTable& drop_table, int channel) const {
     for_each_sector(
         index_.bins, [&](int bin) { return rays_[bin_index(channel, bin)] == 0; },
@@ -96,6 +103,8 @@ void RayDropCounts::drop_unfired(RayDropTable& drop_table, int channel) const {
         });
 }
 
+/// Returns the drop rate of a bin and its neighbours together. Adds kPriorRays returned
+/// rays, so that the rate is low if the bins have few rays.
 double RayDropCounts::local_rate(int channel, int bin) const {
     double rays = kPriorRays, drops = 0.0;
     for (int b = bin - kNeighbourBins; b <= bin + kNeighbourBins; ++b) {
@@ -126,6 +135,8 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frame_in
     return counts.persistent_rates();
 }
 
+/// Sets the drop probability to 1 in sectors in which all beams of a LiDAR are blind.
+/// Either the sensor is set to a smaller field of view, or the vehicle hides the sector.
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence) {
     const int bins = observed_drop_rates.bins;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
@@ -139,6 +150,7 @@ void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop
             return observed_drop_rates.probability[row + std::size_t((bin + bins) % bins)] >= kMinBlindRate;
         };
         const auto [least, most] = std::ranges::minmax(sensor.beams, {}, &Beam::azimuth_offset_rad);
+        // difference between the largest and the smallest azimuth offset, in bins
         const int spread =
             int(std::ceil((most.azimuth_offset_rad - least.azimuth_offset_rad) / (2.0 * kPi) * bins));
         for_each_sector(
@@ -148,8 +160,9 @@ void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop
             },
             [&](int first, int count) {
                 for (const std::size_t row : rows) {
-                    // All beams are blind in these `count` bins. One beam can be blind in
-                    // a few more bins on each side, because the azimuth offsets differ.
+                    // All beams are blind in these `count` bins. Because the beams have
+                    // different azimuth offsets, one beam can be blind in a few more bins
+                    // on each side. Extends the range begin..end by these bins.
                     int begin = first, end = first + count;
                     while (first - begin < spread && is_blind_at(row, begin - 1)) --begin;
                     while (end - first - count < spread && is_blind_at(row, end)) ++end;

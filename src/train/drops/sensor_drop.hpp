@@ -19,13 +19,15 @@ public:
     explicit RayDropCounts(const Log& sequence);
     /// Several threads may call this simultaneously.
     void add_ray(const Frame& frame, std::size_t ray);
-    /// Rates of rays that are dropped persistently. A bin gets the highest rate of all
-    /// intervals of neighbouring bins with at least 60 rays that contain it, but at most
-    /// its own rate; 0 if the beam has fewer than 60 rays, 1 in a sector of at least 10
-    /// degrees in which the beam never fires.
+    /// Returns the drop rate of each bin, for rays that are dropped persistently. Uses
+    /// intervals of neighbouring bins with at least 60 rays. A bin gets the highest rate
+    /// of all intervals that contain it, but at most its own rate. The rate is 0 if the
+    /// beam has fewer than 60 rays. It is 1 in a sector of at least 10 degrees in which
+    /// the beam never fires.
     RayDropTable persistent_rates() const;
-    /// (drops + 8 * local rate) / (rays + 8). The local rate is (sum of drops) / (8 + sum
-    /// of rays) over the bin and its neighbours.
+    /// Returns the drop rate of each bin, (drops + 8 * local rate) / (rays + 8). The 8
+    /// virtual rays give a stable rate even if a short log has few rays per bin. The
+    /// local rate is (sum of drops) / (8 + sum of rays) over the bin and its neighbours.
     RayDropTable smoothed_rates() const;
     std::size_t n_bins() const { return rays_.size(); }
 
@@ -43,6 +45,7 @@ private:
     double local_rate(int channel, int bin) const;
 };
 
+/// Returns the rates of persistent drops for each beam and azimuth in the given frames.
 RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frames);
 
 /// Sets the drop probability to 1 in sectors of at least 10 degrees in which no beam of a
@@ -50,7 +53,8 @@ RayDropTable measure_drops(const Log& sequence, const std::vector<int>& frames);
 /// @param observed_drop_rates  result of measure_drops()
 void drop_unobserved(RayDropTable& drop_table, const RayDropTable& observed_drop_rates, const Log& sequence);
 
-/// at least 95 % of the time; training ignores such rays
+/// Returns true if the beam of this ray was dropped at least 95 % of the time at this
+/// azimuth. Training ignores such rays.
 bool is_blind_ray(const RayDropTable& observed, const Log& log, const Frame& frame, std::size_t ray);
 
 }  // namespace relidar

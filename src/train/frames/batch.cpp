@@ -26,6 +26,7 @@ struct StridedColumns {
     std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
 };
 
+/// Returns n if a batch consists of every n-th ray of the frame.
 std::uint32_t ray_stride(const TrainingFrameData& frame, const TrainConfig& config) {
     const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
@@ -36,6 +37,9 @@ ImageShape image_shape(const TrainingFrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
 
+/// Returns which columns of a frame form a batch of about rays_per_iteration rays.
+/// @param contiguous  true: one window of neighbouring columns, for losses that compare
+/// neighbouring pixels
 StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig& config, bool contiguous) {
     if (config.rays_per_iteration == 0) return {};
     if (contiguous) {
@@ -45,13 +49,15 @@ StridedColumns choose_columns(const TrainingFrameData& frame, const TrainConfig&
                        1u, image.columns);
         return n < image.columns ? StridedColumns{1, n} : StridedColumns{};
     }
-    // Rays of neighbouring columns have similar directions, so they are traced faster.
+    // Selects every n-th group of neighbouring columns. The rays of a group have similar
+    // directions, so they are traced faster.
     const std::uint32_t stride = std::min(ray_stride(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? StridedColumns{stride, frame.image.columns / stride}
                                                 : StridedColumns{};
 }
 
-/// Of the largest batch whose rays are copied to separate arrays.
+/// Returns the number of rays of the largest batch that consists of columns. Such a batch
+/// is copied to separate arrays.
 std::size_t max_column_rays(const std::vector<TrainingFrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const TrainingFrameData& frame : frames)
@@ -77,7 +83,8 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
-/// Must select the same columns as frame_column() in shaders/train/columns.glsl.
+/// Converts the index of a ray in the batch to its index in the frame. Must select the
+/// same columns as frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::frame_ray(std::uint32_t batch_ray_index) const {
     if (window.columns == 0) return rays.first + std::size_t(batch_ray_index) * rays.stride;
     const std::uint32_t row = batch_ray_index / window.n_columns, column = batch_ray_index % window.n_columns,
@@ -91,6 +98,7 @@ std::uint32_t BatchSampler::count_batches(const TrainingFrameData& frame) const 
     return columns.n > 0 || impl_->windows ? columns.stride : ray_stride(frame, impl_->config);
 }
 
+/// Draws the first column of a batch, or its first ray if it does not consist of columns.
 std::uint32_t BatchSampler::draw_column(const TrainingFrameData& frame, Random& random) const {
     const StridedColumns columns = choose_columns(frame, impl_->config, impl_->windows);
     std::uint32_t choices = count_batches(frame);
@@ -107,6 +115,8 @@ SampledBatch BatchSampler::draw_batch(Stream& stream, const TrainingFrameData& f
     return gather(stream, frame, draw_column(frame, random), 0);
 }
 
+/// Returns batch `index` of a series. A GPU kernel copies selected columns to the batch
+/// arrays. A batch of every n-th ray needs no copy, because kernels read with a stride.
 SampledBatch BatchSampler::gather(Stream& stream, const TrainingFrameData& frame, std::uint32_t column,
                                   std::uint32_t index) {
     Impl& b = *impl_;

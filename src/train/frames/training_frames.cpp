@@ -13,6 +13,9 @@
 
 namespace relidar {
 
+/// Returns the frame with one ray for each cell of the grid. A cell gets the values of
+/// its nearest return. A cell without a return becomes a dropped ray, whose time is the
+/// time at which the LiDAR head faces the cell.
 Frame frame_to_grid(const Log& sequence, const Frame& frame, const RangeImageGrid& grid) {
     constexpr double kGridPeriod_s = 0.1;  // sweep duration that make_rays() assumes for a grid
     const Scan& scan = frame.scan;
@@ -62,6 +65,9 @@ struct GriddedFrame {
           frame(binned ? *binned : sequence.frames[std::size_t(position)]) {}
 };
 
+/// Returns the shape, sensor position and vehicle poses (knots) of a frame, without
+/// arrays. The knots are the poses before, during and after the sweep.
+/// @throws DataError if the frame has no ray
 TrainingFrameData describe_frame(const Log& log, int index, const std::optional<RangeImageGrid>& grid) {
     const GriddedFrame trained(log, index, grid);
     const Frame& frame = trained.frame;
@@ -87,6 +93,7 @@ TrainingFrameData describe_frame(const Log& log, int index, const std::optional<
     return data;
 }
 
+/// Counts the rays that training uses, and how many of them have a return.
 void count_rays(TrainingFrameData& data, const std::vector<DeviceTarget>& targets) {
     data.n_known_rays = data.n_returned = 0.0;
     for (const DeviceTarget& t : targets) {
@@ -107,6 +114,8 @@ std::size_t TrainingFrames::bytes_per_ray() const {
            (use_.moves_rays ? sizeof(shared::PoseInterpolation) : 0);
 }
 
+/// Uploads as many frames as fit into the memory budget. All other frames share one set
+/// of arrays, which is as large as the largest of them.
 TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector<int>& frame_indices,
                                FrameUploadOptions use)
     : sequence_(log), use_(std::move(use)) {
@@ -129,6 +138,8 @@ TrainingFrames::TrainingFrames(Device& device, const Log& log, const std::vector
 
 TrainingFrames::~TrainingFrames() = default;
 
+/// Uploads the resident frames in groups. Threads compute the arrays of a group, and the
+/// size of a group limits host memory.
 void TrainingFrames::upload_frames(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
         std::vector<HostFrameArrays> batch(std::min(kPreparedAtOnce, n_staying_ - first));
@@ -146,6 +157,8 @@ void TrainingFrames::upload_frames(Device& device) {
     }
 }
 
+/// Computes the arrays of a frame on the host. If poses are refined, also stores between
+/// which vehicle poses each ray was fired.
 TrainingFrames::HostFrameArrays TrainingFrames::compute_arrays(std::size_t frame_index) const {
     const TrainingFrameData& data = frames_[frame_index];
     const GriddedFrame trained(sequence_, data.position, use_.grid);
@@ -162,6 +175,7 @@ TrainingFrames::HostFrameArrays TrainingFrames::compute_arrays(std::size_t frame
     return host;
 }
 
+/// Returns the prefetched arrays, or computes them if another frame was prefetched.
 TrainingFrames::HostFrameArrays TrainingFrames::take_prefetched(std::size_t frame_index) {
     if (prefetched_frame_.valid()) {
         HostFrameArrays host = prefetched_frame_.get();
