@@ -14,6 +14,7 @@
 namespace relidar {
 namespace {
 
+/// Returns true if a ray intersects a box that is centred at the origin (slab method).
 bool hits_box(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction, const glm::dvec3& box_size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
@@ -32,6 +33,7 @@ bool hits_box(const glm::dvec3& ray_origin_m, const glm::dvec3& ray_direction, c
 
 }  // namespace
 
+/// Counts the rays that hit the box of an actor, all fired from one pose of the sensor.
 ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
                                       std::span<const glm::vec3> ray_directions, const Pose& box_from_sensor,
                                       const glm::dvec3& size_m, std::size_t n_surfels) {
@@ -52,6 +54,8 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
     return detail;
 }
 
+/// Finds the frame in which the actor is nearest to the LiDAR, and counts the rays that
+/// hit it there.
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar) {
     const Log& log = edited.sequence;
     const auto instance = std::ranges::find_if(edited.scene.instances,

@@ -25,6 +25,7 @@ const std::vector<std::string> kColumnNames{"time_s",    "x",        "y",       
 /// Column index of each field, or -1 if the file does not have the field.
 using FieldColumnIndices = std::vector<int>;
 
+/// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
 FieldColumnIndices parse_header(const std::vector<std::string_view>& header, const std::string& where) {
     FieldColumnIndices at = find_columns(header, kColumnNames, where);
@@ -38,6 +39,7 @@ FieldColumnIndices parse_header(const std::vector<std::string_view>& header, con
     return at;
 }
 
+/// Returns the column index of each field for a file without a header.
 /// @throws DataError if there are too few or too many columns
 FieldColumnIndices default_columns(std::size_t n_columns, const std::string& error_location) {
     if (n_columns < kMinColumns || n_columns > kMaxUnnamedColumns)
@@ -50,7 +52,8 @@ FieldColumnIndices default_columns(std::size_t n_columns, const std::string& err
     return at;
 }
 
-/// A field without a column is 0. Without a header, pitch and roll may be missing.
+/// Reads the values of a line. A field without a column is 0. Pitch and roll may be
+/// missing at the end of a line if the file has no header.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> parse_row(const std::vector<std::string_view>& cells,
                                           const FieldColumnIndices& column_indices,
@@ -81,6 +84,7 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
     const std::vector<std::string> lines = split_lines(read_text_file(path));
     PoseTrack track;
     FieldColumnIndices at;
+    // maximum number of cells in a line, and minimum number because of the lines before
     std::size_t n_cells = 0, n_needed = 0;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         if (trim(lines[i]).empty()) continue;

@@ -19,6 +19,8 @@ namespace {
 constexpr double kLargestNumber = 1e10;
 constexpr double kMaxTrackSteps = 1e6;  // Maximum number of sweeps in a trajectory.
 
+/// Returns the index of the instance that moves along a track.
+/// @throws UsageError that suggests what to do if no instance has this track
 std::size_t find_instance(const SceneWithLog& scene_and_log, const std::string& track_id) {
     std::vector<std::string> actor_ids;
     for (std::size_t i = 0; i < scene_and_log.scene.instances.size(); ++i) {
@@ -52,6 +54,7 @@ BoxTrack& mutable_box(SceneWithLog& scene_and_log, const std::string& track_id) 
         track_id);
 }
 
+/// Removes models that no instance uses. Keeps model 0, which is the background.
 void drop_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<SurfelModel> models;
@@ -71,6 +74,7 @@ void drop_unused_models(Scene& scene) {
     scene.surfels = std::move(surfels);
 }
 
+/// Removes the actors for which `should_keep_track` returns false, and their boxes.
 template <class Keep>
 void keep_actors(SceneWithLog& scene_and_log, const Keep& should_keep_track) {
     std::vector<ModelInstance> remaining_instances;
@@ -96,6 +100,8 @@ std::string make_track_id(const SceneWithLog& scene_and_log, const std::string& 
     return fmt::format("{}-{}", id_prefix, n);
 }
 
+/// Returns a track that moves straight ahead at constant speed, with one pose for each
+/// frame of the log.
 PoseTrack make_straight_track(const Log& sequence, const NewActorMotion& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
@@ -140,8 +146,9 @@ void check_trajectory(const PoseTrack& track, const std::string& track_id) {
                             "increasing times");
 }
 
-/// A box is present up to half a time step before its first and after its last pose, so
-/// steps of at most `max_step_s` keep this extra time short.
+/// Adds interpolated poses to a track, so that steps are at most `max_step_s` long.
+/// Reason: a box is also present up to half a time step before its first and after its
+/// last pose. Short steps keep this extra time short.
 PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -157,7 +164,7 @@ PoseTrack densify_track(const PoseTrack& track, double max_step_s) {
     return fine;
 }
 
-/// The completed model that an earlier edit has made from `model`, if any.
+/// Returns the model that an earlier edit has made from `model` by completing it, if any.
 std::optional<std::uint32_t> find_mirrored_model(const Scene& scene, const SurfelModel& model) {
     ObservedBoxSurface completed = *model.surface;
     completed.is_completed = true;
@@ -168,8 +175,8 @@ std::optional<std::uint32_t> find_mirrored_model(const Scene& scene, const Surfe
     return static_cast<std::uint32_t>(copy - scene.models.begin());
 }
 
-/// After an edit, unobserved sides of a vehicle can face a sensor. Does nothing if the
-/// surfels are not in memory.
+/// Fills the unobserved sides of a vehicle by symmetry, because after an edit they can
+/// face a sensor. Does nothing if the surfels are not in memory.
 /// @param is_shared true if actors that were not moved have the same model; they keep it,
 /// and this actor gets a completed copy
 void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, bool is_shared) {
@@ -193,6 +200,8 @@ void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, b
     const std::uint32_t number = instance.model;
     SurfelModel& model = scene.models[number];
     model.surface = surface;
+    // Inserts the completed surfels in place of the old ones, and shifts all later
+    // models.
     const std::size_t behind = std::size_t(model.first) + model.count;
     Surfels all = scene.surfels.slice(0, model.first);
     all.append_surfels(completed);
@@ -204,7 +213,7 @@ void mirror_unseen_sides(SceneWithLog& scene_and_log, ModelInstance& instance, b
         scene.models[m].first += model.count - before;
 }
 
-/// except for rounding errors
+/// Returns true if two tracks are equal except for rounding errors.
 bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
     constexpr double kMaxDifference = 1e-9;  // metres, seconds, and components of quaternions
     const auto is_same_pose = [](const Pose& p, const Pose& q) {
@@ -217,6 +226,7 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
+/// Adds an instance of a model to the scene, with a new track.
 void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const NewActorMotion& start) {
     box.world_from_box = start.dataset_path.pose.empty()
                              ? make_straight_track(edited.sequence, start)
@@ -271,7 +281,8 @@ SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTr
 
 std::string describe_absence(const BoxTrack& original_box, const Log& edited_sequence) {
     const BoxTrack* box = find_box(edited_sequence, original_box.id);
-    // A set, because LiDARs that sweep at the same time share a frame number.
+    // Numbers of the frames in which the actor is missing after the edit. It is a set,
+    // because LiDARs that sweep at the same time share a frame number.
     std::set<int> lost;
     for (const Frame& frame : edited_sequence.frames)
         if (box && original_box.is_observed(frame.time_s) && !box->is_observed(frame.time_s))

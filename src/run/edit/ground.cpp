@@ -73,6 +73,7 @@ struct Footprint {
     }
 };
 
+/// Returns the sensor pose that is nearest to a position in the x-y plane.
 const Pose& nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
     if (sensor_track.pose.empty())
         throw DataError(
@@ -103,6 +104,8 @@ public:
         }
     }
 
+    /// Returns the ground plane below a footprint, or nothing if there are too few level
+    /// surfels. Ignores surfels far above the sensor, such as bridges and trees.
     std::optional<GroundPlane> fit_below(const Footprint& footprint) const {
         const glm::dvec3 sensor = nearest_pose(sensor_track_, footprint.centre_m).translation;
         const double highest_m =
@@ -124,6 +127,7 @@ public:
     }
 
 private:
+    /// Adds the centres of surfels that are opaque and level enough to be ground.
     void add_surfels(const Surfels& surfels, std::size_t n_surfels) {
         const bool has_normals = properties_of(surfels.primitive).has_normals;
         for (std::size_t i = 0; i < n_surfels; ++i)
@@ -132,6 +136,8 @@ private:
                 points_.emplace_back(surfels.mean[i]);
     }
 
+    /// Returns the plane with the most points near it (RANSAC). Tests many planes, each
+    /// through three random points. The score depends on the distances of all points.
     static GroundPlane ransac_plane(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -141,7 +147,8 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // Too steep, or three points on a line.
+            // Rejects steep planes. Also rejects three points on a line, because they
+            // define no plane.
             if (!(std::abs(normal.z) > kMinPlaneNormalZ * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -158,6 +165,8 @@ private:
         return best;
     }
 
+    /// Refines the RANSAC plane by three least-squares fits. Each fit uses the points
+    /// near the plane of the previous fit.
     static std::optional<GroundPlane> fit_plane(const std::vector<glm::dvec3>& points,
                                                 const Footprint& footprint, double footprint_margin_m) {
         if (points.size() < kMinSurfelsOnPlane) return {};
@@ -173,7 +182,8 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.to_footprint(plane.origin_m));
             if (fit.variance[1] < kMinSpread_m * kMinSpread_m || plane.normal.z < kMinPlaneNormalZ) return {};
-            // The surfels cover only one side of the area.
+            // Rejects the plane if the centre of its surfels is far from the centre of
+            // the area. The surfels then cover only one side of the area.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + footprint_margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -194,14 +204,16 @@ Footprint make_footprint(const glm::dvec2& centre_m, double yaw_rad, const glm::
 }
 
 const BoxTrack& find_actor_box(const SceneWithLogView& scene_and_log_view, const std::string& track_id) {
-    // Throws if the track does not belong to an actor. The result is not used.
+    // Calls move_track() only because it throws an error if the track does not belong to
+    // an actor. The moved track is not used.
     (void)move_track(SceneWithLog{strip_surfels(scene_and_log_view.scene), scene_and_log_view.sequence},
                      track_id, {});
     return *find_box(scene_and_log_view.sequence, track_id);
 }
 
-/// From the pose of the box, because the actor hides the road from the sensor. Nothing if
-/// no box covers the position.
+/// Returns the ground plane below the nearest actor whose box covers a position, or
+/// nothing if no box does. Uses the pose of the box, because the actor hides the road
+/// from the sensor.
 /// @param get_box_clearance_m  returns the height of the bottom of a box above the ground
 std::optional<GroundPlane> ground_below_box(
     const glm::dvec2& position_m, const Log& sequence,
@@ -225,6 +237,8 @@ std::optional<GroundPlane> ground_below_box(
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + get_box_clearance_m(*nearest)) * up, up};
 }
 
+/// Returns the height of a box's bottom above the ground in metres: the median over some
+/// positions of its track.
 std::optional<double> median_clearance_m(const SceneWithLogView& scene_and_log_view, const BoxTrack& box) {
     std::vector<glm::dvec2> positions_xy;
     const std::vector<Pose>& poses = box.world_from_box.pose;
@@ -242,6 +256,8 @@ std::optional<double> median_clearance_m(const SceneWithLogView& scene_and_log_v
     return compute_median(heights_m);
 }
 
+/// Returns the rotation of an actor that stands on a plane and faces the direction
+/// `yaw_rad`.
 glm::dquat rotate_to_plane(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;
@@ -255,6 +271,8 @@ std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, cons
     return median_clearance_m(actor_scene, find_actor_box(actor_scene, track));
 }
 
+/// Places an actor on the ground at its start, and at each frame if it moves. First fits
+/// a plane to surfels, then uses a box that covers the position.
 NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
                                const SceneWithLogView& actor_scene, const std::string& actor_track) {
     const Log& sequence = target_scene.sequence;

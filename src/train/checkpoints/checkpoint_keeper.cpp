@@ -36,8 +36,12 @@ bool CheckpointFolder::is_time_due() const {
     return minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
 }
 
+/// Writes a checkpoint. If the disk or the memory is full, prints a note and training
+/// continues.
+/// @throws DataError if the state is not finite, because training cannot continue from it
 void CheckpointFolder::save(int iteration, const std::function<void(Checkpoint&)>& add_state) {
-    // Set before writing: if the disk is full, the next attempt is one interval later.
+    // Sets the time before writing. If writing fails because the disk is full, the next
+    // attempt then happens after one interval, not in the next step.
     last_ = Clock::now();
     Checkpoint checkpoint{iteration, texts_.get(), {}};
     const auto failed = [&](const std::string& why) {
@@ -73,6 +77,8 @@ CheckpointKeeper::CheckpointKeeper(const Log& log, const Split& split, const Con
                   return make_resume_texts(list_config_keys(config), fingerprint_log(log, split));
               }) {}
 
+/// Returns true after a fixed number of iterations or minutes. The last iteration also
+/// gets a checkpoint if the folder already has one.
 bool CheckpointKeeper::is_due(int step) const {
     if (!folder_.is_enabled()) return false;
     const bool by_count = config_.checkpoint_every > 0 && step % config_.checkpoint_every == 0;

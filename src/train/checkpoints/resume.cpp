@@ -29,6 +29,7 @@ constexpr std::array kResumeFreeSettings{"dataset.path",
                                          "sensor.grid_method",
                                          "trace.chunk"};
 
+/// Returns true if a setting may differ when training is resumed.
 bool is_resume_free(const std::string& setting_key) {
     return std::find(kResumeFreeSettings.begin(), kResumeFreeSettings.end(), setting_key) !=
                kResumeFreeSettings.end() ||
@@ -89,6 +90,8 @@ void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& spl
     for (const ResumeFingerprint& mark : fingerprint_log(log, split)) check_same(checkpoint, mark, doing);
 }
 
+/// Adds a line to the training log. Estimates the remaining time from the speed since the
+/// first line, because earlier iterations include warm-up.
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s) {
     TrainProgress p = make_progress(line.step, config, elapsed_s, line.terms, line.n_surfels);
@@ -100,6 +103,8 @@ void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, 
     log.push_back(std::move(p));
 }
 
+/// Writes the training log and the times to a checkpoint, so that a resumed training
+/// continues both.
 void write_log(CheckpointWriter& writer, const TrainResult& result, double training_time_s) {
     LogColumns log;
     for (const TrainProgress& p : result.log) {

@@ -11,6 +11,7 @@
 namespace relidar {
 namespace {
 
+/// Returns true if a setting changes the rendered images or the network.
 bool affects_network(const std::string& setting_key) {
     constexpr std::array kNetworkPrefixes{"refine.", "image.",       "sensor.",
                                           "init.",   "render.range", "train.seed"};

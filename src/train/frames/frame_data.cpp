@@ -20,6 +20,8 @@ struct MovingBoxMask {
     double reach_m;
 };
 
+/// Returns the moving boxes without a model that are present in a sweep, with a margin
+/// because labels do not fit exactly.
 std::vector<MovingBoxMask> list_masked_boxes(const Log& log, const SweepTiming& sweep,
                                              const IgnoredMeasurements& rules) {
     std::vector<MovingBoxMask> result;
@@ -35,13 +37,15 @@ std::vector<MovingBoxMask> list_masked_boxes(const Log& log, const SweepTiming& 
     return result;
 }
 
-/// True for a ray that hit a moving box, or that has no return and may have hit one.
+/// Returns true if training must ignore a ray: it hit a moving box, or it has no return
+/// and may have hit one.
 /// @param time_offset_s  firing time relative to the reference time of the sweep
 bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRay& ray, double time_offset_s,
                    double range_m) {
     return std::any_of(masked_boxes.begin(), masked_boxes.end(), [&](const MovingBoxMask& box) {
         const InstancePose& placed = box.placed;
         const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
+        // A fast test with a sphere around the box rejects most rays.
         const double along_m = std::max(glm::dot(to_centre, ray.direction), 0.0);
         if (!(glm::distance(to_centre, along_m * ray.direction) <= box.reach_m)) return false;
         const PosedBox posed_box{inverse(placed.motion.pose_at(placed.world_from_model, time_offset_s)),
@@ -53,6 +57,8 @@ bool is_ray_masked(const std::vector<MovingBoxMask>& masked_boxes, const WorldRa
 
 }  // namespace
 
+/// Computes the rays and the loss targets of a frame. A target has the weight 0 if
+/// training must ignore its ray.
 void make_frame_arrays(const Log& sequence, const Frame& frame, const IgnoredMeasurements& mask_rules,
                        std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     const Scan& scan = frame.scan;
@@ -77,6 +83,7 @@ std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames) {
     return most;
 }
 
+/// Returns a batch with every stride-th ray of the frame, starting at ray `first_ray`.
 RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
     // The batch has every stride-th ray of the image. If the number of columns is a
     // multiple of the stride, these rays form complete columns of the image.

@@ -5,6 +5,8 @@
 
 namespace relidar {
 
+/// Returns the nominal rays of a frame's LiDAR. If the scan has other rows and columns,
+/// returns the rays of the scan instead.
 SimulatedSensor nominal_sensor(const Config& config, const Log& sequence, const Frame& frame) {
     SimulatedSensor sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns) {
@@ -22,6 +24,7 @@ IgnoredMeasurements mask_movers(const Config& config, const Scene& scene) {
     return masks;
 }
 
+/// Returns for each ray 1 if it was dropped, 0 if it returned, or -1 if it is unknown.
 std::vector<float> classify_drops(const Log& log, const Frame& frame, const IgnoredMeasurements& rules) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;

@@ -26,6 +26,8 @@ PoseCorrectedRays::PoseCorrectedRays(Device& device, const std::vector<TrainingF
       gradients_(device, "train/knot_gradients",
                  {{SpecialisationConstantId::WORKGROUP_SIZE, RELIDAR_KNOT_WORKGROUP}}) {}
 
+/// Records GPU commands that compute the rays of a frame from its corrected poses. A ray
+/// is interpolated between the poses before and after its firing time.
 void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correction,
                                   TrainingFrameData& frame) {
     std::vector<shared::PoseKnot> knots;
@@ -44,6 +46,8 @@ void PoseCorrectedRays::move_rays(Stream& stream, const TrackCorrection& correct
     frame.moved_rays = &moved_;
 }
 
+/// Records GPU commands that sum the gradients of the rays for each pose. Each of the
+/// workgroups of a pose writes one row of partial sums.
 void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& frame, const SampledBatch& batch,
                                     const Array<float, shared::DeviceRayGradients>& ray_gradients) {
     RELIDAR_ASSERT_LE(std::size_t(6) * batch.rays.n_rays, ray_gradients.size());
@@ -64,6 +68,7 @@ void PoseCorrectedRays::record_sums(Stream& stream, const TrainingFrameData& fra
          .n_rows = kGroupsPerPose});
 }
 
+/// Adds the rows of partial sums on the host, which gives one gradient per pose.
 std::vector<PoseGradient> PoseCorrectedRays::sum_gradients(std::span<const float> sums,
                                                            const TrainingFrameData& frame) const {
     std::vector<PoseGradient> result(frame.n_knots);

@@ -24,8 +24,8 @@ struct PoseGradient {
 class PoseCorrectedRays {
 public:
     PoseCorrectedRays(Device& device, const std::vector<TrainingFrameData>& frames);
-    /// The frame must be on the device. Afterwards `frame` refers to the new rays, which
-    /// are valid until the next call.
+    /// Moves the rays of a frame to the corrected poses. The frame must be on the device.
+    /// Afterwards `frame` refers to the new rays, which are valid until the next call.
     void move_rays(Stream& stream, const TrackCorrection& correction, TrainingFrameData& frame);
     /// A ray contributes to the poses before and after its firing time. Ignores the
     /// effect of poses on the viewing direction of the spherical harmonics. Call

@@ -16,6 +16,7 @@
 namespace relidar {
 namespace {
 
+// Minimum blending weight of a ray that hits a solid surface.
 constexpr float kFewestWeight = 0.5f;
 
 /// Excludes actors, because their poses are only estimates.
@@ -24,6 +25,9 @@ public:
     TrainedBackgroundRenderer(Device& device, const Run& run)
         : run_(run), renderer_(device, run.scene, surface_config(run.config), run.sequence) {}
 
+    /// Returns the surface point and normal that the scene predicts for each ray, in the
+    /// world frame of the log. An entry stays empty if the ray hits an actor or no
+    /// surface.
     std::vector<SurfaceHit> render_surfaces(int frame_index, const std::vector<std::size_t>& ray_indices,
                                             const PoseTrack& world_from_vehicle) {
         const Frame& frame = run_.sequence.frames[std::size_t(frame_index)];

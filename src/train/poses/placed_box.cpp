@@ -6,6 +6,8 @@
 
 namespace relidar {
 
+/// Intersects the distances between the two planes of each axis (slab method). The
+/// distances are empty, with entry > exit, if the ray misses the box.
 glm::dvec2 PosedBox::intersect_m(const WorldRay& ray, double margin_m) const {
     const glm::dvec3 o = box_from_world * ray.origin_m, d = box_from_world.rotation * ray.direction,
                      half_m = half_size_m + margin_m;

@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-// relative to the start of training
+// Learning rate at the end of training, relative to the start.
 constexpr double kFinalShare = 0.1;
 /// Learning rates are multiples of train.pose_rate_m, that of the sensor position in
 /// metres. The rotation rate in radians is a tenth, because most returns are about 10 m
@@ -42,6 +42,7 @@ void remove_first(std::vector<T>& values, std::size_t count) {
     values.erase(values.begin(), values.begin() + std::ptrdiff_t(count));
 }
 
+/// Returns the rates of an Adam step, which decay exponentially during training.
 PoseStepRates pose_rates(const TrainConfig& config, double initial_rate_m, int step) {
     const double decay = interpolate_exp(1.0, kFinalShare, step, config.iterations);
     return {initial_rate_m * decay, initial_rate_m / kMetresPerRadian * decay, kPriorPerM2, kPriorPerRad2};
@@ -81,6 +82,7 @@ GradientSelection PoseRefiner::required_gradients() const {
     return {.rays = sensor_.has_value(), .poses = !actors_.empty()};
 }
 
+/// Moves the rays of a frame, its actors and its sensor position to the corrected poses.
 void PoseRefiner::move_frame(Stream& stream, TrainingFrameData& frame) {
     if (!is_enabled()) return;
     if (rays_) rays_->move_rays(stream, *sensor_, frame);
@@ -91,6 +93,9 @@ void PoseRefiner::move_frame(Stream& stream, TrainingFrameData& frame) {
             .translation);
 }
 
+/// Records the summation of the pose gradients of a batch and their copy to the host.
+/// Also stores the frame and times of the iteration, which are needed when its gradients
+/// are applied kReadbackLag iterations later.
 void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, const TrainingFrameData& frame,
                                    const SampledBatch& batch, const DeviceGradients& gradients, int step) {
     if (!is_enabled()) return;
@@ -113,6 +118,7 @@ void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, cons
                                         floats_of_instances_);
 }
 
+/// Returns the gradients of a pending iteration. Waits until they are on the host.
 std::span<float> PoseRefiner::wait_for_gradient(Stream& stream, std::size_t pending_index) {
     const std::size_t n = floats_of_rays_ + floats_of_instances_,
                       slot = pending_iterations_.step[pending_index] % kReadbackLag;
@@ -129,6 +135,8 @@ void PoseRefiner::wait_for_pending(Stream& stream) {
     for (std::size_t i = 0; i < pending_iterations_.step.size(); ++i) wait_for_gradient(stream, i);
 }
 
+/// Updates the poses with the gradients of the oldest pending iteration, and removes it
+/// from the list.
 void PoseRefiner::apply_oldest(Stream& stream) {
     const std::span<const float> gradient = wait_for_gradient(stream, 0);
     const int step = static_cast<int>(pending_iterations_.step.front());
@@ -144,7 +152,8 @@ void PoseRefiner::apply_oldest(Stream& stream) {
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
         // The pose of the actor is the mean of its poses at the first and the last time
-        // in the sweep, so each gets half of the gradient.
+        // at which a sweep observes it. Each of these two poses gets half of the
+        // gradient.
         for (double& g : twist) g *= 0.5;
         // The actor may be absent from the frame. Its gradient is then zero, and
         // add_gradient() ignores zero gradients.

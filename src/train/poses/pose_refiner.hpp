@@ -35,6 +35,7 @@ public:
     ~PoseRefiner();
 
     bool is_enabled() const { return is_active_; }
+    /// Returns which gradients the backward pass must compute for record_gradients().
     GradientSelection required_gradients() const;
     void move_frame(Stream& stream, TrainingFrameData& frame);
     /// Records the pose gradients of a batch and their copy to the host.
@@ -43,7 +44,8 @@ public:
                           const SampledBatch& batch, const DeviceGradients& gradients, int step);
     /// Applies the gradients of pending iterations in order. Waits for them if necessary.
     void apply_until(Stream& stream, int last_step);
-    /// So that a checkpoint can store them. Does not update the poses.
+    /// Waits for the pending gradients, so that a checkpoint can store them. Does not
+    /// update the poses.
     void wait_for_pending(Stream& stream);
     RefinedPoses refined_poses() const;
 

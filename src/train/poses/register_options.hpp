@@ -10,7 +10,8 @@ inline bool registers_sensors(const TrainConfig& config) {
     return config.pose_register && config.refines("sensor");
 }
 
-/// The caller must set RegistrationOptions::stop, progress and group.
+/// Returns the registration options that follow from the settings. The caller must set
+/// RegistrationOptions::stop, progress and group.
 RegistrationOptions registration_options(const Log& sequence, const Config& config);
 
 }  // namespace relidar

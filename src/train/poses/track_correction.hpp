@@ -30,10 +30,11 @@ public:
     Twist correction_at(std::size_t pose) const;
     PoseTrack corrected_track() const;
 
-    /// dL/d(v, w) at any time. The next run_adam_step() uses the sum.
+    /// Adds a loss gradient dL/d(v, w) of the pose at any time, or of a recorded pose.
+    /// The next run_adam_step() uses the sum.
     void add_gradient(double t_s, const Twist& gradient);
     void add_gradient(std::size_t pose, double weight, const Twist& gradient);
-    /// Changes only poses that got a gradient after the last step.
+    /// Performs an Adam step. Changes only poses that got a gradient after the last step.
     void run_adam_step(const PoseStepRates& step_rates);
     /// Removes the rigid motion that all corrections have in common, which the loss does
     /// not constrain. Afterwards, the mean translation and rotation are 0.
