@@ -14,8 +14,8 @@ namespace {
 // farther boxes have hardly any returns
 constexpr double kMaxBoxDistance_m = 100.0;
 
-/// Poses at the times of the frames, and directly before and after each, for the motion
-/// during a sweep.
+/// Returns the vehicle poses at the times of some frames, and the poses directly before
+/// and after each. These are needed to interpolate the motion during a sweep.
 PoseTrack cut_track(const Log& sequence, const std::vector<int>& frame_indices) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
@@ -35,8 +35,9 @@ PoseTrack cut_track(const Log& sequence, const std::vector<int>& frame_indices) 
     return track;
 }
 
-/// Actors without a box in this part of the log. If none remains, also clears
-/// options.actor_classes, because with an empty list the classes would select actors.
+/// Removes actors without a box in this part of the log from options.actor_tracks, the
+/// user's list. If none remains, also clears options.actor_classes, because with an empty
+/// list the classes would select actors.
 void drop_missing_tracks(InitOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> remaining_tracks;
@@ -49,6 +50,8 @@ void drop_missing_tracks(InitOptions& options, const std::vector<BoxTrack>& boxe
 
 }  // namespace
 
+/// Returns the part of the log that a block needs: its training frames, its held-out
+/// frames, and the poses and boxes near them.
 BlockTrainingLog cut_log(const Log& sequence, const Split& split, const TrajectoryBlock& block,
                          const Config& config) {
     // in the order of the log

@@ -16,6 +16,8 @@ namespace fs = std::filesystem;
 // returns.
 constexpr double kMaxActorDistance_m = 60.0;
 
+/// Returns the number of background surfels of a block and their bounding box. A surfel
+/// extends to three standard deviations.
 SceneBlock make_block(const Scene& scene, const fs::path& model_file) {
     SceneBlock block{model_file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
@@ -59,6 +61,8 @@ struct ActorModelCandidate {
     BoxTrack box;
 };
 
+/// Adds the actors of a block to `best_actors`. If another block has trained the same
+/// actor, keeps the model with more training frames near this actor.
 void keep_best_models(const Run& block_run, const Log& full_sequence, const TrajectoryBlock& block,
                       std::map<std::string, ActorModelCandidate>& best_actors) {
     for (const ModelInstance& instance : block_run.scene.instances) {
@@ -80,6 +84,7 @@ void keep_best_models(const Run& block_run, const Log& full_sequence, const Traj
     }
 }
 
+/// Copies the vehicle poses at the sweeps of a block to the track of the full log.
 void copy_poses(const Run& part, const Log& log, const TrajectoryBlock& block, PoseTrack& track) {
     for (const int position : block.recorded_frames) {
         const double time_s = log.frames[std::size_t(position)].time_s;
@@ -113,6 +118,8 @@ void join_blocks(Run& run, const std::vector<TrajectoryBlock>& blocks, const std
     }
     scene.sensor_drop = drop.mean_table();
     run.sequence.world_from_vehicle = std::move(poses);
+    // Adds the actors in the order of the log's boxes. A scene that is trained without
+    // blocks has the same order.
     for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;

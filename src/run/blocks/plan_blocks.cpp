@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-/// Sections of equal length. Sections without sweeps are left out.
+/// Divides the route into sections of equal length, and returns the sweeps in each
+/// section as a block. Sections without sweeps are left out.
 std::vector<TrajectoryBlock> divide_route(const std::vector<double>& distances_m, double length_m) {
     const double driven_length_m = distances_m.back();
     const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
@@ -60,6 +61,8 @@ std::vector<TrajectoryBlock> plan_blocks(const Log& log, const Split& split, con
     return blocks;
 }
 
+/// Keeps the background surfels whose nearest sweep belongs to the block, in kd-tree
+/// order. Actors keep all surfels.
 void keep_block_surfels(Scene& scene, const Log& log, const std::vector<TrajectoryBlock>& blocks,
                         std::size_t index) {
     std::vector<bool> is_block_frame(log.frames.size(), false);

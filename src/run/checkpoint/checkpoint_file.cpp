@@ -36,6 +36,7 @@ private:
     uLong crc_ = ::crc32_z(0, nullptr, 0);
 };
 
+/// Returns the CRC-32 of all metadata and arrays, in hexadecimal digits.
 std::string checksum(const Texts& metadata, const std::vector<NamedArray>& arrays) {
     Crc32 crc;
     for (const auto& [key, value] : metadata) {
@@ -52,6 +53,8 @@ std::string checksum(const Texts& metadata, const std::vector<NamedArray>& array
     return crc.hex();
 }
 
+/// Removes an entry from the metadata and returns its value. Used for entries of the file
+/// format, which callers must not see.
 std::string pop_value(Texts& metadata, const std::string& key) {
     const auto it = metadata.find(key);
     if (it == metadata.end())
@@ -73,10 +76,13 @@ int parse_iteration(const std::string& text) {
     return iteration;
 }
 
+/// Checks format, version and checksum of a file's contents, and that all numbers are
+/// finite.
 Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     const auto format = metadata.find("format"), version = metadata.find("version");
     check_equal("metadata format", format == metadata.end() ? "" : format->second, kCheckpointFormat);
-    // The version first, because other versions may compute the checksum differently.
+    // Checks the version before the checksum, because other versions may compute the
+    // checksum differently.
     check_equal("metadata version", version == metadata.end() ? "" : version->second, kCheckpointVersion);
     const std::string computed_checksum = checksum(metadata, arrays);
     check_equal("checksum of the metadata and arrays", computed_checksum, pop_value(metadata, kChecksumKey));
@@ -87,6 +93,8 @@ Checkpoint parse_checkpoint(Texts metadata, std::vector<NamedArray> arrays) {
     return checkpoint;
 }
 
+/// Returns the iteration number in the name of a checkpoint file, or nothing if the file
+/// is not a checkpoint.
 std::optional<int> iteration_of_file(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
@@ -131,6 +139,7 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
     return paths;
 }
 
+/// Writes the checkpoint first, and removes others only after it is on disk.
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints) {
     std::error_code failed;
     // If this call fails, the write below also fails and reports the error.
@@ -148,6 +157,7 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
 }
 
+/// Reads the newest checkpoint. Tries older ones if it is damaged.
 std::optional<Checkpoint> load_newest(const std::filesystem::path& folder,
                                       const std::function<void(const std::string&)>& report_unreadable) {
     const std::vector<std::filesystem::path> paths = list_checkpoints(folder);

@@ -40,6 +40,9 @@ std::string unknown_key(const std::string& key) {
                                     ", expected one of the keys that `relidar list settings --all` prints"));
 }
 
+/// Parses a value and stores it in a setting. Text needs quotes in a TOML file, and other
+/// values must not have quotes.
+/// @throws UsageError if type or range are wrong
 template <class T>
 void assign_value(T& field, const std::string& key, const SettingValueRange& accepted_values,
                   const ParsedValue& parsed_value) {
@@ -55,6 +58,7 @@ void assign_value(T& field, const std::string& key, const SettingValueRange& acc
     field = *parsed;
 }
 
+/// Applies one setting. The setting `preset` replaces all other settings.
 void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {
     bool is_valid_key = false;
     visit_settings(config,
@@ -67,6 +71,7 @@ void apply_setting(Config& config, const std::string& key, const ParsedValue& va
     if (key == "preset") config = make_preset(config.preset);
 }
 
+/// Converts a TOML scalar to text, and stores whether it was quoted.
 ParsedValue scalar_text(const toml::node& node, const std::string& key) {
     if (const auto* text = node.as_string()) return {text->get(), ParsedValue::QuotedState::yes};
     if (const auto* integer = node.as_integer())
@@ -80,6 +85,8 @@ ParsedValue scalar_text(const toml::node& node, const std::string& key) {
     fail<UsageError>("setting {}: found a TOML {}, expected a single value", quote(key), kind.str());
 }
 
+/// Adds all values of a TOML table and its nested tables to `flat`. The keys are full
+/// names such as "table.key".
 void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, ParsedValue>& flat) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
@@ -88,6 +95,8 @@ void flatten(const toml::table& table, const std::string& prefix, std::map<std::
     }
 }
 
+/// Checks that a settings file contains every setting and no unknown key. Files from
+/// to_toml() fulfil this.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_settings(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice =
@@ -112,6 +121,7 @@ std::string quote_toml(const std::string& text) {
     return result + '"';
 }
 
+/// Reads a TOML file and applies its settings to `config`.
 /// @param check_file_settings  called with the settings of the file before they are
 /// applied
 template <class Check>
@@ -124,6 +134,7 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
         std::map<std::string, ParsedValue> settings;
         flatten(table, "", settings);
         check_file_settings(settings);
+        // Applies the preset first, because it would overwrite the other settings.
         if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
         for (const auto& [key, found] : settings) apply_setting(result, key, found);
     } catch (const toml::parse_error& error) {
@@ -135,6 +146,8 @@ void read_config_file(Config& config, const std::filesystem::path& path, const C
     config = std::move(result);
 }
 
+/// Returns the settings as TOML text, grouped by table, with a comment for each setting.
+/// @param is_key_shown  returns true for the keys that the text must contain
 template <class Shown>
 std::string format_toml(const Config& config, const Shown& is_key_shown) {
     std::string text, table;
@@ -189,6 +202,7 @@ std::string to_toml(const Config& config) {
            format_toml(config, [](const std::string&) { return true; });
 }
 
+/// Returns TOML text without the expert settings that have the value of the preset.
 std::string to_short_toml(const Config& config) {
     std::set<std::string> left_out;
     const std::vector<ConfigKey> keys = list_config_keys(config),

@@ -7,6 +7,8 @@
 namespace relidar {
 namespace {
 
+/// Returns the settings of the LiDAR-RT paper, which are mostly the defaults of the
+/// structs.
 Config paper_preset() {
     Config config;
     config.dataset.waymo_intensity = "clamp";
@@ -28,19 +30,22 @@ Config paper_preset() {
     return config;
 }
 
-/// The program that the authors released differs from the text of the paper
-/// (docs/method.md section 5). Its errors (section 10) are not reproduced.
+/// Returns the settings of the program that the authors of the paper released. It differs
+/// from the text of the paper (docs/method.md section 5). Its errors (section 10) are not
+/// reproduced.
 Config released_preset() {
     Config config = paper_preset();
     config.preset = "released";
+    // needs full images
     config.loss.intensity_ssim = 0.15f;
     config.loss.chamfer = 0.0f;
     config.loss.box = 0.01f;
     return config;
 }
 
-/// Best results on a real log (KITTI raw 0005, docs/results.md). Training adds no
-/// surfels, because it starts from dense, smoothed points.
+/// Returns the settings with the best results on a real log (KITTI raw 0005,
+/// docs/results.md). Training adds no surfels, because it starts from dense, smoothed
+/// points.
 Config default_preset() {
     Config config;
     config.preset = "default";
@@ -48,12 +53,12 @@ Config default_preset() {
     config.dataset.max_range_m = 0.0;
     // The beams of a LiDAR have different range offsets and intensity gains.
     config.sensor.calibrate = "range,intensity";
-    // Large surfels would blur the edges of objects.
+    // Small voxels give small surfels. Large surfels would blur the edges of objects.
     config.init.voxel_m = 0.1;
     config.init.voxel_growth = 0.006;    // approximately the spacing of neighbouring rays
     config.init.normal_neighbours = 24;  // with 6 points, noise of 2 cm would tilt a normal by 0.1 rad
-    // Variance across a surface divided by the variance within it. Other points, for
-    // example on leaves, become surfels that face the sensor.
+    // Maximum ratio (variance across a surface) / (variance within it) of neighbouring
+    // points. Other points, for example on leaves, become surfels that face the sensor.
     config.init.flatness = 0.04;
     // KITTI labels only objects that its front camera sees.
     config.init.unlabelled_movers = UnlabelledMoverPolicy::actors;
@@ -86,7 +91,8 @@ Config default_preset() {
     config.train.scale_rate = 1e-2;
     config.train.max_growth = 8.0;  // without this limit, some surfels grow far too large, up to 8 m
     config.train.sh_rate = 3e-2;
-    // A factor of 1 would overfit, because few rays observe each surfel.
+    // Learning rate of intensities relative to drop probabilities. A factor of 1 would
+    // overfit, because few rays observe each surfel.
     config.train.intensity_factor = 0.25;
     config.train.rate_decay = 0.05;
     config.train.sensor_drop = true;
@@ -94,21 +100,24 @@ Config default_preset() {
     config.refine.enabled = true;          // the network improves the accuracy of ray-drop
     config.refine.frames = 200;  // limited because the images of all these frames are in memory together
     config.render.range = "normalised";
-    // LiDAR heads rotate at varying speed
+    // LiDAR heads rotate at varying speed, so the measured azimuths of a sweep are used.
     config.render.follow_sweeps = true;
     // With 64 hits per chunk, nearly every ray becomes opaque within its first chunk.
     config.trace.chunk = 64;
     return config;
 }
 
-/// Training on a CPU in minutes: fewer rays per step and fewer steps.
+/// Returns settings for training on a CPU in minutes: fewer rays per step and fewer
+/// steps.
 Config quick_preset() {
     Config config = default_preset();
     config.preset = "quick";
     config.init.voxel_growth = 0.01;
-    // An opaque surfel leaves a transmittance of 0.01, so the value must be smaller.
+    // A ray ends before the surfel that would reduce its transmittance below this value.
+    // An opaque surfel leaves 0.01, so the value must be smaller.
     config.image.transmittance_min = 9e-3f;
-    // Larger than in `default`, so that rays hit fewer surfels.
+    // Larger than in `default`, so that more of the faint edge of each surfel is skipped.
+    // Rays then hit fewer surfels, and training is faster.
     config.image.alpha_min = 0.04f;
     config.image.sh_degree = 2;
     config.train.iterations = 540;

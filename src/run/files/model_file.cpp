@@ -45,7 +45,8 @@ glm::vec3 read_half_size_m(const JsonField& model) {
 
 constexpr const char* kSurfaceKey = "surface";
 
-/// Nothing if the file does not contain it.
+/// Reads which parts of an actor's box surface the log has observed. Returns nothing if
+/// the file does not contain them.
 std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
     if (!model.has_member(kSurfaceKey)) return {};
     const JsonField field = model.at(kSurfaceKey), size = field.at("size_m");
@@ -63,6 +64,8 @@ std::optional<ObservedBoxSurface> read_surface(const JsonField& model) {
     return surface;
 }
 
+/// Reads the models and instances of a scene whose surfels are already loaded. The models
+/// must cover all surfels in order, without gaps.
 void read_models(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
@@ -99,6 +102,8 @@ void read_models(const JsonField& layout, Scene& scene) {
 
 constexpr const char* kBlocksKey = "blocks";
 
+/// Converts the list of background blocks to JSON. File names are relative to the folder
+/// of the model, so that the folder can be moved.
 std::string format_blocks(const Scene& scene, const std::filesystem::path& model_folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
@@ -115,6 +120,8 @@ glm::vec3 read_corner(const JsonField& field) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
+/// Reads the list of background blocks from JSON. Rejects file names outside the folder
+/// of the model.
 void parse_blocks(const std::string& json_text, const std::string& where,
                   const std::filesystem::path& model_folder, Scene& scene) {
     const nlohmann::json json = parse_json(json_text, where);
@@ -134,6 +141,8 @@ void parse_blocks(const std::string& json_text, const std::string& where,
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
+/// Reads the table [channels, bins] of the sensor's ray-drop probabilities, if the file
+/// contains it.
 void read_drop_table(const files::ArrayFile& file, Scene& scene) {
     using files::kAnyLength;
     if (!find_array(file.arrays, kSensorDrop)) return;
@@ -192,6 +201,7 @@ void save_model(const std::filesystem::path& path, const Scene& scene) {
     files::write_array_file(path, arrays, kModelFormat, kModelVersion, std::move(metadata));
 }
 
+/// Loads a scene. Checks the shape of every array before it allocates memory.
 Scene load_model(const std::filesystem::path& path) {
     if (!does_path_exist(path)) fail("{}: no such file", path.string());
     const files::ArrayFile file(path, kModelFormat, kModelVersion);

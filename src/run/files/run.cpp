@@ -43,7 +43,8 @@ void create_folder(const fs::path& folder) {
              failed ? failed.message() : "a file with this name exists");
 }
 
-/// Copies the file if the file system cannot create a hard link.
+/// Creates a hard link to a file. Copies the file if the file system cannot create the
+/// link.
 void link_file(const fs::path& source_file, const fs::path& target_file) {
     create_folder(target_file.parent_path());
     std::error_code failed;
@@ -57,6 +58,9 @@ void link_file(const fs::path& source_file, const fs::path& target_file) {
     });
 }
 
+/// Links or copies the files of the background blocks to `target`. Returns the blocks
+/// with the new file paths.
+/// @param skip_linked  true: skips files that are already in the folder of the run
 std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target, bool skip_linked) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
@@ -69,8 +73,9 @@ std::vector<SceneBlock> link_blocks(const Run& run, const fs::path& target, bool
     return blocks;
 }
 
-/// Some fields of Config are not settings, so the file cannot store them. Throws an error
-/// if such a field differs from the preset.
+/// Writes the settings of a run to config.toml. Some fields of Config are not settings,
+/// so the file cannot store them. Throws an error if such a field differs from the
+/// preset.
 void save_run_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text_file(path, to_toml(run.config));
@@ -103,7 +108,8 @@ void write_run_files(const Run& run, const fs::path& folder, bool keep_block_fil
     files::save_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
-/// Error messages show the final file names, not the temporary names.
+/// Writes all files of a run to a temporary folder. Error messages show the final file
+/// names, not the temporary names.
 void stage_run(const Run& run, const fs::path& staging_folder, bool keep_block_files) {
     try {
         write_run_files(run, staging_folder, keep_block_files);
@@ -137,8 +143,9 @@ void rename_file(const fs::path& source, const fs::path& target) {
         fail("cannot write '{}': renaming the temporary file failed: {}", target.string(), failed.message());
 }
 
-/// Keeps the old config.toml unless it differs or `remove_old` is set, so that
-/// training can be resumed even if the process is killed during the move.
+/// Moves the files of `staging` to the run's folder. scene.json and a changed config.toml
+/// are removed first and moved last, so that an interrupted move leaves no run that looks
+/// complete. An equal config.toml stays, so that training can be resumed even then.
 void move_files(const fs::path& staging, const fs::path& folder, const std::function<void()>& remove_old) {
     const std::string config = read_file(staging / kConfigFile);
     const bool same_config =
@@ -237,8 +244,9 @@ bool is_run_folder(const fs::path& path) {
 
 void prepare_folder(const fs::path& folder) {
     create_folder(folder);
-    // Several processes may test the same folder. If the process is killed here,
-    // remove_temp() deletes the file later.
+    // The name of the test file contains the process id, because several processes may
+    // test the same folder. If the process is killed here, remove_temp() deletes the file
+    // later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0) fail("cannot write to '{}': {}", folder.string(), std::generic_category().message(errno));

@@ -70,6 +70,7 @@ Json lidars_json(const Log& sequence) {
     return json;
 }
 
+/// Converts the frames to JSON: index, time, LiDAR, part of the split, and vehicle pose.
 Json frames_json(const Log& sequence, const Split& split) {
     Json frames = Json::array();
     for (std::size_t i = 0; i < sequence.frames.size(); ++i) {
@@ -90,6 +91,8 @@ Json frames_json(const Log& sequence, const Split& split) {
     return frames;
 }
 
+/// Checks that the absolute value of each number is at most `limit`.
+/// @throws DataError for the first number above this limit
 void check_magnitude(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)
@@ -105,7 +108,8 @@ Pose read_pose(const JsonField& field) {
         field.reject(fmt::format("found a quaternion of length {}", length),
                      "expected a quaternion of length 1");
     check_magnitude(field, {v[0], v[1], v[2]}, kMaxCoordinate_m);
-    // Not normalised again, because rounding would change its last digits.
+    // Does not normalise the quaternion again, because rounding would change its last
+    // digits.
     return {q, {v[0], v[1], v[2]}};
 }
 
@@ -142,6 +146,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
+/// Reads how measured intensities depend on range and angle of incidence.
 IntensityResponse parse_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
                               field.at("incidence").number_in(0.0, 1.0)};
@@ -157,6 +162,7 @@ IntensityResponse parse_response(const JsonField& field) {
     return r;
 }
 
+/// Reads the frames, their vehicle poses, and the split into training and test frames.
 void parse_frames(const JsonField& field, SceneJsonContents& scene) {
     const auto last_lidar = static_cast<std::int64_t>(scene.sequence.lidars.size()) - 1;
     for (std::size_t i = 0; i < field.size(); ++i) {
@@ -177,6 +183,7 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
             entry.at("split").reject("found \"" + part + "\"", "expected train, test or unused");
         const Pose pose = read_pose(entry.at("world_from_vehicle"));
         PoseTrack& track = scene.sequence.world_from_vehicle;
+        // Frames of several LiDARs at the same time share one pose.
         if (track.time_s.empty() || track.time_s.back() != frame.time_s) {
             track.time_s.push_back(frame.time_s);
             track.pose.push_back(pose);
@@ -186,6 +193,8 @@ void parse_frames(const JsonField& field, SceneJsonContents& scene) {
     if (scene.sequence.frames.empty()) field.reject("found no frame", "expected at least one frame");
 }
 
+/// Reads a box with its poses. `beside_labels` has the numbers of poses that were added
+/// before the first and after the last label.
 BoxTrack read_box_track(const JsonField& field) {
     BoxTrack box;
     box.id = field.at("id").text();
@@ -216,7 +225,8 @@ BoxTrack read_box_track(const JsonField& field) {
     return box;
 }
 
-/// Detects entries that a manual edit or a wrong merge has removed.
+/// Compares each count in the file with the length of its list, to detect entries that a
+/// manual edit or a wrong merge has removed.
 void check_counts(const JsonField& root, const SceneJsonContents& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -259,7 +269,8 @@ std::string format_scene(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const EditHistoryEntry& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Rejects values that cannot be read again, for example NaN in a pose.
+    // Parses the new text once, to reject values that cannot be read again, for example
+    // NaN in a pose.
     parse_scene(text, "writing scene.json");
     return text + "\n";
 }

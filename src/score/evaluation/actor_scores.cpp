@@ -14,6 +14,7 @@
 namespace relidar {
 namespace {
 
+// Margins around a box for its points and for the rays that hit it.
 constexpr double kBoxMargin_m = 0.1, kSilhouetteMargin_m = 0.3;
 // Lower points belong to the ground.
 constexpr double kGroundHeight_m = 0.15;
@@ -65,6 +66,8 @@ double compute_mean(const std::vector<double>& values) {
     return sum / double(std::max<std::size_t>(values.size(), 1));
 }
 
+/// Adds the median absolute error, the median error (bias), and the fraction of errors
+/// above kLargeError_m.
 void add_range_errors(MetricValues& row, const std::string& name_prefix,
                       const std::vector<double>& errors_m) {
     if (errors_m.empty()) return;
@@ -114,6 +117,7 @@ struct SweptBoxVolume {
     glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the centres
 };
 
+/// Returns the volume that each moving box occupies during the full log.
 std::vector<SweptBoxVolume> sweep_boxes(const Log& sequence) {
     std::vector<SweptBoxVolume> swept;
     for (const BoxTrack& box : sequence.boxes) {
@@ -155,6 +159,8 @@ struct CometTailPointCounts {
     }
 };
 
+/// Counts the points in comet tails on all cores. A point is in a tail if a box contains
+/// it at another time, but no box contains it at its own time.
 CometTailPointCounts count_by_box(const RangeImage& image, const std::vector<float>& point_ranges_m,
                                   const Log& sequence, const std::vector<SweptBoxVolume>& swept_volumes,
                                   const SweepTiming& sweep) {
@@ -267,6 +273,8 @@ FrameActorScores score_actors(const RangeImage& rendered, const std::vector<floa
     return scores;
 }
 
+/// Combines the scores of each actor over the frames, and sorts actors from the worst to
+/// the best.
 std::vector<ActorScore> average_scores(const std::vector<std::vector<ActorScore>>& scores_per_frame) {
     struct Sums {
         std::string category;

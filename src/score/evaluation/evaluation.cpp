@@ -22,7 +22,8 @@ constexpr double kSameTime_s = 1e-3;
 // limited because all images of these frames are in memory
 constexpr std::size_t kScoredAtOnce = 16;
 
-/// With the grid "native", exactly the rays of the recorded scan.
+/// Returns the sensor with which a frame is rendered. If config.sensor.grid is "native",
+/// it fires exactly the rays of the recorded scan.
 SimulatedSensor frame_sensor(const Config& config, const Log& sequence, const Frame& frame) {
     SimulatedSensor sensor = make_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") {
@@ -52,6 +53,8 @@ struct RenderedFrame {
     MetricValues class_scores;  ///< scores of the channel `class`; empty without labels
 };
 
+/// Returns the measured image of a frame and the masks of its moving boxes, without a
+/// rendering.
 RenderedFrame make_real_frame(const Config& config, const Log& log, const Frame& frame, const Pose& offset) {
     RenderedFrame result;
     result.frame.frame = frame.index;
@@ -87,6 +90,8 @@ std::unique_ptr<Lpips> load_lpips() {
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
+/// Computes the metrics of several rendered frames in parallel.
+/// @param lpips_network  if null, the metric LPIPS is left out
 std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_frames, const Config& config,
                                         const Log& sequence, const Lpips* lpips_network) {
     MetricOptions options;
@@ -98,7 +103,8 @@ std::vector<ScoredFrame> score_rendered(std::vector<RenderedFrame> rendered_fram
     for (const RenderedFrame& r : rendered_frames) {
         std::vector<PixelRegion> regions = make_regions(r.frame.real, r.moving);
         if (!r.discovered.empty()) regions.push_back({"discovered_boxes", r.discovered});
-        // A baseline has one range per ray, so its points are those of its image.
+        // `points_m` is empty for a baseline, which projects real scans instead of
+        // rendering them. In this case, uses the ranges of the image.
         const std::vector<float>& points_m = point_ranges(r.frame.rendered, config);
         comparisons.push_back({&r.frame.rendered.image, &r.frame.real, std::move(regions),
                                points_m.empty() ? r.frame.rendered.image.range_m : points_m});
@@ -130,6 +136,8 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Log& sequence, con
     }
 }
 
+/// Counts the range errors of rays in a table of range bands and error bands. Rays
+/// without a rendered return count in the last error band.
 RangeErrorCounts count_range_errors(const RangeImage& rendered, const RangeImage& real) {
     constexpr auto& kRangeEdges = RangeErrorCounts::kRangeEdges_m;
     constexpr auto& kErrorEdges = RangeErrorCounts::kErrorEdges_m;
@@ -157,6 +165,8 @@ struct BatchEvaluationParams {
     const ScoredFrameCallback& see;
 };
 
+/// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
+/// @param render_one_frame  renders a frame, or predicts it for a baseline
 std::vector<ScoredFrame> score_frames(
     const BatchEvaluationParams& frame_batch, const char* progress_text,
     const std::function<RenderedFrame(int position, const Frame&)>& render_one_frame) {
@@ -177,7 +187,7 @@ std::vector<ScoredFrame> score_frames(
         for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (frame_batch.see) frame_batch.see(frame);
-            // Only the middle frame keeps its images.
+            // Only the middle frame keeps its images. All frames keep the rendering time.
             if (scored.size() != n / 2) {
                 const double trace_ms = frame.rendered.trace_ms;
                 frame.rendered = {};

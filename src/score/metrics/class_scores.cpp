@@ -5,6 +5,7 @@
 
 namespace relidar {
 
+/// Computes the accuracy and the mean intersection over union of the classes that occur.
 MetricValues score_classes(const std::vector<std::int32_t>& rendered, std::span<const SurfaceClass> real) {
     std::array<double, kSurfaceClasses> n_both{}, n_either{}, n_real{};
     double n = 0.0, n_equal = 0.0;

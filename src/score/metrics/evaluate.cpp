@@ -56,7 +56,8 @@ ImagePair make_image_pair(const RangeImage& rendered, const RangeImage& real, do
             real.columns, maximum};
 }
 
-/// Leaves SSIM out if the real image is constant or smaller than the SSIM window.
+/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves SSIM out if the real
+/// image is constant, or smaller than the SSIM window.
 void add_image_metrics(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                        const ImagePair& image_pair, const Lpips* lpips_network) {
     const double squared = add_errors(row, name_prefix, unit_suffix, image_pair.rendered, image_pair.real);
@@ -88,7 +89,7 @@ struct CloudDistances {
     bool has_distances() const { return !to_truth.empty(); }
     double chamfer() const { return mean_value(to_truth) + mean_value(to_rendered); }
     double squared_chamfer() const { return mean_square(to_truth) + mean_square(to_rendered); }
-    /// harmonic mean of precision and recall; 0 if a cloud is empty
+    /// Returns the harmonic mean of precision and recall, or 0 if a cloud is empty.
     double compute_f_score(double threshold_m) const {
         if (!has_distances()) return 0.0;
         const double precision = fraction_below(to_truth, threshold_m),
@@ -97,6 +98,8 @@ struct CloudDistances {
     }
 };
 
+/// Adds the metrics of published papers (docs/method.md section 8): full images in which
+/// dropped pixels are 0, and distances of the point clouds.
 void add_published(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
                    const MetricOptions& options) {
     const double threshold = options.peer_drop_threshold;
@@ -115,6 +118,7 @@ void add_published(MetricValues& row, const RangeImage& rendered, const RangeIma
     row["peer/f_score"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
+/// Adds metrics of a classifier that predicts for each pixel whether its ray is dropped.
 /// "Dropped" is the positive class.
 void add_drop_metrics(MetricValues& row, const PixelMask& rendered_returns, const PixelMask& real_returns) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
@@ -133,7 +137,8 @@ void add_drop_metrics(MetricValues& row, const PixelMask& rendered_returns, cons
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
-/// Range errors of pixels with a return in both images, and distances of the clouds.
+/// Computes range errors of the pixels with a return in both images. Also computes
+/// distances between the rendered and the real point cloud.
 void add_point_metrics(MetricValues& row, const std::string& name_prefix, const RangeImage& rendered,
                        const RangeImage& real, const MetricOptions& options) {
     const PixelMask rendered_returns = return_mask(rendered, options.strict_drop_threshold),
@@ -151,6 +156,8 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
     row[name_prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
+/// Adds metrics that separate errors of ranges and intensities from errors of ray-drop:
+/// values are compared only where both images have a return.
 void add_strict(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
     const PixelMask rendered_returns = return_mask(rendered, options.strict_drop_threshold);

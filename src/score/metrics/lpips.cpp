@@ -22,6 +22,7 @@ using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMa
 constexpr int kConvLayers = 5;
 // the pooling layers reduce 31 pixels to 7, 3 and finally 1
 constexpr int kMinEdgePixels = 31;
+// Added to the length of a feature vector, so that a zero vector can be normalised.
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
@@ -66,6 +67,7 @@ Matrix im2col(const FeatureMap& input, const ConvLayerShape& layer, int output_r
     return windows;
 }
 
+/// Applies a convolution as one matrix product, then adds the bias and applies ReLU.
 FeatureMap convolve_relu(const FeatureMap& input_features, const ConvLayerShape& layer,
                          const std::vector<float>& filter_weights, const std::vector<float>& bias) {
     FeatureMap result;
@@ -79,6 +81,7 @@ FeatureMap convolve_relu(const FeatureMap& input_features, const ConvLayerShape&
     return result;
 }
 
+/// Applies a 3 x 3 max-pooling with stride 2 to feature images.
 FeatureMap max_pool(const FeatureMap& input_features) {
     FeatureMap result{(input_features.rows - 3) / 2 + 1, (input_features.columns - 3) / 2 + 1, {}};
     result.values.resize(input_features.values.rows(), Eigen::Index(result.rows) * result.columns);
@@ -93,8 +96,9 @@ FeatureMap max_pool(const FeatureMap& input_features) {
     return result;
 }
 
-/// Normalises both feature vectors of a pixel to unit length. Returns their weighted
-/// squared difference, averaged over all pixels.
+/// Returns the LPIPS distance of two feature images. At each pixel, normalises both
+/// feature vectors to unit length and computes their weighted squared difference.
+/// Averages over all pixels.
 double feature_distance(const FeatureMap& a, const FeatureMap& b, const std::vector<float>& weights) {
     const Eigen::ArrayXXd fa = a.values.cast<double>().array(), fb = b.values.cast<double>().array();
     const Eigen::ArrayXd weight =

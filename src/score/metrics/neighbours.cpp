@@ -18,7 +18,8 @@ namespace {
 // on each side, because the column of an azimuth can be wrong by 2.8 (HDL-64E)
 constexpr int kColumnSearch = 4;
 
-/// Of the same LiDAR before and after; only one if the other does not exist.
+/// Returns the nearest training frames of the same LiDAR before and after a frame.
+/// Returns only one if the other does not exist.
 std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std::vector<int>& train_frames) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
@@ -38,7 +39,8 @@ std::vector<int> find_neighbours(const Log& sequence, int frame_index, const std
     return neighbours;
 }
 
-/// at the time when the rotating LiDAR faces the point
+/// Converts a point from the world frame to the sensor frame at the time when the
+/// rotating LiDAR faces the point.
 glm::dvec3 world_to_sensor(const Log& sequence, const glm::dvec3& world_point_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference =
@@ -83,7 +85,8 @@ struct RayTableNeighbours {
         const glm::dvec3 ray = ray_direction({rays.rows / 2, column});
         return std::remainder(std::atan2(direction.y, direction.x) - std::atan2(ray.y, ray.x), 2.0 * kPi);
     }
-    /// In units of columns. Columns of less than a full turn have even steps.
+    /// Returns the azimuth of a point in units of columns. Columns of less than a full
+    /// turn have even steps.
     double estimate_column(const glm::dvec3& point_m) const {
         if (circular) return (1.0 - std::atan2(point_m.y, point_m.x) / kPi) / 2.0 * rays.columns;
         const int first = rays.columns / 4, last = 3 * rays.columns / 4;
@@ -102,8 +105,9 @@ struct RayTableNeighbours {
         const glm::dvec3 v = vector_from_origin(ray_cell, point_m);
         return glm::dot(v, ray_direction(ray_cell)) / glm::length(v);
     }
-    /// Finds the row with the nearest elevation, then compares it with both neighbouring
-    /// rows.
+    /// Returns the ray with the smallest angle to a point. Finds the row with the nearest
+    /// elevation first. Then compares a few rays around it, because beams have different
+    /// azimuth offsets.
     RayPixel find_nearest(const glm::vec3& point_m) const {
         const int column = int(std::lround(estimate_column(point_m)));
         int row = 0;
@@ -123,8 +127,8 @@ struct RayTableNeighbours {
                 }
         return best;
     }
-    /// By more than half the spacing of the outer rows, or of the outer columns of less
-    /// than a full turn.
+    /// Returns true if a point is outside the outer rows, or outside the outer columns of
+    /// less than a full turn, by more than half their spacing.
     bool is_outside(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double column = estimate_column(point_m);
         if (!circular && (column < -0.5 || column > rays.columns - 0.5)) return true;
@@ -150,7 +154,8 @@ Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frame
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = locate_return(log, frame, ray);
-            // the measured range includes the range offset of the beam
+            // Moves the point along its ray to the measured range, which includes the
+            // range offset of the beam.
             w.point_m +=
                 double(frame.scan.range_m[ray] - surface_return(log, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
@@ -174,6 +179,8 @@ Scan predict_scan(const Log& log, int index, const std::vector<int>& train_frame
     return points;
 }
 
+/// Projects points to the rays of a sensor. A ray keeps its nearest point, because nearer
+/// surfaces hide farther ones.
 Scan assign_points(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
         fail(

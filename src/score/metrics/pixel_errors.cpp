@@ -89,6 +89,8 @@ double mean_square(const PixelValues& values) {
     return sum / double(values.size());
 }
 
+/// Adds the root mean square, the mean and the median of the absolute errors.
+/// @return mean squared error, or -1 without values
 double add_errors(MetricValues& row, const std::string& name_prefix, const std::string& unit_suffix,
                   const PixelValues& first, const PixelValues& second) {
     if (first.empty()) return -1.0;
@@ -99,6 +101,7 @@ double add_errors(MetricValues& row, const std::string& name_prefix, const std::
     row[name_prefix + "mae" + unit_suffix] = mean_value(error);
     const auto middle = error.begin() + std::ptrdiff_t(error.size() / 2);
     std::nth_element(error.begin(), middle, error.end());
+    // The median of an even number of errors is the mean of the two middle errors.
     double median = *middle;
     if (error.size() % 2 == 0) median = 0.5 * (*middle + *std::max_element(error.begin(), middle));
     row[name_prefix + "medae" + unit_suffix] = median;

@@ -26,9 +26,10 @@ PixelRegion range_band(const RangeImage& real_image, double min_range_m, double 
     return region;
 }
 
+/// Returns a mask of the returns of a frame that are in a moving box.
 PixelMask mask_boxes(std::vector<BoxTrack> boxes, const Log& log, const Frame& frame, const Pose& offset) {
     const PoseTrack track = mount_track(log.lidar_track(frame.lidar), offset);
-    // is_moving() is slow
+    // Evaluates is_moving() only once for each box, because it is slow.
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.is_moving(); });
     PixelMask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
@@ -83,7 +84,8 @@ std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<
 
 std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled;
-    // Without the poses that discover_tracks() may have added.
+    // discover_tracks() may have added poses before the first or after the last label of
+    // a box. Removes these poses, so that the result does not depend on them.
     for (const BoxTrack& box : log.boxes)
         if (box.category != kDiscoveredCategory) labelled.push_back(box.labelled_part());
     return mask_boxes(std::move(labelled), log, frame, sensor_offset);

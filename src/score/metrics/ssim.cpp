@@ -30,6 +30,8 @@ struct SsimWindowSums {
     }
 };
 
+/// Returns the SSIM of a window from its sums. Variances have the divisor n - 1, as in
+/// scikit-image.
 double window_ssim(const SsimWindowSums& window_sums, double c1, double c2) {
     constexpr double n = kWindowPixels * kWindowPixels;
     constexpr double sample = n / (n - 1.0);

@@ -47,6 +47,8 @@ bool is_drawable(const ReportCurve& curve, std::size_t point) {
     return std::abs(curve.x[point]) < 1e100 && std::abs(curve.y[point]) < 1e100;
 }
 
+/// Returns the smallest step of 1, 2 or 5 times a power of ten that gives at most
+/// `n_ticks` intervals.
 double choose_tick_step(double span, int n_ticks) {
     const double raw = span / n_ticks, decade = std::pow(10.0, std::floor(std::log10(raw)));
     for (double factor : {1.0, 2.0, 5.0})
@@ -63,8 +65,8 @@ std::vector<double> linear_ticks(const ChartAxis& axis, int n_ticks) {
     return ticks;
 }
 
-/// Usually the powers of ten. Leaves some out if there are many. Adds ticks at 2 and 5
-/// times each power if there are few.
+/// Returns the ticks of a logarithmic axis, usually the powers of ten. Leaves some out if
+/// there are many. Adds ticks at 2 and 5 times each power if there are few.
 std::vector<double> make_log_ticks(const ChartAxis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
@@ -90,6 +92,8 @@ ChartAxis make_axis(const ValueInterval& value_extent, double page_low, double p
     return {value_extent.low, value_extent.high, page_low, page_high, false};
 }
 
+/// Returns the y axis with a margin. It is logarithmic if all values are positive and
+/// span more than a factor of 4.
 ChartAxis make_y_axis(const ValueInterval& value_extent, double page_low, double page_high) {
     ChartAxis axis = make_axis(value_extent, page_low, page_high);
     axis.logarithmic = axis.low > 0.0 && axis.high > 4.0 * axis.low;
@@ -115,8 +119,9 @@ ChartAxis make_x_axis(const ValueInterval& value_extent, double page_low, double
     return axis;
 }
 
-/// The minimum and the maximum of each interval of the x axis, so that spikes remain
-/// visible. Values that are not finite become gaps.
+/// Returns the indices of the points to draw: the minimum and the maximum of each
+/// interval of the x axis. Spikes therefore remain visible. Values that are not finite
+/// become gaps.
 std::vector<std::size_t> thin_out(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kMaxIntervals);
     std::vector<std::size_t> point_indices;
@@ -133,7 +138,8 @@ std::vector<std::size_t> thin_out(const ReportCurve& curve) {
     return point_indices;
 }
 
-/// At a few hundred points, over a window of 1/40 of the curve.
+/// Returns the running mean of a curve at a few hundred points. The window is 1/40 of the
+/// curve wide.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_samples = std::min(n, kMaxIntervals);
     ReportCurve result{curve.name, {}, {}};

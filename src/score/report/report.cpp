@@ -60,6 +60,7 @@ std::string table_html(const ReportTable& table) {
     return make_table_html(head, rows) + "<p class=\"note\">" + escape_html(table.note) + "</p>\n";
 }
 
+/// Returns a table in which each row is a bar of stacked shares.
 std::string bars_html(const ReportBars& bars) {
     std::string head = "<th>Where</th><th class=\"stack\">Shares</th>", rows;
     for (std::size_t b = 0; b < bars.bands.size(); ++b)
@@ -96,7 +97,8 @@ std::pair<std::string, std::string> split_metric(const std::string& metric_name)
     return {metric_name.substr(0, slash), metric_name.substr(slash + 1)};
 }
 
-/// +1 if larger values of a metric are better, -1 if smaller values are, 0 if unknown.
+/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
+/// and 0 if this is unknown.
 int improvement_sign(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -111,8 +113,8 @@ std::optional<double> find_value(const MetricValues& row, const std::string& met
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
-/// Among all columns of the report. Nothing if fewer than two columns have the metric, or
-/// if it is unknown whether larger values are better.
+/// Returns the best value of a metric among all columns. Returns nothing if fewer than
+/// two columns have it, or if it is unknown whether larger values are better.
 std::optional<double> find_best_value(const Report& report, const std::string& metric_name) {
     const int direction = improvement_sign(metric_name);
     std::optional<double> best;
@@ -136,6 +138,8 @@ std::string cells_html(const Report& report, const std::string& metric_name) {
     return cells;
 }
 
+/// Returns a table of all metrics. The names are sorted, so that the metrics of a group
+/// are next to each other.
 std::string metrics_html(const Report& report) {
     std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
@@ -187,6 +191,7 @@ std::string make_chart_html(const std::string& title, const std::vector<const Re
                        report::draw_svg_chart(lines, width, 300), legend);
 }
 
+/// Returns one chart for each group of curves, in the order of the report.
 std::string curves_html(const Report& report) {
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
@@ -208,7 +213,8 @@ std::string curves_html(const Report& report) {
                   : "");
 }
 
-/// The bar is relative to `longest_ms`. Without a bar if `longest_ms` is 0.
+/// Returns a table row with the time of a kernel, its percentage of `total_ms`, and a
+/// bar. The length of the bar is relative to `longest_ms`. No bar is drawn if that is 0.
 std::string timing_row_html(const std::string& kernel_name, double ms, double total_ms, double longest_ms) {
     const bool is_valid_time = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
@@ -220,8 +226,8 @@ std::string timing_row_html(const std::string& kernel_name, double ms, double to
                        escape_html(kernel_name), ms, share, bar);
 }
 
-/// From the longest to the shortest. The total is the entry "total" or, if it is missing,
-/// the sum of all entries.
+/// Returns a table of kernel times, sorted from the longest to the shortest. The total is
+/// the entry "total" or, if it is missing, the sum of all entries.
 std::string timing_html(const MetricValues& kernel_times_ms) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;

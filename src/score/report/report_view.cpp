@@ -29,6 +29,8 @@ constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kMaxDrawnRange_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
+/// Packs points into 8 bytes each: x, y, z in centimetres (int16), intensity, and range
+/// error in steps of kErrorStep_m. 255 means an unknown error.
 std::vector<std::uint8_t> pack_cloud(const ReportCloud& cloud, std::size_t max_points) {
     const std::size_t n = cloud.position_m.size(),
                       step = std::max<std::size_t>(1, (n + max_points - 1) / max_points);
@@ -51,7 +53,8 @@ std::vector<std::uint8_t> pack_cloud(const ReportCloud& cloud, std::size_t max_p
     return bytes;
 }
 
-/// Removes imports and the keyword `export`, to join modules into one script.
+/// Converts a JavaScript module, so that it can be joined with others into one script.
+/// Removes imports and the keyword `export`.
 std::string strip_module(std::string_view module_source) {
     std::string script;
     while (!module_source.empty()) {

@@ -90,8 +90,8 @@ void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& spl
     for (const ResumeFingerprint& mark : fingerprint_log(log, split)) check_same(checkpoint, mark, doing);
 }
 
-/// Adds a line to the training log. Estimates the remaining time from the speed since the
-/// first line, because earlier iterations include warm-up.
+/// Adds a line to the training log. Estimates the remaining time in seconds from the
+/// speed since the first line of the log.
 void append_log_line(std::vector<TrainProgress>& log, const TrainLogLine& line, const Config& config,
                      double elapsed_s) {
     TrainProgress p = make_progress(line.step, config, elapsed_s, line.terms, line.n_surfels);
