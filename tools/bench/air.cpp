@@ -29,6 +29,7 @@ constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
 constexpr std::size_t kRaysPerPoint = 256;
 constexpr std::size_t kPointsPerCast = 4096;  // Number of points whose test rays are cast together.
 
+/// Returns directions that are evenly distributed on the sphere (Fibonacci spiral).
 std::array<glm::vec3, kRaysPerPoint> sphere_directions() {
     std::array<glm::vec3, kRaysPerPoint> directions;
     for (std::size_t i = 0; i < kRaysPerPoint; ++i) {
@@ -102,6 +103,8 @@ std::vector<float> street_distances(const StreetScanSetup& street_scan,
 struct AirPointCounts {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
+    /// Counts the points of a scan, and how many of them float in empty space. Only
+    /// points with a range error are compared with the street, because this is slow.
     void add_points(const StreetScanSetup& street_scan, const SimulatedRayRanges& simulated_ranges,
                     const RenderedScan& rendered_scan) {
         const std::vector<float>& range_m = simulated_ranges.range_m;

@@ -43,6 +43,8 @@ std::vector<SyntheticCar> list_cars_of_run(const Run& run) {
     return cars;
 }
 
+/// Scores an edited run on the pixels that the edits have changed. The truth is a scan of
+/// the synthetic street with its cars at the edited poses.
 void print_edited_scores(const std::string& folder) {
     Run run = load_run(folder);
     run.config = with_max_range(std::move(run.config), run.sequence);

@@ -73,6 +73,8 @@ struct RayQueryState {
     int n = 0;
     EmbreeHit hits[kMaxChunk];
 
+    /// Tests a surfel and inserts its hit into the list of the nearest `chunk` hits,
+    /// sorted by distance. Ignores hits up to `after`, the last hit of the previous pass.
     void test_surfel(unsigned surfel_index) {
         const SurfelGeometry& s = world->records[surfel_index];
         const glm::vec3 to_mean = s.mean - origin;
@@ -91,6 +93,8 @@ struct RayQueryState {
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
         hits[slot] = hit;
     }
+    /// Returns the distance behind which no hit can enter the list. The margin covers
+    /// rounding of Embree's distances.
     float search_end() const {
         return n == chunk ? hits[n - 1].t + 1e-4f + 1e-5f * hits[n - 1].t
                           : std::numeric_limits<float>::infinity();
@@ -159,6 +163,8 @@ public:
     EmbreeRenderer(const EmbreeRenderer&) = delete;
     EmbreeRenderer& operator=(const EmbreeRenderer&) = delete;
 
+    /// Renders a ray front to back. Each pass finds the next `chunk` hits and blends
+    /// them, until the ray is opaque or has no more hits.
     RenderedPixel render_ray(const glm::vec3& origin, const glm::vec3& direction) const {
         RayQueryState query;
         query.world = &world_;
@@ -185,6 +191,8 @@ private:
     int chunk_;
     EmbreeSceneData world_;
 
+    /// Adds a surfel and stores the corners of its quad. The quad contains all points
+    /// with an opacity of at least alpha_min.
     void add_surfel_quad(const Surfels& surfels, std::size_t surfel_index, glm::vec3* output_corners) {
         const glm::vec4 q = surfels.rotation[surfel_index];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
@@ -227,6 +235,8 @@ private:
 #endif
     }
 
+    /// Blends a hit into a pixel.
+    /// @return false if the ray is already opaque, so that the hit is invisible
     bool blend_hit(const EmbreeHit& hit, const float* sh_basis_values, RenderedPixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
                     next = pixel.transmittance * (1.0f - alpha);
@@ -252,6 +262,8 @@ private:
     }
 };
 
+/// Renders all rays on several threads. Each thread takes its next block of rays from a
+/// shared counter.
 std::vector<RenderedPixel> render_rays(const EmbreeRenderer& renderer, const RayTable& rays, int n_threads) {
     constexpr std::size_t kRaysPerBlock = 256;
     std::vector<RenderedPixel> image(rays.size());

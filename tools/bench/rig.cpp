@@ -73,6 +73,8 @@ void add_second_return(RigScanScore& score, const ScanRanges& rendered_returns,
     score.invented += reported_m > 0.0f && !right;
 }
 
+/// Compares a scan with the exact scan of the street along the same rays. Range 0 means
+/// that a ray has no return.
 void add_comparison(RigScanScore& score, const ScanRanges& rendered_returns,
                     const ScanRanges& exact_returns) {
     for (std::size_t i = 0; i < exact_returns.range_m.size(); ++i) {
@@ -122,6 +124,8 @@ ScanRanges cast_exact_ranges(const StreetOptions& street, RayTable rays_in_senso
     return return_ranges(scan);
 }
 
+/// Renders the held-out sweeps with another sensor in place of the first LiDAR, and
+/// scores them.
 void score_sensor(ScanRenderer& renderer, const Run& run, const StreetOptions& street_options,
                   const std::string& sensor_name) {
     const SimulatedSensor sensor = choose_sensor(sensor_name, run.config, run.sequence);

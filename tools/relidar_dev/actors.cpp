@@ -66,6 +66,7 @@ DevCase make_actor_case(int n_actors, bool copies) {
     return bench;
 }
 
+/// Measures the time to build the trees of a scene, and to move all actors by one step.
 void measure_updates(Device& device, const DevCase& setup, int n_repetitions, ActorBenchTimes& actor_times) {
     constexpr int kWarmUp = 3;
     DeviceScene on_device(device, setup.scene);

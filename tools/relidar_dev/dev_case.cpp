@@ -41,6 +41,7 @@ bool parse_positive(const std::string& text, long long& parsed_value) {
     return error == std::errc() && stop == text.data() + text.size() && parsed_value >= 1;
 }
 
+/// Parses an image size such as "64x1024". Returns nothing for the name of a sensor.
 std::optional<ImageSize> parse_grid_size(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
     const std::vector<std::string> words = split_text(text, 'x');

@@ -41,6 +41,8 @@ struct DevCase : BenchCase {
 AccelOptions accel_options(const DevCase& setup);
 TraceOptions trace_options(const DevCase& setup);
 
+/// Checks all options before a scene is created.
+/// @throws UsageError that names the first invalid option
 void check_options(const BenchCaseOptions& choice);
 
 DevCase make_case(const BenchCaseOptions& choice);

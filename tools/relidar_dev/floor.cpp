@@ -25,6 +25,8 @@ constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 double sh_bytes(Sizes s) { return 4 * 3 * s.n_sh; }
 double ray_sh_bytes(Sizes s) { return s.sh_per_surfel ? 0.0 : sh_bytes(s); }
 
+/// Returns the bytes of a refit: boxes of surfels, and nodes of the tree with their
+/// topology (28 bytes).
 double refit_bytes(Sizes s) {
     return s.n_surfels * (kBoxBytes + kIndexBytes) +
            kFewestNodes * s.n_surfels * (28 + kNodeBytes + kBoxBytes);
@@ -44,6 +46,8 @@ double build_bytes(Sizes s) {
            refit_bytes(s);
 }
 
+/// Returns the bytes of the backward trace. Gradients are either written per hit
+/// (`gather`), or added to the surfels with atomics.
 double backward_bytes(Sizes s) {
     const double sums = s.gather ? s.n_hits * (kHitRecordBytes + kRowIndexBytes)
                                  : s.n_touched * 2 * (kSurfelRecordBytes + ray_sh_bytes(s));

@@ -75,6 +75,7 @@ std::uint32_t predict_hits(const DevCase& setup, const std::vector<std::uint32_t
     return keep;
 }
 
+/// Measures the device memory of each part of a benchmark, by creating each part once.
 BenchMemory measure_memory(Device& device, const DevCase& setup, bool includes_training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
@@ -197,6 +198,8 @@ private:
                 training_ ? &training_->targets : nullptr};
     }
 
+    /// Adds the kernel times since the last call to the samples of a phase. The time of a
+    /// kernel is the sum of its launches.
     void append_times(const std::string& phase_name, TimesByKernel& kernel_samples) {
         double total = 0.0;
         std::map<std::string, double> sums;
@@ -224,6 +227,9 @@ std::vector<KernelBenchTime> percentile_rows(const TimesByKernel& samples, std::
     return rows;
 }
 
+/// Returns percentiles of all times, rates in million rays per second, and memory in
+/// bytes.
+/// @throws DeviceError if a ray was not traced completely
 BenchResult BenchRunner::bench_result() {
     Renderer& r = get_renderer();
     if (const std::uint32_t capped = r.forward_pass().n_truncated_rays().download()[0])
@@ -258,6 +264,7 @@ BenchResult BenchRunner::bench_result() {
     return result;
 }
 
+/// Returns the sizes from which the minimum memory traffic of the kernels is computed.
 MemoryTrafficSizes BenchRunner::traffic_sizes(const BenchResult& result) {
     MemoryTrafficSizes s = sizes_;
     s.n_surfels = get_renderer().scene().size();
@@ -298,6 +305,8 @@ TimePercentiles percentiles_of(std::vector<double> samples) {
     return {at(0.1), at(0.5), at(0.9)};
 }
 
+/// Warms up, then measures `settings.repeat` repetitions. Devices without timestamps
+/// measure only the forward pass by wall time.
 BenchResult run_benchmark(Device& device, const DevCase& setup, const BenchSettings& settings) {
     const bool device_clock = device.info().timestamps;
     TerminalProgress(settings.quiet).show_text("running repetitions that are not measured");

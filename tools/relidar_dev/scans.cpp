@@ -76,6 +76,7 @@ double thread_cpu_ms() {
 
 }  // namespace
 
+/// Renders scans along the path of a run, and measures rates and times per scan.
 ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
     using Send = ScanRenderer::SubmissionTiming;
     if (options.n_scans < 1 || options.n_scans > kMostInOneGo)
@@ -98,6 +99,7 @@ ScanBenchTimes measure_scans(Device& device, const ScanBenchOptions& options) {
         }
         return end - first;
     };
+    // Does not measure the first scans, because they allocate memory.
     for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
     ScanBenchTimes result{.sensor = drive.n_sensors() > 1 ? options.sensor : drive.sensor_of(0).name,
                           .n_scans = options.n_scans,

@@ -37,11 +37,13 @@ struct BlockTrainingLog {
     /// They do not divide the log again, and list only the actor tracks of this block.
     Config config;
 };
+/// Returns the part of a log that a block is trained with.
 /// @param config settings of the complete training
 BlockTrainingLog cut_log(const Log& log, const Split& split, const TrajectoryBlock& block,
                          const Config& config);
 
-/// A surfel belongs to the block that contains the nearest sweep.
+/// Removes the background surfels of other blocks. A surfel belongs to the block that
+/// contains the nearest sweep.
 void keep_block_surfels(Scene& scene, const Log& log, const std::vector<TrajectoryBlock>& blocks,
                         std::size_t index);
 

@@ -29,12 +29,13 @@ struct Checkpoint {
     std::map<std::string, std::string> texts;
     std::vector<NamedArray> arrays;
 
+    /// Returns the array or the text with this name.
     /// @throws DataError if the name does not exist
     const NamedArray& array(const std::string& name) const;
     const std::string& text(const std::string& name) const;
 };
 
-/// For example "f4" for float.
+/// Returns the NumPy name of a number type, for example "f4" for float.
 template <class T>
 constexpr const char* numpy_dtype() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
@@ -73,7 +74,7 @@ public:
     void operator()(const std::string& name, const ArrayPrefix<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
-    /// One array per group of parameters, for example name/mean, [n,3].
+    /// Stores one array per group of parameters, for example name/mean, [n,3].
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:
@@ -114,14 +115,14 @@ public:
         surfels.upload(read_surfels(name, surfels.n));
     }
 
-    /// As host arrays; the checkpoint has their number.
+    /// Returns the stored surfels as host arrays. Their number is in the checkpoint.
     Surfels read_surfels(const std::string& name) const;
 
 private:
     const Checkpoint& checkpoint_;
 
-    /// @throws DataError if type or shape differ. array_of_type() accepts any
-    /// length.
+    /// Returns an array. array_of_type() accepts any length.
+    /// @throws DataError if type or shape differ
     const NamedArray& checked_array(const std::string& name, const char* dtype,
                                     const std::vector<std::size_t>& shape) const;
     const NamedArray& array_of_type(const std::string& name, const char* dtype) const;
@@ -129,29 +130,33 @@ private:
     static void copy_bytes(const NamedArray& array, void* destination);
 };
 
+/// Checks that all stored numbers are finite.
 /// @throws DataError naming the array and row of the first number that is not finite
 void check_finite_arrays(const Checkpoint& checkpoint);
 
-/// The file appears only when it is complete.
+/// Writes a checkpoint. The file appears only when it is complete.
 /// @throws DataError if the file cannot be written
 void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
-/// @throws DataError if format, version, sizes or checksum are wrong or a value is not
-/// finite
+/// Reads a checkpoint. Checks its format, version, sizes and checksum, and that all
+/// values are finite.
+/// @throws DataError with the reason if a check fails
 Checkpoint read_checkpoint(const std::filesystem::path& path);
 
-/// Oldest first, for example iteration_00000400.safetensors. Empty without the folder.
+/// Lists the checkpoint files of a folder, oldest first, for example
+/// iteration_00000400.safetensors. Returns an empty list if the folder does not exist.
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder);
-/// Creates the folder if needed. Then removes older checkpoints, so that at most
-/// `max_checkpoints` remain, and those of later iterations, because they belong to an
-/// abandoned training.
+/// Writes a checkpoint into a folder, which it creates if needed. Then removes older
+/// checkpoints, so that at most `max_checkpoints` remain. Also removes checkpoints of
+/// later iterations, because they belong to an abandoned training.
 /// @throws DataError if the file cannot be written
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int max_checkpoints);
+/// Loads the newest checkpoint of a folder that can be read.
 /// @param report_unreadable receives one line of text about each unreadable checkpoint
 /// @return nullopt if there is no checkpoint
 /// @throws DataError if there are checkpoints but none is readable
 std::optional<Checkpoint> load_newest(const std::filesystem::path& folder,
                                       const std::function<void(const std::string&)>& report_unreadable);
-/// Also removes the folder if it has no other files.
+/// Removes all checkpoints of a folder, and the folder if it has no other files.
 void remove_checkpoints(const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -73,6 +73,7 @@ struct SensorConfig {
     /// Closer surfaces on a ray give one merged return, metres.
     double return_separation_m = 0.5;
 
+    /// Returns true if `calibrate` includes the given quantity.
     /// @param quantity "range" or "intensity"
     bool calibrates(const char* quantity) const { return calibrate.find(quantity) != std::string::npos; }
     bool operator==(const SensorConfig&) const = default;
@@ -127,6 +128,7 @@ struct TrainConfig {
     double checkpoint_minutes = 10.0;
     std::uint64_t seed = 1;
 
+    /// Returns true if training optimises the given poses.
     /// @param pose_kind "sensor" or "actors"
     bool refines(const char* pose_kind) const { return refine_poses.find(pose_kind) != std::string::npos; }
     bool operator==(const TrainConfig&) const = default;

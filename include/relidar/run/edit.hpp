@@ -47,16 +47,16 @@ struct SceneWithLogView {
     const Log& sequence;
 };
 
-/// Height of the bottom of an actor's box above the ground, metres: the median along the
-/// track. Many labelled boxes begin above the road, so a copy must be placed at the same
-/// height.
+/// Returns the height of the bottom of an actor's box above the ground in metres: the
+/// median along the track. Many labelled boxes begin above the road, so a copy must be
+/// placed at the same height.
 /// @return nullopt if the actor's scene has no ground below the box
 /// @throws UsageError if no instance has this track
 std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, const std::string& track);
 
-/// Pose of an actor on the ground of the background: the plane that is fitted to the
-/// level surfels below the box, at the same height as in `actor_scene` (or on the plane,
-/// if that scene has no ground below the box). A moving actor gets a path that is
+/// Places an actor on the ground of the background: the plane that is fitted to the level
+/// surfels below the box. The actor is as high above it as in `actor_scene`, or on the
+/// plane if that scene has no ground below the box. A moving actor gets a path that is
 /// straight in x and y and follows the ground. Bridges and trees are not ground: a surfel
 /// is ignored if it is above the log's sensor by more than a quarter of its distance.
 /// @param target_scene scene in which the actor is placed
@@ -66,7 +66,7 @@ std::optional<double> ground_clearance(const SceneWithLogView& actor_scene, cons
 NewActorMotion stand_on_ground(const SceneWithLogView& target_scene, const GroundPlacement& placement,
                                const SceneWithLogView& actor_scene, const std::string& actor_track);
 
-/// Rays then hit the surfaces behind the actor.
+/// Removes an actor, so that rays hit the surfaces behind it.
 /// @throws UsageError if no instance has this track, like all functions below with a
 /// parameter `track`
 SceneWithLog remove_track(SceneWithLog scene_and_log, const std::string& track);
@@ -86,12 +86,13 @@ SceneWithLog delay_track(SceneWithLog scene_and_log, const std::string& track, d
 /// @param boxes_before boxes of the log before all edits
 SceneWithLog complete_actors(SceneWithLog scene_and_log, const std::vector<BoxTrack>& boxes_before);
 
-/// Says in how many frames an edit has made an actor absent. Empty if there are none, or
-/// if the edited log has no such track.
+/// Returns a message with the number of frames in which an edit has made an actor absent.
+/// Returns an empty string if there are none, or if the edited log has no such track.
 std::string describe_absence(const BoxTrack& original_box, const Log& edited_sequence);
 
-/// Between the poses, positions are interpolated linearly and rotations by slerp. Before
-/// the first and after the last pose, the actor is absent.
+/// Replaces the trajectory of an actor. Between the poses, positions are interpolated
+/// linearly and rotations by slerp. Before the first and after the last pose, the actor
+/// is absent.
 /// @param dataset_from_box [>= 2] poses of the box centre in the dataset's world frame,
 /// with times in the time of the log (Frame::time_s)
 /// @throws DataError for fewer than two poses, times that do not increase, or values that
@@ -121,8 +122,8 @@ struct ActorModelResolution {
     std::size_t rays = 0;  ///< Number of rays that hit the box in the sweep with the smallest distance.
     std::size_t surfels = 0;
 
-    /// The actor then looks like separate blobs, because it was recorded from a larger
-    /// distance.
+    /// Returns true if the actor has too few surfels per ray and looks like separate
+    /// blobs, because it was recorded from a larger distance.
     bool is_too_coarse() const { return rays > 8 * surfels; }
 };
 /// Compares the resolution of an actor's model with one LiDAR of the log.
@@ -131,7 +132,8 @@ struct ActorModelResolution {
 /// the LiDAR are unknown
 ActorModelResolution model_resolution(const SceneWithLog& edited, const std::string& track, int lidar = 0);
 
-/// For given rays from one pose of the sensor.
+/// Compares the number of an actor's surfels with the number of given rays that hit its
+/// box. All rays are fired from one pose of the sensor.
 /// @param ray_origins, ray_directions [n,3] sensor frame
 /// @param box_from_sensor pose of the sensor in the frame of the box
 /// @param size_m [3] size of the box, metres
@@ -139,8 +141,9 @@ ActorModelResolution model_resolution(std::span<const glm::vec3> ray_origins,
                                       std::span<const glm::vec3> ray_directions, const Pose& box_from_sensor,
                                       const glm::dvec3& size_m, std::size_t n_surfels);
 
-/// Completed sides are mirror images. The remaining sides have no surfels, so rays pass
-/// through them. Empty if all sides were observed, or if it is unknown.
+/// Describes the sides of an actor that the log has not observed. Completed sides are
+/// mirror images. The remaining sides have no surfels, so rays pass through them. Returns
+/// an empty string if all sides were observed, or if it is unknown.
 std::string describe_unseen(const Scene& scene, const std::string& track);
 
 /// Reads a trajectory from a CSV file. A header line names the columns in any order:

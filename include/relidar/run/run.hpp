@@ -58,25 +58,27 @@ struct Run {
     /// In the format of train.refine_poses. Empty if all poses are those of the log.
     std::string refined_poses{};
 
-    /// Example: run.set_driving_scene(remove_track(run.driving_scene(), "0")).
+    /// Returns the scene and its log as one object for edit functions. Example:
+    /// run.set_driving_scene(remove_track(run.driving_scene(), "0")).
     SceneWithLog driving_scene() const { return {scene, sequence}; }
-    /// Completes actors whose tracks differ from those of this run
-    /// (complete_actors()).
+    /// Replaces scene and log. Completes actors whose tracks differ from those of this
+    /// run (complete_actors()).
     void set_driving_scene(SceneWithLog driving_scene);
 };
 
-/// A new folder appears only when it is complete. In an existing folder, all new files
-/// are first written under temporary names and then renamed. Block files in other folders
-/// are hard-linked to blocks/NNN/model.safetensors, or copied.
+/// Writes settings, scene, network and all other files of a run. A new folder appears
+/// only when it is complete. In an existing folder, all new files are first written under
+/// temporary names and then renamed. Block files in other folders are hard-linked to
+/// blocks/NNN/model.safetensors, or copied.
 /// @throws DataError if the folder cannot be created or written, or if an option that is
 /// not a setting differs from its preset value
 void save_run(const Run& run);
-/// Like save_run(), into a folder that contains an earlier run.
+/// Writes a run like save_run() into a folder that contains an earlier run.
 /// @param remove_earlier_files called after all new files are written under temporary
 /// names and before they get their final names
 void overwrite_run(const Run& run, const std::function<void()>& remove_earlier_files);
-/// Deletes everything else in the folder. Atomic if the file system can exchange two
-/// folders in one operation.
+/// Writes a run and deletes everything else in the folder. The operation is atomic if the
+/// file system can exchange two folders.
 void replace_run(const Run& run);
 
 /// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
@@ -86,6 +88,7 @@ void replace_run(const Run& run);
 /// @throws errors of load_sequence()
 Log load_log(const Config& config, const Progress& progress = {}, int max_scans = 0);
 
+/// Loads a run folder.
 /// @throws DataError naming the file that is missing, truncated or inconsistent
 Run load_run(const std::filesystem::path& folder);
 
@@ -96,18 +99,21 @@ Run load_run(const std::filesystem::path& folder);
 /// @throws DataError if an array has the wrong shape or a value that is not finite, or if
 /// the file cannot be written
 void save_model(const std::filesystem::path& path, const Scene& scene);
+/// Loads a scene from a file of save_model().
 /// @throws DataError naming array and row if an array is missing, has the wrong shape, or
 /// has a value that is not finite
 Scene load_model(const std::filesystem::path& path);
 
+/// Loads the background surfels of a block from its file.
 /// @throws DataError if the file is invalid or its number of surfels differs from `block`
 Surfels load_block(const SceneBlock& block);
-/// The background also contains the surfels of the selected blocks, in kd-tree order.
-/// Other blocks are left out.
+/// Returns the scene with the surfels of the selected blocks in its background, in
+/// kd-tree order. Other blocks are left out.
 /// @param block_indices indices in Scene::blocks
 /// @throws DataError if a block file is invalid
 Scene with_blocks(const Scene& scene, const std::vector<std::size_t>& block_indices);
-/// For functions that need every surfel.
+/// Returns the scene with the surfels of all blocks, for functions that need every
+/// surfel.
 Scene with_all_blocks(const Scene& scene);
 
 /// Saves or loads a ray-drop network as a safetensors file.
@@ -121,7 +127,8 @@ RayDropNetwork load_drop_network(const std::filesystem::path& path);
 std::string format_layout(const Scene& scene);
 void parse_layout(const std::string& text, const std::string& where, Scene& scene);
 
-/// It contains a scene.json or a model file.
+/// Returns true if a path looks like a run folder: it contains a scene.json or a model
+/// file.
 bool is_run_folder(const std::filesystem::path& path);
 
 /// Creates a folder and a test file in it, to report an unwritable folder before long

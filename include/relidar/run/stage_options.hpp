@@ -10,15 +10,19 @@
 
 namespace relidar {
 
-/// If dataset.max_range_m is 0, it becomes the largest range limit of the log's LiDARs.
+/// Returns the settings with a maximum range. If dataset.max_range_m is 0, it becomes the
+/// largest range limit of the log's LiDARs.
 Config with_max_range(Config config, const Log& sequence);
-/// For training and simulation.
+/// Returns the options for ray tracing that training and simulation have in common.
 TraceOptions common_options(const Config& config);
-/// With the values that only losses need.
+/// Returns the options for ray tracing during training, with the values that only losses
+/// need.
 TraceOptions training_options(const Config& config);
-/// With normals if the scene consists of surfels. If render.range is "mode", with the
-/// search for the surface with the largest weight.
+/// Returns the options for ray tracing during simulation: with normals if the scene
+/// consists of surfels. If render.range is "mode", also with the search for the surface
+/// with the largest weight.
 TraceOptions rendering_options(const Config& config);
+/// Returns the options for the summation of gradients in the backward pass.
 BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

@@ -70,8 +70,8 @@ struct MovingBoxPoints {
     std::size_t n_both = 0, n_missed = 0, n_false = 0;
 };
 
-/// Points in a box that is enlarged by 0.1 m, without the lowest 0.15 m (ground). Counts
-/// the rays that hit the box enlarged by 0.3 m.
+/// Returns the points in a box that is enlarged by 0.1 m, without the lowest 0.15 m
+/// (ground). Counts the rays that hit the box enlarged by 0.3 m.
 /// @param point_ranges_m [n] ranges at which the simulated points are placed
 /// @param sweep  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
@@ -95,7 +95,8 @@ struct Evaluation {
     double mrays_per_s = 0.0;
 };
 
-/// The poses of the run do not change.
+/// Copies scans of a log into the frames of a run that was trained on it. The poses of
+/// the run do not change.
 /// @param frame_indices  indices into Run::sequence of the frames
 /// @throws DataError if a frame is missing in the log, or has another time in the log
 void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log);
@@ -107,7 +108,7 @@ void copy_scans(Run& run, const std::vector<int>& frame_indices, const Log& log)
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Log& log, const Frame& frame,
                         const Pose& offset = {});
 
-/// Memory use does not grow with the number of frames.
+/// Renders frames and computes their metrics. Memory use does not grow with their number.
 /// @param frame_indices  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
 /// result stops
@@ -116,28 +117,31 @@ Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const L
                            const std::vector<int>& frame_indices, const Progress& progress = {},
                            const ScoredFrameCallback& on_frame = {});
 
+/// Computes the mean metrics of scored frames.
 /// @param kernel_times  of the renderer that rendered the frames
 Evaluation summarise(std::vector<ScoredFrame> scored_frames, const KernelTimes& kernel_times);
 
-/// By kernel name.
+/// Returns the mean time of a launch in milliseconds, by kernel name.
 MetricValues mean_kernel_ms(const KernelTimes& kernel_times);
 
-/// A baseline predicts a scan from the points of the neighbouring training scans.
-/// "nearest" keeps points where they were measured, "nearest-actors" moves points in a
-/// box with it.
+/// Returns how a baseline moves points in moving boxes. It predicts a scan from the
+/// points of the neighbouring training scans. "nearest" keeps points where they were
+/// measured, "nearest-actors" moves points in a box with it.
 /// @throws UsageError for another name
 BoxPointMotion parse_baseline(const std::string& baseline_name);
-/// On the held-out frames of a log with its scans.
+/// Scores a baseline on the held-out frames of a log with its scans.
 /// @param progress  called before each frame and after the last one
 /// @throws UsageError for another name
 Evaluation evaluate_baseline(const std::string& baseline_name, const Config& config, const Log& sequence,
                              const Split& split, const Progress& progress = {},
                              const ScoredFrameCallback& on_frame = {});
 
-/// If the user has set a file, reads it before a long result.
+/// Reads the file with LPIPS weights, if the user has set one. Called before a long
+/// evaluation, so that a damaged file is reported at the start.
 /// @throws DataError if the file is damaged or an array is missing
 void check_lpips_weights();
-/// Environment variable RELIDAR_LPIPS_WEIGHTS. If empty, LPIPS is not computed.
+/// Returns the environment variable RELIDAR_LPIPS_WEIGHTS. If it is empty, LPIPS is not
+/// computed.
 std::string lpips_weights_path();
 
 }  // namespace relidar

@@ -84,16 +84,18 @@ MetricValues evaluate(const RangeImage& rendered, const RangeImage& real, const 
 MetricValues evaluate_regions(const RangeImage& rendered, const RangeImage& real,
                               const std::vector<PixelRegion>& regions, const MetricOptions& options = {});
 
-/// all, moving_boxes, static, range_0_20_m, range_20_40_m, range_40_80_m
+/// Returns the sets of pixels that are scored separately: all, moving_boxes, static,
+/// range_0_20_m, range_20_40_m, range_40_80_m.
 /// @param moving_pixels [rows*columns] true for pixels whose return is in a moving box
 std::vector<PixelRegion> make_regions(const RangeImage& real, const std::vector<bool>& moving_pixels);
 
-/// True for returns inside a moving box that the dataset labelled.
+/// Returns for each ray whether its return is inside a moving box that the dataset
+/// labelled.
 /// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
 /// sensor
 /// @return [n] rays
 std::vector<bool> mask_labelled_movers(const Log& log, const Frame& frame, const Pose& sensor_offset = {});
-/// Same for moving boxes that relidar has found in the scans.
+/// Returns the same for moving boxes that relidar has found in the scans.
 std::vector<bool> mask_found_movers(const Log& sequence, const Frame& frame, const Pose& sensor_offset = {});
 
 /// Scores the points that are written to point cloud files, whose ranges can differ from
@@ -179,9 +181,10 @@ public:
     std::array<double, 5> layer_distances(const std::vector<float>& first_image,
                                           const std::vector<float>& second_image, int rows,
                                           int columns) const;
-    /// For images with a single channel, which is repeated three times, summed over all
-    /// layers. Values are mapped by x -> 2 x - 1, without clamping, like `normalize` in
-    /// the published code. Published tables for LiDAR use ranges in metres.
+    /// Returns the distance of two images with a single channel, which is repeated three
+    /// times, summed over all layers. Values are mapped by x -> 2 x - 1, without
+    /// clamping, like `normalize` in the published code. Published tables for LiDAR use
+    /// ranges in metres.
     /// @param a, b [rows*columns]
     double compute_distance(const std::vector<double>& a, const std::vector<double>& b, int rows,
                             int columns) const;
@@ -191,14 +194,15 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Structural similarity with the defaults of scikit-image: uniform 7 x 7 window, sample
-/// covariance, borders of 3 pixels cropped.
+/// Returns the structural similarity with the defaults of scikit-image: uniform 7 x 7
+/// window, sample covariance, borders of 3 pixels cropped.
 /// @param first_image, second_image [rows*columns]
 /// @throws DataError if the image is below 7 x 7 pixels or data_range is not positive
 double compute_ssim(const std::vector<double>& first_image, const std::vector<double>& second_image, int rows,
                     int columns, double data_range);
 
-/// Exact distance from each query point to the nearest target point. Uses all cores.
+/// Returns the exact distance from each query point to the nearest target point. Uses all
+/// cores.
 /// @return [n] metres
 /// @throws DataError if there is no target point or a coordinate is not finite
 std::vector<double> nearest_distances_m(const std::vector<glm::dvec3>& from,

@@ -88,8 +88,8 @@ struct Report {
     std::vector<std::pair<std::string, MetricValues>> timings_ms;
     std::vector<ReportFigure> figures;
 };
-/// @throws DataError if x and y of a curve differ in length, and like
-/// write_atomically()
+/// Writes the report as an HTML page.
+/// @throws DataError if x and y of a curve differ in length, and like write_atomically()
 void write_report(const std::filesystem::path& path, const Report& report);
 
 }  // namespace relidar

@@ -177,13 +177,14 @@ inline constexpr const char* kRefineCheckpoints = "drop_network";
 /// a checkpoint
 RayDropNetwork train_drops(Device& device, const Run& run, const RayDropTrainingSession& session = {});
 
-/// The run's sequence must contain the scans of its training frames. Scene, log and the
-/// relevant settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must
-/// match the checkpoint.
+/// Checks that the training of a ray-drop network can resume with this run, whose
+/// sequence must contain the scans of its training frames. Scene, log and the relevant
+/// settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must match
+/// the checkpoint.
 /// @throws UsageError naming a setting that differs
 /// @throws DataError naming the part of the log or scene that differs
 void check_drop_resume(const Checkpoint& checkpoint, const Run& run);
-/// Settings that affect the network.
+/// Reads the settings that affect a ray-drop network from its checkpoint.
 /// @throws UsageError for a setting that this version does not know
 void read_drop_settings(const Checkpoint& checkpoint, Config& config);
 
@@ -212,18 +213,21 @@ struct ActorTrainingCallbacks {
 /// @throws DataError if a block cannot be read or a loss is not finite
 TrainingEndReason train_actors(Device& device, Run& run, const ActorTrainingCallbacks& session = {});
 
-/// Scene, coverage and corrected poses (if any).
+/// Moves the scene, the coverage and the corrected poses (if any) into a run.
 void move_result(Run& run, TrainResult& result);
 
-/// train.iterations may be increased; the learning rates then follow the longer schedule.
-/// These settings may also differ: dataset.path, dataset.sequence, dataset.poses,
-/// dataset.memory_mib, train.frame_memory_mib, train.log_every, train.checkpoint_minutes,
-/// sensor.grid, sensor.grid_method, refine.*, render.* and trace.chunk.
+/// Checks that a training can resume with this log and these settings. train.iterations
+/// may be increased; the learning rates then follow the longer schedule. These settings
+/// may also differ: dataset.path, dataset.sequence, dataset.poses, dataset.memory_mib,
+/// train.frame_memory_mib, train.log_every, train.checkpoint_minutes, sensor.grid,
+/// sensor.grid_method, refine.*, render.* and trace.chunk.
 /// @throws UsageError naming another setting that differs
 /// @throws DataError naming the part of the log that differs
 void check_resume(const Checkpoint& checkpoint, const Log& log, const Split& split, const Config& config);
-/// The first setting whose difference prevents resuming. Empty if none does.
+/// Returns the first setting whose difference prevents resuming. Returns an empty string
+/// if none does.
 std::string find_fixed_setting(const Config& config, const Config& other_config);
+/// Returns the training log that is stored in a checkpoint.
 /// @throws DataError if the checkpoint is not a training checkpoint
 std::vector<TrainProgress> read_training_log(const Checkpoint& checkpoint, const Config& config);
 

@@ -36,7 +36,7 @@ Config paper_preset() {
 Config released_preset() {
     Config config = paper_preset();
     config.preset = "released";
-    // needs full images
+    // The structural similarity (SSIM) needs full images.
     config.loss.intensity_ssim = 0.15f;
     config.loss.chamfer = 0.0f;
     config.loss.box = 0.01f;

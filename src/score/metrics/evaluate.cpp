@@ -156,8 +156,8 @@ void add_point_metrics(MetricValues& row, const std::string& name_prefix, const 
     row[name_prefix + "f_22cm"] = distances.compute_f_score(kPeerThreshold_m);
 }
 
-/// Adds metrics that separate errors of ranges and intensities from errors of ray-drop:
-/// values are compared only where both images have a return.
+/// Adds metrics that separate errors of ranges and intensities from errors of ray-drop.
+/// Most values are compared only where both images have a return.
 void add_strict(MetricValues& row, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
     const PixelMask rendered_returns = return_mask(rendered, options.strict_drop_threshold);

@@ -128,7 +128,7 @@ struct RayTableNeighbours {
         return best;
     }
     /// Returns true if a point is outside the outer rows, or outside the outer columns of
-    /// less than a full turn, by more than half their spacing.
+    /// less than a full turn. The distance must be more than half their spacing.
     bool is_outside(RayPixel ray_cell, const glm::vec3& point_m) const {
         const double column = estimate_column(point_m);
         if (!circular && (column < -0.5 || column > rays.columns - 0.5)) return true;
