@@ -210,6 +210,7 @@ const TrainingFrameData& TrainLoop::upload_frame(std::size_t frame_index, bool s
 /// Records GPU commands that render a batch, and compute its losses and gradients.
 void TrainLoop::record_batch(const RayBatch& rays, const TargetBatch& targets, const LossTermRow& terms) {
     renderer_.record_forward(rays);  // renders the batch (equations 2-4)
+    // computes the losses (equations 10-11)
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->add_ray_losses(stream_, differentiable_.last_batch(), targets, terms);
     differentiable_.record_backward();  // computes the gradients (equation 9)

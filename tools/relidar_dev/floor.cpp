@@ -25,8 +25,7 @@ constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 double sh_bytes(Sizes s) { return 4 * 3 * s.n_sh; }
 double ray_sh_bytes(Sizes s) { return s.sh_per_surfel ? 0.0 : sh_bytes(s); }
 
-/// Returns the bytes of a refit: boxes of surfels, and nodes of the tree with their
-/// topology (28 bytes).
+/// Returns the bytes of a refit, which reads the boxes of surfels and updates all nodes.
 double refit_bytes(Sizes s) {
     return s.n_surfels * (kBoxBytes + kIndexBytes) +
            kFewestNodes * s.n_surfels * (28 + kNodeBytes + kBoxBytes);

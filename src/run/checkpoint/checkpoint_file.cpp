@@ -157,7 +157,6 @@ void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& chec
     for (std::size_t i = 0; i + n_older < older.size(); ++i) std::filesystem::remove(older[i], failed);
 }
 
-/// Reads the newest checkpoint. Tries older ones if it is damaged.
 std::optional<Checkpoint> load_newest(const std::filesystem::path& folder,
                                       const std::function<void(const std::string&)>& report_unreadable) {
     const std::vector<std::filesystem::path> paths = list_checkpoints(folder);

@@ -202,7 +202,6 @@ std::string to_toml(const Config& config) {
            format_toml(config, [](const std::string&) { return true; });
 }
 
-/// Returns TOML text without the expert settings that have the value of the preset.
 std::string to_short_toml(const Config& config) {
     std::set<std::string> left_out;
     const std::vector<ConfigKey> keys = list_config_keys(config),

@@ -226,7 +226,6 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
            std::ranges::equal(first.pose, second.pose, is_same_pose);
 }
 
-/// Adds an instance of a model to the scene, with a new track.
 void add_instance(SceneWithLog& edited, std::uint32_t model, BoxTrack box, const NewActorMotion& start) {
     box.world_from_box = start.dataset_path.pose.empty()
                              ? make_straight_track(edited.sequence, start)

@@ -73,7 +73,6 @@ struct Footprint {
     }
 };
 
-/// Returns the sensor pose that is nearest to a position in the x-y plane.
 const Pose& nearest_pose(const PoseTrack& sensor_track, const glm::dvec2& xy) {
     if (sensor_track.pose.empty())
         throw DataError(

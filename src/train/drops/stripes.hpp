@@ -31,7 +31,6 @@ public:
             first_.push_back((frame_number + std::size_t(k * stripe_interval)) * kStripeColumns % columns_);
     }
 
-    /// Returns the rays in the selected stripes, as an image with fewer columns.
     RayTable stripe_rays(const RayTable& image_rays) const {
         if (first_.empty()) return image_rays;
         RayTable some = select_rays(image_rays, list_pixels());

@@ -83,7 +83,6 @@ std::uint32_t max_frame_rays(std::span<const TrainingFrameData> frames) {
     return most;
 }
 
-/// Returns a batch with every stride-th ray of the frame, starting at ray `first_ray`.
 RayBatch TrainingFrameData::strided_batch(std::uint32_t first_ray, std::uint32_t stride) const {
     // The batch has every stride-th ray of the image. If the number of columns is a
     // multiple of the stride, these rays form complete columns of the image.

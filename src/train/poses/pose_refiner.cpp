@@ -42,7 +42,6 @@ void remove_first(std::vector<T>& values, std::size_t count) {
     values.erase(values.begin(), values.begin() + std::ptrdiff_t(count));
 }
 
-/// Returns the rates of an Adam step, which decay exponentially during training.
 PoseStepRates pose_rates(const TrainConfig& config, double initial_rate_m, int step) {
     const double decay = interpolate_exp(1.0, kFinalShare, step, config.iterations);
     return {initial_rate_m * decay, initial_rate_m / kMetresPerRadian * decay, kPriorPerM2, kPriorPerRad2};
@@ -118,7 +117,6 @@ void PoseRefiner::record_gradients(Stream& stream, std::size_t frame_index, cons
                                         floats_of_instances_);
 }
 
-/// Returns the gradients of a pending iteration. Waits until they are on the host.
 std::span<float> PoseRefiner::wait_for_gradient(Stream& stream, std::size_t pending_index) {
     const std::size_t n = floats_of_rays_ + floats_of_instances_,
                       slot = pending_iterations_.step[pending_index] % kReadbackLag;

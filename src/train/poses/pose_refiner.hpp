@@ -96,7 +96,7 @@ private:
     /// kReadbackLag. Empty if the poses of sensor or actors are not corrected.
     std::vector<ReadbackBuffer> of_rays_, of_instances_;
 
-    /// Waits until the gradients are on the host.
+    /// Returns the gradients of a pending iteration. Waits until they are on the host.
     std::span<float> wait_for_gradient(Stream& stream, std::size_t pending_index);
     void apply_oldest(Stream& stream);
 };
