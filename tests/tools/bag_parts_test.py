@@ -94,7 +94,7 @@ def test_said():
         merged.append(message(np.concatenate([a, b], 1), np.concatenate([t, t])))
     bags.write_mcap(bag, merged)
     said = run("info", bag)
-    expect(names(said, "merged") and names(said, "without return"), f"a merged cloud: {said}")
+    expect(names(said, "merged") and names(said, "dropped rays"), f"a merged cloud: {said}")
 
 
 def test_left_alone():
