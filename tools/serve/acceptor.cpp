@@ -66,15 +66,20 @@ void set_option(int socket, int level, int option_name, int option_value) {
     (void)::setsockopt(socket, level, option_name, &option_value, sizeof(option_value));
 }
 
+/// Opens a socket that listens at an address. Returns -1 if this fails; errno then holds
+/// the reason.
 int open_listener(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
     set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
     set_option(listener, IPPROTO_TCP, TCP_NODELAY,
                1);  // Accepted connections inherit this option.
+    // An IPv6 socket that listens at [::] also accepts IPv4 connections.
     if (address.ai_family == AF_INET6) set_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
     if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0)
         return listener;
+    // close() may overwrite errno, but the caller reports the error of bind() or
+    // listen().
     const int error = errno;
     ::close(listener);
     errno = error;
@@ -83,6 +88,8 @@ int open_listener(const addrinfo& address) {
 
 }  // namespace
 
+/// Listens at all addresses of a host name. If the port is 0, the system selects a port
+/// for the first address, and the other addresses use the same port.
 Acceptor::Acceptor(const std::string& text) {
     const HostPort host_port = parse_host_port(text, "--listen", 0);
     const AddrInfoPtr all = resolve_host(host_port.host, text);
@@ -123,6 +130,8 @@ void Acceptor::start_accepting(ConnectionCallback handle_connection) {
     thread_ = std::thread([this] { run_accept_loop(); });
 }
 
+/// Wakes the thread through the pipe and waits until a running callback has returned.
+/// Closes the listening sockets, so that the system refuses new connections.
 void Acceptor::stop() {
     if (!thread_.joinable()) return;
     const char any = 0;
@@ -143,6 +152,8 @@ void Acceptor::run_accept_loop() {
     }
 }
 
+/// Accepts one connection. Closes it immediately if too few file descriptors are left for
+/// other purposes.
 void Acceptor::accept_one(int listening_socket) {
     const int connection = ::accept4(listening_socket, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
     const bool is_full =
@@ -153,7 +164,8 @@ void Acceptor::accept_one(int listening_socket) {
     const bool has_usable_limit =
         ::getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < rlim_t(kMostDescriptors);
     const int most_descriptors = has_usable_limit ? int(limit.rlim_cur) : kMostDescriptors;
-    // The system assigns the lowest free number.
+    // The system always assigns the lowest free number, so a high number means that many
+    // descriptors are open.
     if (connection >= most_descriptors - std::min(kReservedDescriptors, most_descriptors / 4))
         ::close(connection);
     else receive_(listening_socket, connection);

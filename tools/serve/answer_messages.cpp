@@ -100,6 +100,8 @@ void write_scan(const RenderedScan& scan, const RenderRequest& request, const Co
     add_channels(scan.channels, *image.mutable_channels());
 }
 
+/// Writes the box of each visible actor, with its pose, velocity and number of points.
+/// The names are the names that the client has used in its request.
 void write_boxes(const RenderedScan& scan, const RenderRequest& request, const Run& run,
                  v1::LidarScan& message) {
     ScanOutputOptions format = default_options(run, *request.sensor);
@@ -128,6 +130,8 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
     }
 }
 
+/// Writes the description of a scene: its time range in seconds, its LiDARs and its
+/// actors. The run needs no surfels.
 void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message) {
     const Log& log = run.sequence;
     message.set_name(scene_name);
@@ -187,6 +191,8 @@ void write_spawned(const SpawnSlot& slot, const Run& run, v1::SpawnedActor& mess
     message.set_surfels(slot.actor.surfels);
 }
 
+/// Writes the names of the actors that have too few surfels for their distance from the
+/// sensor. Their scans are then too coarse.
 void write_sparse(const RenderRequest& request, v1::LidarScan& message) {
     if (request.placed.empty()) return;
     const SimulatedSensor& sensor = *request.sensor;

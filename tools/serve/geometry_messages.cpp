@@ -24,6 +24,8 @@ double checked_number(double value, const std::string& name) {
 
 double checked_time(double time_s, const std::string& name) { return checked_number(time_s, name); }
 
+/// Reads a pose and checks its values. Normalises the rotation, which clients may send
+/// with float precision.
 Pose read_pose(const v1::Pose& message, const std::string& name) {
     const v1::Vector& t = message.translation();
     Pose pose;
@@ -40,6 +42,8 @@ Pose read_pose(const v1::Pose& message, const std::string& name) {
     return pose;
 }
 
+/// Reads a list of poses whose times must increase, because poses are interpolated
+/// between neighbouring times.
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& name) {
     if (messages.empty() || messages.size() > kMostPoses)

@@ -24,6 +24,8 @@ struct LatencySample {
     std::size_t rays, points;
 };
 
+/// Returns the smallest value that at least this share of all values does not exceed
+/// (nearest-rank method).
 double percentile(std::vector<double> values, double percentile_as_fraction) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(percentile_as_fraction * double(values.size())));
@@ -58,6 +60,8 @@ LatencySample measure_render(ScanClient& client, const v1::RenderLidarRequest& r
 
 }  // namespace
 
+/// Measures the latency of a render service. Each client is a thread with its own
+/// connection and sends its next call when the previous response has arrived.
 LatencyResult measure_latency(const LatencyOptions& options) {
     ScanClient first(options.address);
     const v1::ListScenesResponse scenes = first.list_scenes();
@@ -68,7 +72,8 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
     const v1::GetTracksResponse tracks = first.tracks(which);
-    // The first call computes the rays of the sensor and allocates memory.
+    // The first call is not measured. It takes longer, because it computes the rays of
+    // the sensor and allocates memory.
     measure_render(first, sweep_request(options, result.scene, tracks, 0));
 
     std::vector<LatencySample> samples;

@@ -12,6 +12,7 @@ void reject_field(const std::string& field, const std::string& found, const std:
     refuse(Code::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field, found, expected);
 }
 
+/// Rejects a name that does not exist. The error message suggests the most similar name.
 void reject_name(const std::string& field, const std::string& name, const std::vector<std::string>& names) {
     const std::string nearest = nearest_name(name.substr(0, 80), names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"
@@ -20,6 +21,8 @@ void reject_name(const std::string& field, const std::string& name, const std::v
            expected);
 }
 
+/// Puts a client's text into quotes for an error message. Replaces control characters by
+/// spaces, because a message has one line, and shortens long texts.
 std::string quote_client_text(const std::string& text) {
     constexpr std::size_t kMaxQuotedBytes = 80;
     std::size_t n = std::min(text.size(), kMaxQuotedBytes);
@@ -33,6 +36,8 @@ std::string quote_client_text(const std::string& text) {
                             : fmt::format("\"{}...\" of {} bytes", shown, text.size());
 }
 
+/// Calls the function that handles a request. Converts its exceptions to an error status,
+/// so that no exception reaches gRPC.
 grpc::Status call_handler(const std::function<void()>& handle_request) {
     try {
         handle_request();

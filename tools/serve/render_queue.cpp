@@ -34,6 +34,7 @@ RenderQueue::~RenderQueue() {
     thread_.join();
 }
 
+/// Reserves a slot in the queue. Returns no value if the queue is full.
 std::optional<RenderQueue::QueueSlot> RenderQueue::reserve_slot() {
     const std::lock_guard lock(mutex_);
     if (n_reserved_ == slots_) return {};
@@ -68,6 +69,7 @@ RenderQueue::QueueSlot::~QueueSlot() {
     --queue_->n_reserved_;
 }
 
+/// Appends the request to the queue and waits until the render thread has processed it.
 RenderQueue::RequestOutcome RenderQueue::QueueSlot::run_request(QueuedRequest& request) {
     request.queued_at_ = QueuedRequest::Clock::now();
     std::unique_lock lock(queue_->mutex_);
@@ -84,6 +86,8 @@ void RenderQueue::QueueSlot::run_function(const std::function<void()>& function)
     run_request(request);
 }
 
+/// Waits until the request is done or cancelled. Polls for cancellation only while the
+/// request is pending, because work on the device cannot be cancelled.
 void RenderQueue::wait_for_end(QueuedRequest& request, std::unique_lock<std::mutex>& lock) {
     using State = QueuedRequest::RequestState;
     while (request.state_ == State::pending && !request.changed_.wait_for(lock, kPollInterval, [&] {
@@ -97,7 +101,8 @@ void RenderQueue::wait_for_end(QueuedRequest& request, std::unique_lock<std::mut
         lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
 }
 
-/// Skips cancelled requests. Returns null if there is none.
+/// Removes the next request that is not cancelled from the queue and returns it. Returns
+/// null if there is none.
 /// @param scene if set, also returns null if the next request is for another scene
 QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene) {
     while (!pending_.empty()) {
@@ -112,9 +117,10 @@ QueuedRequest* RenderQueue::take_request(const std::optional<std::size_t>& scene
     return nullptr;
 }
 
-/// Step 1 submits the request to the device. Step 2, only for requests with a scene,
-/// waits for the device and stores the response. If a step fails, the request is done.
-/// @param is_last selects step 1; no value selects step 2
+/// Executes one step of a request without holding the lock. Step 1 submits the request to
+/// the device. Step 2 waits for the device and stores the response; only requests with a
+/// scene need it. If a step fails, the request is done.
+/// @param is_last selects step 1, and is passed to submit(); no value selects step 2
 void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is_last,
                                   std::unique_lock<std::mutex>& lock) {
     lock.unlock();
@@ -139,7 +145,8 @@ void RenderQueue::process_request(QueuedRequest& request, std::optional<bool> is
     request.changed_.notify_one();
 }
 
-/// Submits a request, and requests for the same scene that follow in the queue.
+/// Submits a request together with requests for the same scene that follow in the queue,
+/// up to the batch size.
 /// @return requests whose results must still be read from the device
 RenderQueue::RequestBatch RenderQueue::submit_batch(QueuedRequest* first,
                                                     std::unique_lock<std::mutex>& lock) {
@@ -157,6 +164,8 @@ void RenderQueue::finish_batch(const RequestBatch& batch, std::unique_lock<std::
     for (QueuedRequest* request : batch) process_request(*request, {}, lock);
 }
 
+/// Processes requests until the queue is closed and empty. Submits the next batch before
+/// it reads the previous batch, so that the device does not wait for the host.
 void RenderQueue::run_render_loop() {
     std::unique_lock lock(mutex_);
     RequestBatch in_flight;
@@ -167,6 +176,8 @@ void RenderQueue::run_render_loop() {
             if (pending_.empty()) return;
             continue;
         }
+        // Batches overlap only if both use the same scene. Another scene could unload the
+        // first scene before its results are read.
         const bool overlaps =
             request && !in_flight.empty() && request->scene && request->scene == in_flight.front()->scene;
         if (!overlaps) finish_batch(std::exchange(in_flight, {}), lock);

@@ -21,9 +21,14 @@ namespace relidar::serve {
 class QueuedRequest {
 public:
     virtual ~QueuedRequest() = default;
-    /// @param is_last false if both requests can be submitted together
+    /// Submits the work of this request to the device.
+    /// @param is_last false if another request of the same batch follows, so that both
+    /// can be submitted together
     virtual void submit(bool is_last) = 0;
+    /// Waits for the device and stores the response. Called only if the request has a
+    /// scene.
     virtual void finish() {}
+    /// Returns true if nobody waits for the response any more. Polled from one thread.
     virtual bool is_cancelled() const { return false; }
 
     /// Requests for the same scene may overlap. Requests without a value never overlap.

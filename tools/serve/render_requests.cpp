@@ -8,6 +8,8 @@
 namespace relidar::serve {
 namespace {
 
+/// Calls a function with the renderer of the requested scene, which is loaded if
+/// necessary. Converts a run that cannot be read to an error of the server.
 template <class Function>
 SceneLoadNumber with_renderer(SceneSet& scenes, const RenderRequest& request, const Function& use) {
     try {
@@ -39,6 +41,8 @@ QueueSlot reserve_slot(RenderQueue& queue) {
 
 bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || is_expired(context_); }
 
+/// Runs the request on the render thread. If the client no longer waits for the response,
+/// reverts the effects of the request and throws RejectedRequest.
 void ClientRequest::run_checked(QueueSlot& slot) {
     const bool is_done = slot.run_request(*this) == RenderQueue::RequestOutcome::done;
     if (is_done && !is_cancelled()) return;
@@ -65,10 +69,14 @@ PointsRequest::PointsRequest(SceneSet& scenes, const ServerContext& context,
     scene = requests.front().scene;
 }
 
+/// Submits all scans. If a scan fails, finish() still reads the earlier scans, because
+/// the device returns scans in the order of their submission.
 void PointsRequest::submit(bool is_last) {
     using Send = ScanRenderer::SubmissionTiming;
     try {
         for (const RenderRequest& scan : render_requests_) {
+            // Only the last scan of a batch is submitted immediately. The earlier scans
+            // wait for it, so that the device receives all of them together.
             const Send when = is_last && &scan == &render_requests_.back() ? Send::now : Send::with_next;
             load_ = with_renderer(scenes_, scan, [&](ScanRenderer& renderer) {
                 renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
@@ -90,7 +98,8 @@ void PointsRequest::finish() {
 
 void SpawnRequest::submit(bool) { occupied_slots = scenes_.spawn_actors(spawn_scene_, wishes_); }
 
-/// A client that did not receive the response would never remove the actors.
+/// Removes the actors again, because a client that did not receive the response would
+/// never remove them.
 void SpawnRequest::revert() {
     std::vector<std::string> names;
     for (const SpawnSlot& slot : occupied_slots) names.push_back(slot.actor.name);

@@ -29,6 +29,8 @@ bool is_far_from_path(double time_s, const PoseTrack& path) {
            (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
+/// Checks a time in seconds and returns it. Rejects times outside the sensor's path,
+/// because the pose of the sensor is unknown there.
 double time_near_path(double time_s, const PoseTrack& path, const std::string& field) {
     checked_time(time_s, field);
     if (is_far_from_path(time_s, path))
@@ -53,6 +55,8 @@ std::size_t find_index_of_name(const Items& items, const std::string& name, cons
     return std::size_t(match - items.begin());
 }
 
+/// Reads the names and poses of the actors in a request. Rejects an actor whose poses end
+/// before the scan or begin after it, except for a tolerance of one second.
 std::vector<RequestedActor> read_actors(const v1::ActorTracks& message, double scan_time_s) {
     std::vector<RequestedActor> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -124,6 +128,8 @@ SensorPtr RequestReader::find_built_in(const std::string& sensor_name, std::size
     return named_.add_sensor(key, find_known_sensor(sensor_name, outlines_[scene], lidar));
 }
 
+/// Returns the sensor of a request: a description in the request, the handle of an
+/// uploaded sensor, or the name of a built-in sensor.
 SensorPtr RequestReader::requested_sensor(const SensorRequest& request, std::size_t scene, int lidar) {
     if (request.returns > 2)
         reject_field(request.field + ".returns", fmt::format("{}", request.returns), "0, 1 or 2");
@@ -144,6 +150,8 @@ SensorPtr RequestReader::requested_sensor(const SensorRequest& request, std::siz
         reject_field(
             request.field, "a LiDAR of the log whose beams are unknown",
             "another sensor, because ray directions of this LiDAR are known only for the scans of the log");
+    // The cached sensor is shared by many requests. Copies it if this request needs
+    // another LiDAR or another number of returns.
     const int returns = int(request.returns);
     if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
     SimulatedSensor placed = *sensor;
@@ -152,6 +160,8 @@ SensorPtr RequestReader::requested_sensor(const SensorRequest& request, std::siz
     return std::make_shared<const SimulatedSensor>(std::move(placed));
 }
 
+/// Returns all actors of a scene: first the actors of its run, then the actors that
+/// clients have added.
 std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
     const auto find_actor_box = [&](const std::string& track) {
@@ -176,9 +186,12 @@ std::vector<VisibleActor> RequestReader::scene_actors(std::size_t scene) const {
     return actors;
 }
 
+/// Shows only the listed actors of the scene, at the requested poses. All other actors
+/// are hidden.
 void RequestReader::set_visible(const std::vector<RequestedActor>& actors,
                                 RenderRequest& render_request) const {
     const std::vector<VisibleActor> visible_actors = scene_actors(render_request.scene);
+    // A map makes the search by name fast, because a scene may have thousands of actors.
     std::map<std::string_view, const VisibleActor*> by_name;
     for (const VisibleActor& actor : visible_actors) by_name.emplace(actor.name, &actor);
     ActorTracksByName& poses = render_request.request.dataset_from_actor.emplace();
@@ -192,6 +205,8 @@ void RequestReader::set_visible(const std::vector<RequestedActor>& actors,
     }
 }
 
+/// Reads a request to add actors to a scene. The surfels of a new actor are copied from
+/// an asset or from an actor of the run.
 std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest& message,
                                                     std::size_t scene) const {
     if (message.actors().empty()) reject_field("actors", "none", "at least one actor");
@@ -225,6 +240,8 @@ std::vector<ActorToSpawn> RequestReader::read_spawn(const v1::SpawnActorsRequest
     return wishes;
 }
 
+/// Reads a request for one scan. If the time of the scan is missing, the first ray is
+/// fired at the first pose of the path.
 RenderRequest RequestReader::read_one(const v1::RenderLidarRequest& message, const SensorRequest& sensor,
                                       const std::optional<Pose>& rig_from_sensor) {
     RenderRequest render_request;
@@ -257,6 +274,8 @@ RenderRequest RequestReader::read_request(const v1::RenderLidarRequest& message)
     return read_one(message, {message.sensor(), "sensor", message.returns()}, {});
 }
 
+/// Reads a request for several sensors on one vehicle. Returns one scan request per
+/// sensor, in which the path of the vehicle becomes the path of the sensor.
 std::vector<RenderRequest> RequestReader::read_rig(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
         reject_field("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),

@@ -24,11 +24,14 @@ Run SceneSource::load() const {
     return run;
 }
 
+/// Parses command line arguments of the form RUN or NAME=RUN. Without a name, the scene
+/// has the name of its folder.
 std::vector<SceneSource> parse_sources(const std::vector<std::string>& arguments,
                                        const std::optional<std::string>& channels, const Weather& weather) {
     std::vector<SceneSource> sources;
     for (const std::string& word : arguments) {
         const std::size_t equals = word.find('=');
+        // The name of an existing folder may contain an equals sign.
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;
         sources.push_back(

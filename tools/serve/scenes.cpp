@@ -24,6 +24,8 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
       assets_(assets),
       spawned_(sources_.size()) {
     for (std::size_t i = 0; i < sources_.size(); ++i) {
+        // Loads each scene once to check it and to measure its size. Then keeps only the
+        // log and the settings, because the surfels need most of the memory.
         Run run = sources_[i].load();
         load_scene(i, run);
         run.scene = strip_surfels(run.scene);
@@ -49,7 +51,8 @@ SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::optional<Weath
         renderer.set_weather(weather.value_or(sources_[scene].weather));
         use(renderer);
     });
-    // Rendering may have allocated larger arrays, for a sensor with more rays.
+    // Rendering may have allocated larger arrays, for a sensor with more rays. Unloads
+    // other scenes if all scenes together now need too much memory.
     make_room(scene, 0);
     return loaded_[scene].load;
 }
@@ -73,6 +76,8 @@ void SceneSet::call_renderer(std::size_t scene, const RendererTask& use) {
     }
 }
 
+/// Loads a run to the device and measures its size in bytes. Allows as many parallel
+/// scans as the free memory permits.
 void SceneSet::load_scene(std::size_t scene, const Run& run) {
     SceneInMemory& loaded = loaded_[scene];
     loaded.bytes = 0;
@@ -89,12 +94,14 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
         loaded.renderer->render(sensor, ScanRequest{track.time_s.front(), {{track.time_s.front()}, {pose}}});
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // Parallel rendering needs copies, but no other scene is unloaded for them.
+    // Each further parallel scan needs a copy of the scene. No other scene is unloaded
+    // for such copies.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->max_parallel();
     loaded.renderer->set_parallel(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
+/// Loads the run together with the actors that clients have added.
 void SceneSet::load_spawned(std::size_t scene) {
     const std::vector<SpawnSlot> slots = spawned_.list_all_slots(scene);
     Run run = sources_[scene].load();
@@ -103,11 +110,15 @@ void SceneSet::load_spawned(std::size_t scene) {
     loaded_[scene].n_slots = slots.size();
 }
 
+/// Assigns slots to the new actors. Loads the scene again only if it has too few slots.
+/// If this fails, frees the slots, so that the request has no effect.
 std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.slot_count(scene);
     std::vector<SpawnSlot> occupied_slots = spawned_.assign_slots(scene, actors);
     if (loaded.renderer && loaded.n_slots == spawned_.slot_count(scene)) return occupied_slots;
+    // Also unloads the scene. The next request loads it again, without the actors that
+    // could not be added.
     const auto undo = [&] {
         loaded.renderer.reset();
         spawned_.undo_assign(scene, occupied_slots, n_before);
@@ -135,6 +146,8 @@ std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vect
            actors.size(), needed_mib, double(memory_bytes_) / kMiB);
 }
 
+/// Unloads other scenes, the least recently used first, until `n_bytes` more bytes fit
+/// into the device memory. Never unloads the scene `kept`.
 void SceneSet::make_room(std::size_t kept, std::uint64_t n_bytes) {
     while (device_.allocated_bytes() + n_bytes > memory_bytes_) {
         SceneInMemory* oldest = nullptr;

@@ -43,6 +43,8 @@ struct NumberReader {
     }
 };
 
+/// Reads an array from the bytes of a message. The array may be empty, but otherwise must
+/// have one value for each of the `n` rays.
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
@@ -54,6 +56,8 @@ std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::st
     return values;
 }
 
+/// Checks every ray. The conditions are negated comparisons (`!(x <= limit)`), so that
+/// they also reject NaN.
 void check_rays(const RayTable& rays, const std::string& field) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const auto fail = [&](const char* name, float found, const std::string& expected) {
@@ -72,6 +76,8 @@ void check_rays(const RayTable& rays, const std::string& field) {
     }
 }
 
+/// Reads a sensor that is a list of rays. Only the directions are required. By default,
+/// rays start at the sensor's origin at time 0, and the ring is the row.
 RayTable read_ray_table(const v1::RayTable& message, const std::string& field) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
@@ -103,6 +109,8 @@ RayTable read_ray_table(const v1::RayTable& message, const std::string& field) {
     return rays;
 }
 
+/// Reads a spinning sensor with one elevation and one azimuth offset per beam. All angles
+/// are in radians.
 SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::string& field) {
     check_ray_count(field, std::uint64_t(message.beams_size()) * message.columns());
     check_row_count(field, std::uint64_t(message.beams_size()));
@@ -114,7 +122,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
              read("azimuth_offset_rad", beam.azimuth_offset_rad(), -kPi, kPi),
              read("origin_offset_m", beam.origin_offset_m(), -kFarthestBeam_m, kFarthestBeam_m)});
     }
-    // Neighbouring beams of real sensors can be slightly out of order.
+    // Compares only the first and the last beam, because neighbouring beams of real
+    // sensors can be slightly out of order.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
         reject_field(field + ".beams",
@@ -124,11 +133,14 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = NumberReader{field}("period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    // Azimuth 0 is in the middle of the image.
+    // Starts half a turn away from azimuth 0, so that azimuth 0 is in the middle of the
+    // image.
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
 
+/// Reads a sensor that scans a rectangular window column by column. Row 0 is the highest
+/// row, and column 0 is the leftmost column.
 WindowScanSensor read_window(const v1::ScanningWindow& message, const std::string& field) {
     check_ray_count(field, std::uint64_t(message.rows()) * message.columns());
     check_row_count(field, message.rows());
@@ -144,6 +156,7 @@ WindowScanSensor read_window(const v1::ScanningWindow& message, const std::strin
             .period_s = read("period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
+/// Reads a sensor that draws a rosette, because two rotating prisms deflect its beam.
 RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field) {
     check_ray_count(field, message.rays());
     const NumberReader read{field};
@@ -157,6 +170,8 @@ RosetteSensor read_rosette(const v1::Rosette& message, const std::string& field)
 
 }  // namespace
 
+/// Reads a client's description of a sensor and checks every value, because clients may
+/// send invalid values. Lengths are in metres.
 SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& field) {
     SensorModel sensor;
     if (message.name().size() > kLongestName)
@@ -189,6 +204,8 @@ SimulatedSensor read_sensor(const v1::SensorSpec& message, const std::string& fi
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
+    // If the rays change from scan to scan, computes them once here. Invalid rays are
+    // then reported immediately instead of during rendering.
     if (summarise_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return simulate_sensor(sensor);
 }
@@ -215,9 +232,12 @@ SimulatedSensor find_known_sensor(const std::string& sensor_name_or_native, cons
     return simulate_sensor(sensor, lidar);
 }
 
+/// Returns when the first and the last ray are fired, in seconds relative to the time of
+/// the scan.
 FiringTimeSpan firing_span(const SimulatedSensor& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    // For example a rosette scanner: a full period, centred at the time of the scan.
+    // The sensor has no fixed firing times, for example a rosette scanner. Assumes a full
+    // scan period, centred at the time of the scan.
     if (times.empty()) {
         const double period_s = sensor.pattern ? scan_period_s(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};

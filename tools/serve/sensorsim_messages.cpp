@@ -32,6 +32,8 @@ const LidarTypeSensor& sensor_of_type(sensorsim::LidarType lidar_type) {
     return *match;
 }
 
+/// Writes a pose in the order that the client expects. With translation_first, the
+/// translation is R^-1 t, because R (p + R^-1 t) = R p + t.
 void write_pose(const Pose& pose, PoseTransformOrder order, sensorsim::Pose& message) {
     const glm::dvec3 t = order == PoseTransformOrder::rotation_first
                              ? pose.translation
@@ -59,6 +61,8 @@ void write_track(const PoseTrack& track, PoseTransformOrder order, sensorsim::Tr
 
 }  // namespace
 
+/// Returns the requested sensor. Stretches its firing times, so that one scan takes
+/// exactly as long as the requested interval.
 SensorPtr SensorsimReader::find_or_make_sensor(const sensorsim::LidarRenderRequest& message,
                                                std::size_t scene) {
     const sensorsim::LidarType type = message.lidar().lidar_type();
@@ -102,6 +106,8 @@ Pose SensorsimReader::read_pose(const sensorsim::Pose& message, const std::strin
     return pose;
 }
 
+/// Converts the poses at the start and end of the interval to a track in the world frame
+/// of the dataset. An interval without duration has one pose.
 PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const SensorsimTimeFrame& frame,
                                       const std::string& field) const {
     if (!message.has_start() || !message.has_end())
@@ -116,6 +122,8 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     return {{frame.start_s}, {start}};
 }
 
+/// Reads a request for a scan and checks all fields. Times in the message are in
+/// microseconds.
 RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
@@ -127,7 +135,8 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
                                    checked_time(double(end_us) * kMicrosecond_s, "frame_end_us"),
                                    outlines_[render_request.scene].sequence.world_offset_m};
     render_request.sensor = find_or_make_sensor(message, render_request.scene);
-    // Firing times are relative to the middle of a sweep.
+    // The time of the scan is the middle of the interval, because firing times are
+    // relative to the middle of a sweep.
     render_request.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     render_request.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     render_request.points_at_s = frame.end_s;
@@ -142,6 +151,8 @@ RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest&
     return render_request;
 }
 
+/// Writes the points as numbers and as bytes. Both fields have the same values, and a
+/// client may read either of them.
 void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& message) {
     message.set_count(std::uint32_t(points.size()));
     const auto write = [&](const auto& values, std::string& bytes,
@@ -154,6 +165,7 @@ void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& messa
     write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
+/// Writes the classes, sizes (metres) and poses of the run's actors into the response.
 void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : run_actor_names(run)) {
         const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);

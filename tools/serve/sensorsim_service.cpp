@@ -68,7 +68,9 @@ private:
     // gRPC keeps pointers to the names, and a deque does not move its elements.
     std::deque<std::string> methods_;
 
-    /// `handle_call` computes the answer, and throws RejectedRequest to reject a call.
+    /// Registers an RPC method with gRPC.
+    /// @param handle_call computes the answer, and throws RejectedRequest to reject a
+    /// call
     template <class RequestMessage, class Answer, class Function>
     void register_method(const std::string& method_name, Function handle_call) {
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;

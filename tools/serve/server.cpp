@@ -44,8 +44,9 @@ std::string read_pem_file(const std::string& file_path) {
     return text;
 }
 
-/// gRPC only repeats errors that relidar reports. Protobuf prints a line for each invalid
-/// UTF-8 text, so any client could fill the disk.
+/// Turns off the logs of gRPC and Protobuf on stderr. gRPC only repeats errors that
+/// relidar reports. Protobuf prints a line for each invalid UTF-8 text, so any client
+/// could fill the disk.
 void silence_grpc() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
@@ -84,8 +85,12 @@ struct ScanServer::Impl {
     void set_health(bool is_serving);
 };
 
+/// Starts the gRPC server. Accepts connections with an Acceptor, because gRPC stops
+/// permanently when no file descriptor is free.
 void ScanServer::Impl::start_listening(const ServerOptions& options) {
     silence_grpc();
+    // Opens the sockets first, so that an unusable address is reported before gRPC starts
+    // its threads.
     acceptor.emplace(options.listen);
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
@@ -132,6 +137,8 @@ void ScanServer::Impl::set_health(bool is_serving) {
     if (!is_serving) health.SetServingStatus("", false);
 }
 
+/// Loads all runs on the render thread, because only that thread may use the device. Then
+/// starts to listen for connections.
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {
     std::vector<SceneSource> sources = parse_sources(options.runs, options.channels, options.weather);
     impl_->assets.emplace(options.assets);
@@ -164,12 +171,15 @@ std::optional<std::string> ScanServer::loss_message() {
     return loss;
 }
 
+/// Rejects new calls and waits for pending calls. Reports NOT_SERVING first, so that
+/// clients that check the health stop calling.
 void ScanServer::stop_and_wait(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::system_clock::now() + max_wait;
     impl_->acceptor->stop();
     impl_->server->GetHealthCheckService()->SetServingStatus(false);
-    // Shutdown() closes a connection immediately after later responses. If the client
-    // then sends a byte, responses can be lost.
+    // Shutdown() waits until each client has read the responses that gRPC has written
+    // before. It closes a connection immediately after later responses. If the client
+    // then sends a byte, the system resets the connection, and responses can be lost.
     impl_->queue.drain(max_wait);
     std::this_thread::sleep_for(kLastWrites);
     impl_->server->Shutdown(end);

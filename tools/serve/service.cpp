@@ -113,6 +113,8 @@ Status RenderService::RenderLidar(ServerContext* context, const v1::RenderLidarR
     });
 }
 
+/// Renders the scans of all sensors of a rig and sends each scan when it is ready.
+/// Successive sensors that need only points are rendered together.
 Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigRequest* request,
                                 grpc::ServerWriter<v1::RigScan>* writer) {
     return call_handler([&] {
@@ -121,6 +123,8 @@ Status RenderService::RenderRig(ServerContext* context, const v1::RenderRigReque
         QueueSlot slot = reserve_slot(queue_);
         const std::vector<RenderRequest> render_requests = reader_.read_rig(*request);
         for (std::size_t first = 0, n = 1; first < render_requests.size(); first += n) {
+            // Counts the next sensors that need only points. A sensor that needs an image
+            // is rendered alone.
             for (n = 0; n < kMostAtOnce && first + n < render_requests.size() &&
                         !has_range_image(render_requests[first + n]);)
                 ++n;

@@ -20,6 +20,8 @@ auto find_slot(SpawnedActorSlots& slots, const std::string& actor_name) {
     return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
+/// Returns the index of a free slot for the same model. If there is none, adds as many
+/// slots as the model already has, so that a growing scene is seldom loaded again.
 std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto free = std::ranges::find_if(slots, is_free);
@@ -83,6 +85,8 @@ std::vector<SpawnSlot> SpawnedActorRegistry::assign_slots(std::size_t scene,
     return occupied_slots;
 }
 
+/// Removes the named actors and makes their slots free again. If a name is unknown,
+/// nothing changes.
 void SpawnedActorRegistry::remove_actors(std::size_t scene, const std::vector<std::string>& names) {
     const std::lock_guard lock(mutex_);
     SpawnedActorSlots slots = scenes_[scene];
@@ -104,8 +108,12 @@ void SpawnedActorRegistry::undo_assign(std::size_t scene, const std::vector<Spaw
     scenes_[scene].resize(n_before);
 }
 
+/// Returns a track name for the actor in a slot. The control character at its start keeps
+/// it different from all track names of the run.
 std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }
 
+/// Adds an actor instance for each slot to the run. Slots with the same asset share one
+/// surfel model.
 void add_spawned(Run& run, const std::vector<SpawnSlot>& slots, const AssetCatalogue& assets) {
     std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
     for (const SpawnSlot& slot : slots) {
