@@ -21,6 +21,8 @@ bool is_port(std::string_view text) {
     });
 }
 
+/// Returns the host name in a text of the form "host", "host:port" or "[address]:port".
+/// Returns an empty text for any other form.
 std::string_view host_name(std::string_view host_and_port) {
     std::size_t end = host_and_port.find(':');
     if (host_and_port.starts_with('[')) {
@@ -63,6 +65,8 @@ bool is_foxglove_origin(std::string_view origin) {
     return is_same_text(name, "localhost") || name == "127.0.0.1" || name == "::1";
 }
 
+/// Always compares all characters of `expected`, so that the duration does not show how
+/// many characters of `given` are right.
 bool is_same_secret(std::string_view given, std::string_view expected) {
     unsigned differs = given.size() == expected.size() ? 0u : 1u;
     for (std::size_t i = 0; i < expected.size(); ++i) {

@@ -109,6 +109,8 @@ bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     return true;
 }
 
+/// Handles the client messages "subscribe" and "unsubscribe". Each subscription has an id
+/// that the client chooses, and refers to one topic.
 void FoxglovePlayer::subscribe(Client& client, const std::string& text) const {
     const Json message = Json::parse(text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");
@@ -147,6 +149,8 @@ bool FoxglovePlayer::flush_texts() {
     return has_subscriptions;
 }
 
+/// Sends the next scan if its time has come. Without subscriptions, frees the renderer
+/// and its device memory.
 std::chrono::milliseconds FoxglovePlayer::send_due(std::chrono::milliseconds max_wait) {
     if (!flush_texts() || times_s_.empty()) {
         playback_.reset();
@@ -167,13 +171,16 @@ std::chrono::milliseconds FoxglovePlayer::send_due(std::chrono::milliseconds max
     return std::clamp(pause, std::chrono::milliseconds(0), max_wait);
 }
 
+/// Renders and sends one scan, and computes when the next one should be sent. If the
+/// device is slow, the playback becomes slower instead of skipping scans.
 void FoxglovePlayer::send_next() {
     std::size_t& frame = playback_->frame;
     const double time_s = times_s_[frame];
     const RenderedScan scan = playback_->renderer.render(sensor_, time_s);
     publish(playback_->messages.encode({&scan, 1}));
     frame = (frame + 1) % times_s_.size();
-    // The times of an encoder's messages must not decrease.
+    // The log starts again. A new encoder is needed, because the times of its messages
+    // must not decrease.
     if (frame == 0) playback_->messages = ScanMessageEncoder({format_});
     const std::chrono::duration<double> interval(
         frame > 0 ? times_s_[frame] - time_s

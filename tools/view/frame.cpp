@@ -26,6 +26,8 @@ std::uint8_t to_byte(float fraction) {
 
 class BinaryArrayPacker {
 public:
+    /// Appends an array and its entry in the table. Pads it to a multiple of 4 bytes,
+    /// because JavaScript requires aligned arrays.
     template <class T>
     void add_array(const std::string& name, const char* type, int n, const std::vector<T>& values) {
         if (values.empty()) return;
@@ -84,6 +86,8 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
     return result;
 }
 
+/// Converts a measured scan to the arrays of a message. With rolling shutter, each ray
+/// starts at the pose of its own firing time.
 ScanColumns measured_columns(const Log& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.lidar_track(frame.lidar);
@@ -109,6 +113,8 @@ Json pose_json(const Pose& pose) {
     return result;
 }
 
+/// Encodes a simulated scan, a measured scan, or both as one binary message in the format
+/// of frame.hpp.
 std::string encode_scans(Json header, const ScanColumns* simulated, const ScanColumns* measured) {
     BinaryArrayPacker arrays;
     if (simulated) {

@@ -30,6 +30,8 @@ std::string_view url_query(std::string_view target) {
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
+/// Returns the HTTP status for a request that the parser rejected. Returns no value if
+/// the client has disconnected.
 std::optional<http::status> parse_status(const boost::system::error_code& parse_error) {
     if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
@@ -46,6 +48,8 @@ std::optional<http::status> parse_status(const boost::system::error_code& parse_
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, WebServerState& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
+/// Starts a timer that cancels the current read or write if it takes too long. The weak
+/// pointer lets the session end while the timer runs.
 void HttpSession::start_timeout(std::chrono::milliseconds max_duration) {
     late_ = false;
     timer_.expires_after(max_duration);
@@ -73,7 +77,9 @@ void HttpSession::on_read(Error error) {
     if (const std::optional<Status> status = parse_status(error)) send_error(*status);
 }
 
-/// Empty if the request is no such handshake, or if this server does not offer Foxglove.
+/// Returns the first Foxglove subprotocol that a WebSocket handshake requests. Returns an
+/// empty text if the request is no such handshake, or if this server does not offer
+/// Foxglove.
 std::string_view HttpSession::offered_protocol(const Request& request) const {
     if (!hub_.events.foxglove_opened || !boost::beast::websocket::is_upgrade(request)) return {};
     for (const auto& requested : http::token_list{request[http::field::sec_websocket_protocol]})
@@ -82,8 +88,8 @@ std::string_view HttpSession::offered_protocol(const Request& request) const {
     return {};
 }
 
-/// No value if the request is allowed. The order of the checks reveals as little as
-/// possible to a client without access.
+/// Returns the HTTP status if a request is rejected, otherwise no value. The order of the
+/// checks reveals as little as possible to a client without access.
 std::optional<HttpSession::Status> HttpSession::access_error(const Request& request, bool foxglove) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{to_view(request[http::field::host]), to_view(request[http::field::origin]),
@@ -105,6 +111,8 @@ std::optional<HttpSession::Status> HttpSession::access_error(const Request& requ
     return {};
 }
 
+/// Starts a WebSocket or sends a file of the web page. Only files that are compiled into
+/// the program can be sent.
 void HttpSession::answer_request(const Request& request) {
     const std::string_view foxglove = offered_protocol(request);
     if (const std::optional<Status> status = access_error(request, !foxglove.empty()))
@@ -124,6 +132,8 @@ void HttpSession::answer_request(const Request& request) {
     response_ = make_response(Status::ok, std::string(to_view(request[http::field::host])));
     response_->set(http::field::content_type,
                    boost::beast::string_view(asset->type.data(), asset->type.size()));
+    // Stores the token in a cookie, so that the page can load its other files without the
+    // token in their addresses.
     if (!find_list_value(url_query(target), "token", '&').empty() && !hub_.options.token.empty())
         response_->set(http::field::set_cookie,
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
@@ -135,7 +145,7 @@ void HttpSession::answer_request(const Request& request) {
     write_response();
 }
 
-/// With the security headers.
+/// Returns a response with the security headers and without a body.
 /// @param host for the WebSocket address in the security policy, or empty. Needed because
 /// some browsers do not include WebSockets in 'self'.
 HttpSession::Response HttpSession::make_response(Status status, const std::string& host) const {
@@ -171,6 +181,7 @@ void HttpSession::send_error(Status status) {
 
 void HttpSession::send_overload() { send_error(Status::service_unavailable); }
 
+/// Sends the response, then reads the next request or closes the connection.
 void HttpSession::write_response() {
     start_timeout(hub_.options.idle_time);
     http::async_write(stream_, *response_, [self = shared_from_this()](Error failed, std::size_t) {
@@ -184,7 +195,8 @@ void HttpSession::write_response() {
     });
 }
 
-/// If a connection is closed with unread data, the client does not receive the response.
+/// Reads the remaining data of a rejected client for a short time and discards it. If a
+/// connection is closed with unread data, the client does not receive the response.
 void HttpSession::discard_rest() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),

@@ -33,6 +33,8 @@ const Log* RecordedScans::sequence() const {
 
 std::string RecordedScans::reason() const { return state_ == RecordedScansState::missing ? why_ : ""; }
 
+/// Loads the log on a background thread. If the log cannot be read, the viewer shows the
+/// reason and works without measured scans.
 void RecordedScans::load_scans() {
     try {
         const Progress until_stopped = [this](std::string_view, double) {

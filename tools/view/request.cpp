@@ -74,6 +74,8 @@ std::set<std::string> read_track_names(const Json& value, const char* where) {
     return result;
 }
 
+/// Parses the user's changes of the actors. The limits of the numbers are in metres,
+/// degrees and metres per second.
 ActorEdits parse_edits(const Json& json) {
     if (!json.is_object()) reject_request("edits", "a JSON object");
     ActorEdits edits;
@@ -98,6 +100,8 @@ ActorEdits parse_edits(const Json& json) {
     return edits;
 }
 
+/// Parses a request for a scan. The field "place" is the sensor's offset from its
+/// recorded pose: x, y, z in metres; yaw, pitch, roll in degrees.
 LiveScanRequest parse_scan(const Json& json) {
     const auto place = read_numbers<6>(member(json, "place"), "place",
                                        {kMaxPosition_m, kMaxPosition_m, kMaxPosition_m, 360.0, 360.0, 360.0});
@@ -116,7 +120,8 @@ LiveScanRequest parse_scan(const Json& json) {
     return wish;
 }
 
-/// Rejects a path, so that the folder cannot be created elsewhere.
+/// Reads the name of a new folder. Rejects a name that contains a path, so that the
+/// folder cannot be created elsewhere.
 std::string read_folder(const Json& value) {
     std::string name = read_text(value, "name");
     const auto plain = [](char character) {

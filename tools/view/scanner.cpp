@@ -32,8 +32,9 @@ std::vector<std::string> sensor_names() {
     return names;
 }
 
-/// FNV-1a, so that clients do not learn the path. After a restart, the web page compares
-/// the hash to detect another run.
+/// Returns a hash (FNV-1a) of the run's path. The path itself is not sent, so that
+/// clients do not learn it. After a restart, the web page compares the hash to detect
+/// another run.
 std::string run_path_hash(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -50,6 +51,8 @@ Json copyable_actors(const Run& run) {
     return actors;
 }
 
+/// Stores an uploaded text in a temporary file, because sensors can only be read from
+/// files. The destructor removes the file.
 class UploadedFile {
 public:
     UploadedFile(const std::string& text, const std::string& ending) {
@@ -96,6 +99,8 @@ Json channels_json(const Config& config) {
 BrowserScanRenderer::BrowserScanRenderer(Run run, OtherRunsByName others, Device& device)
     : run_(std::move(run)), others_(std::move(others)), device_(device), real_(run_) {}
 
+/// Returns the data that the web page needs only once. It describes the run, its frames
+/// and path, the available sensors, the actors of other runs, and the device.
 Json BrowserScanRenderer::page_data() const {
     const Log& log = run_.sequence;
     Json frames = Json::array(), lidars = Json::array();
@@ -135,6 +140,8 @@ Json BrowserScanRenderer::page_data() const {
             {"weather", {{"help", weather_help()}, {"examples", weather_examples}}}};
 }
 
+/// Returns the sensor that a browser tab has selected. Reuses the sensor of the previous
+/// scan, because computing its rays takes time.
 SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveScanRequest& request) const {
     if (request.lidar < 0 || std::size_t(request.lidar) >= run_.sequence.lidars.size())
         fail<UsageError>("cannot select a LiDAR: found the index {}, but the log has {} LiDARs",
@@ -148,7 +155,8 @@ SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveS
     }
     const std::string key = fmt::format("{}/{}", request.lidar, request.sensor);
     if (!tab_cache.sensor || tab_cache.sensor->first != key) {
-        // Clients cannot read files of the server.
+        // Accepts only the names of built-in sensors, so that clients cannot read files
+        // of the server.
         const std::vector<std::string> names = sensor_names();
         if (std::find(names.begin(), names.end(), request.sensor) == names.end())
             fail<UsageError>("unknown sensor \"{}\"; expected a name from the list of sensors",
@@ -160,6 +168,8 @@ SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveS
     return tab_cache.sensor->second;
 }
 
+/// Reads a sensor file that a browser tab has uploaded, and stores the sensor for this
+/// tab.
 Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& file) const {
     const std::string ending = std::filesystem::path(file.name).extension().string();
     if (ending != ".csv" && ending != ".json")
@@ -174,6 +184,7 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
     try {
         sensor = simulate_sensor(find_sensor(upload.file_path(ending).string()));
     } catch (const Error& error) {
+        // Replaces the path of the temporary file by the name of the user's file.
         std::string message = error.what();
         const std::string path = upload.file_path(ending).string();
         if (const std::size_t at = message.find(path); at != std::string::npos)
@@ -190,8 +201,9 @@ Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& fi
     return {{"name", file.name}, {"rows", rays.rows}, {"columns", rays.columns}, {"rays", rays.size()}};
 }
 
-/// Creates a new renderer if an actor is copied or moved for the first time, because the
-/// surfels change. Other edits reuse the renderer.
+/// Returns a renderer for the scene with all edits. Creates a new renderer if an actor is
+/// copied or moved for the first time, because the surfels change. Other edits reuse the
+/// renderer.
 ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic) {
     // Scenes with equal lists of copied and moved actors can share a renderer.
     std::vector<std::pair<std::string, std::string>> models;
@@ -226,6 +238,8 @@ ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic)
     return *renderer_;
 }
 
+/// Returns the measured frame of the requested LiDAR that is nearest in time. Returns
+/// null if measured scans are missing or not requested.
 const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request) const {
     const Log* log = real_.sequence();
     if (!log || !request.real) return nullptr;
@@ -250,8 +264,9 @@ RenderedScan BrowserScanRenderer::render_scan(const EditedTraffic& traffic, cons
     return renderer.render(sensor, request);
 }
 
-/// Milliseconds of the last launch of each kernel whose list of times has grown. A list
-/// with kMaxLaunchTimes entries cannot grow, so its kernel is always included.
+/// Returns the duration in milliseconds of the last launch of each kernel that has run
+/// since the previous call. A kernel has run if its list of launch times has grown. A
+/// list with kMaxLaunchTimes entries cannot grow, so its kernel is always included.
 Json BrowserScanRenderer::kernel_times() {
     constexpr std::size_t kMaxLaunchTimes = 4096;
     Json times = Json::array();
@@ -266,6 +281,8 @@ Json BrowserScanRenderer::kernel_times() {
     return times;
 }
 
+/// Renders the requested scan and encodes it together with the measured scan that is
+/// nearest in time.
 std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveScanRequest& request) {
     const auto start = Clock::now();
     // An invalid sensor causes an error before anything is rendered.
@@ -277,6 +294,8 @@ std::string BrowserScanRenderer::render_message(TabCache& tab_cache, const LiveS
     const bool on_frame = real && std::abs(real->time_s - request.time_s) < kSameTime_s;
     const bool is_at_log_pose = request.sensor_offset.translation == glm::dvec3(0.0) &&
                                 std::abs(request.sensor_offset.rotation.w) == 1.0;
+    // The simulated scan can be compared ray by ray if the sensor, its pose and its time
+    // are those of the measured scan. It then uses the measured rays.
     const bool is_matched =
         on_frame && sensor.is_log_lidar && !sensor.grid && is_at_log_pose && request.simulate;
     const Pose log_pose = log.lidar_track(request.lidar).pose_at(request.time_s);

@@ -69,6 +69,8 @@ struct WebServer::Impl {
         hub.host_name = boost::asio::ip::host_name(failed);
     }
 
+    /// Accepts the next connection and then calls itself. Clients above the limit receive
+    /// an error message, and clients above twice the limit are disconnected immediately.
     void start_accepting() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
             if (!acceptor.is_open()) return;  // The acceptor is closed because drain() was called.
@@ -87,6 +89,8 @@ struct WebServer::Impl {
         });
     }
 
+    /// Calls a function with the session of a client on the thread of the server. Does
+    /// nothing if the client has disconnected.
     template <class Work>
     void post_session(ClientId client_id, Work call_session) {
         boost::asio::post(hub.io, [this, client_id, work = std::move(call_session)]() mutable {
@@ -109,12 +113,15 @@ WebServer::WebServer(const WebServerOptions& options, WebSocketEvents events)
     impl_->thread = std::thread([&impl = *impl_] { impl.hub.io.run(); });
 }
 
+/// Rejects new connections and closes each WebSocket after its queued messages are sent.
+/// Waits at most `max_wait`.
 void WebServer::drain(std::chrono::milliseconds max_wait) {
     const auto end = std::chrono::steady_clock::now() + max_wait;
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
-        // A session that ends immediately removes itself from the original list.
+        // Iterates over a copy, because a session that ends immediately removes itself
+        // from the original list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->drain();

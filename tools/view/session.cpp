@@ -49,6 +49,8 @@ void ViewerSession::send_error(TabId tab_id, const char* request_name, const std
     answers_.text(tab_id, dump_utf8({{"kind", "error"}, {"about", request_name}, {"text", reason}}));
 }
 
+/// Adds a request to the tab's queue. A newer scan replaces a waiting one, because only
+/// the newest view matters. All other requests are executed in order.
 void ViewerSession::handle_message(TabId id, const std::string& message) {
     std::optional<BrowserRequest> request;
     std::string why =
@@ -70,7 +72,9 @@ void ViewerSession::handle_message(TabId id, const std::string& message) {
     arrived_.notify_one();
 }
 
-/// The most urgent job. The caller must hold the mutex.
+/// Returns the most urgent job of a browser tab, or no value if the tab has none. Scans
+/// come last, so that a moving view does not delay other requests. The caller must hold
+/// the mutex.
 std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
                                                                 const std::shared_ptr<BrowserTabState>& tab) {
     if (!tab->greeted) {
@@ -114,7 +118,8 @@ std::optional<ViewerSession::ViewerJob> ViewerSession::take_job(TabId tab_id,
     return {};
 }
 
-/// Starts with the tab after the previous one, so that all tabs are served in turn.
+/// Returns the next job of any browser tab. Starts with the tab after the previous one,
+/// so that all tabs are served in turn.
 std::optional<ViewerSession::ViewerJob> ViewerSession::wait_for_job(std::chrono::milliseconds max_wait) {
     std::optional<ViewerJob> job;
     const auto look = [&] {
@@ -140,13 +145,16 @@ void ViewerSession::finish_requests() {
     while (run_next(std::chrono::milliseconds(0))) {}
 }
 
+/// Executes one request of a browser tab, and waits at most `max_wait` for it. Returns
+/// false if no request has arrived.
 bool ViewerSession::run_next(std::chrono::milliseconds max_wait) {
     const std::optional<ViewerJob> job = wait_for_job(max_wait);
     if (!job) return false;
     try {
         job->run();
     } catch (const DeviceError&) {
-        // Without a device, no browser tab can receive a scan.
+        // A device error ends the viewer, because no tab can receive a scan without a
+        // device.
         throw;
     } catch (const Error& error) {
         send_error(job->id, job->about, error.what());
@@ -162,8 +170,10 @@ Json ViewerSession::execute(TabCache& cache, const BrowserRequest& request) cons
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
+/// Saves the edited run in a new folder. Never replaces an existing folder.
 Json ViewerSession::save_edited(const SaveRequest& request) const {
-    // Invalid edits leave no folder behind.
+    // Applies the edits before the folder is created, so that invalid edits leave no
+    // folder.
     Run run = apply_edits(scanner_.trained_run(), scanner_.other_runs(), request.edits);
     const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;

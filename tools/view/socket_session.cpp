@@ -21,7 +21,8 @@ SocketSession::SocketSession(boost::beast::tcp_stream stream, CountedConnection 
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
-    // The server sends no other message between fragments.
+    // Sends each message as one WebSocket frame. Fragments are useless, because the
+    // server sends no other message between them.
     stream_.auto_fragment(false);
 }
 
@@ -49,8 +50,10 @@ void SocketSession::read_message() {
                        [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
+/// Passes a text message to the server and reads the next message.
 void SocketSession::on_read(Error error) {
-    // For an invalid message, the stream has already sent the error code.
+    // The client has disconnected, or its message is invalid or too large. For an invalid
+    // message, the stream has already sent the error code.
     if (error) return leave_hub();
     if (!stream_.got_text()) return close_invalid();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
@@ -59,6 +62,8 @@ void SocketSession::on_read(Error error) {
     read_message();
 }
 
+/// Adds a message to the queue, which may remove older scans. Disconnects a client whose
+/// queue is full, because it is too slow.
 void SocketSession::send_message(std::string bytes, bool is_text, bool drop_queued_older_message) {
     if (id_ == 0 || refused_) return;
     // The first message stays, because it is already being written.
@@ -108,7 +113,8 @@ void SocketSession::close_with_reason(std::uint16_t code, const char* reason) {
                         [self = shared_from_this()](Error) { self->leave_hub(); });
 }
 
-/// Waits until the current write is finished.
+/// Closes the connection to a client that has sent an invalid message. Waits until the
+/// current write is finished, because only one write may run at a time.
 void SocketSession::close_invalid() {
     refused_ = true;
     if (!outgoing_.empty()) {

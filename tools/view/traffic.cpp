@@ -36,7 +36,7 @@ SceneWithLog apply_moves(SceneWithLog scene, const ActorEdits& edits) {
     return scene;
 }
 
-/// Without scans and surfels.
+/// Returns the scene and the log of a run without scans and surfels.
 SceneWithLog copy_tracks(const Run& run) {
     SceneWithLog driving{strip_surfels(run.scene), run.sequence};
     for (SurfelModel& model : driving.scene.models) model.first = model.count = 0;
@@ -51,7 +51,8 @@ const Run& find_other_run(const std::string& run_name, const OtherRunsByName& ot
     return match->second;
 }
 
-/// @param get_scene_with_log_of_run with or without surfels
+/// Adds a copy of an actor to the scene for each element of `copies`.
+/// @param get_scene_with_log_of_run returns another run, with or without surfels
 SceneWithLog copy_actors(SceneWithLog scene, const OtherRunsByName& others,
                          const std::vector<ActorEdits::ActorCopy>& copies,
                          SceneWithLog (*get_scene_with_log_of_run)(const Run&)) {
@@ -72,7 +73,8 @@ void check_tracks(const SceneWithLog& scene, const std::set<std::string>& track_
     (void)select_instances(scene.scene, names);
 }
 
-/// In the form that `relidar edit` writes.
+/// Converts the edits to the history of a saved run, in the form that `relidar edit`
+/// writes.
 std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName& others,
                                            const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {
@@ -102,6 +104,8 @@ SceneWithLog add_copies(SceneWithLog scene, const OtherRunsByName& others,
     return copy_actors(std::move(scene), others, copies, [](const Run& run) { return run.driving_scene(); });
 }
 
+/// Returns a copy of an actor that stands on the ground at the position where the user
+/// has clicked. Converts its rotation to yaw, pitch and roll for the web page.
 ActorEdits::ActorCopy copy_on_ground(const Run& run, const OtherRunsByName& others,
                                      const GroundPoseRequest& request) {
     const Run& owner = request.from.empty() ? run : find_other_run(request.from, others);
@@ -127,6 +131,8 @@ EditedTraffic::EditedTraffic(const Run& run, const OtherRunsByName& others, cons
     check_tracks(driving_, edits.hidden);
 }
 
+/// Returns the tracks of all actors that are visible at a time, in the world frame of the
+/// dataset. Actors without surfels are left out, because they cannot be rendered.
 ActorTracksByName EditedTraffic::visible_poses(double time_s) const {
     ActorTracksByName poses;
     for (const BoxTrack& box : driving_.sequence.boxes) {
@@ -155,6 +161,8 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
     return actors;
 }
 
+/// Returns the run after all edits. Hidden actors stay in the run, because they are
+/// hidden only in the view.
 Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits) {
     Run result = run;
     SceneWithLog driving =
