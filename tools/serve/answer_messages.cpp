@@ -130,8 +130,6 @@ void write_boxes(const RenderedScan& scan, const RenderRequest& request, const R
     }
 }
 
-/// Writes the description of a scene: its time range in seconds, its LiDARs and its
-/// actors. The run needs no surfels.
 void write_scene(const std::string& scene_name, const Run& run, v1::Scene& message) {
     const Log& log = run.sequence;
     message.set_name(scene_name);

@@ -12,7 +12,6 @@ void reject_field(const std::string& field, const std::string& found, const std:
     refuse(Code::INVALID_ARGUMENT, "cannot read {}: found {}, expected {}", field, found, expected);
 }
 
-/// Rejects a name that does not exist. The error message suggests the most similar name.
 void reject_name(const std::string& field, const std::string& name, const std::vector<std::string>& names) {
     const std::string nearest = nearest_name(name.substr(0, 80), names);
     const std::string expected = nearest.empty() ? "an empty field, because no names are available"

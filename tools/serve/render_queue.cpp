@@ -34,7 +34,6 @@ RenderQueue::~RenderQueue() {
     thread_.join();
 }
 
-/// Reserves a slot in the queue. Returns no value if the queue is full.
 std::optional<RenderQueue::QueueSlot> RenderQueue::reserve_slot() {
     const std::lock_guard lock(mutex_);
     if (n_reserved_ == slots_) return {};

@@ -31,7 +31,6 @@ std::vector<SceneSource> parse_sources(const std::vector<std::string>& arguments
     std::vector<SceneSource> sources;
     for (const std::string& word : arguments) {
         const std::size_t equals = word.find('=');
-        // The name of an existing folder may contain an equals sign.
         const bool named = equals != std::string::npos && !fs::exists(word);
         const std::string folder = named ? word.substr(equals + 1) : word;
         sources.push_back(

@@ -101,7 +101,6 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
     loaded.renderer->set_parallel(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-/// Loads the run together with the actors that clients have added.
 void SceneSet::load_spawned(std::size_t scene) {
     const std::vector<SpawnSlot> slots = spawned_.list_all_slots(scene);
     Run run = sources_[scene].load();

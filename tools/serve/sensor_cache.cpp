@@ -19,8 +19,6 @@ std::string SensorCache::add_upload(SimulatedSensor sensor) {
     return key;
 }
 
-/// Adds a sensor. Removes the least recently used sensors until the limits on the number
-/// of sensors and of rays are met.
 SensorPtr SensorCache::add_sensor(const std::string& key, SimulatedSensor sensor) {
     const auto shared_sensor = std::make_shared<const SimulatedSensor>(std::move(sensor));
     const std::lock_guard lock(mutex_);

@@ -165,7 +165,6 @@ void write_points(const LidarPoints& points, sensorsim::LidarRenderReturn& messa
     write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
-/// Writes the classes, sizes (metres) and poses of the run's actors into the response.
 void write_actors(const Run& run, PoseTransformOrder order, sensorsim::DynamicObjectTracks& message) {
     for (const std::string& name : run_actor_names(run)) {
         const auto box = std::ranges::find(run.sequence.boxes, name, &BoxTrack::id);

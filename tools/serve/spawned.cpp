@@ -85,8 +85,6 @@ std::vector<SpawnSlot> SpawnedActorRegistry::assign_slots(std::size_t scene,
     return occupied_slots;
 }
 
-/// Removes the named actors and makes their slots free again. If a name is unknown,
-/// nothing changes.
 void SpawnedActorRegistry::remove_actors(std::size_t scene, const std::vector<std::string>& names) {
     const std::lock_guard lock(mutex_);
     SpawnedActorSlots slots = scenes_[scene];

@@ -109,8 +109,6 @@ bool FoxglovePlayer::handle_message(ClientId id, const std::string& message) {
     return true;
 }
 
-/// Handles the client messages "subscribe" and "unsubscribe". Each subscription has an id
-/// that the client chooses, and refers to one topic.
 void FoxglovePlayer::subscribe(Client& client, const std::string& text) const {
     const Json message = Json::parse(text, nullptr, false);
     if (!message.is_object()) throw UsageError("cannot read the message: expected a JSON object");

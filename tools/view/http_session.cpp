@@ -30,8 +30,6 @@ std::string_view url_query(std::string_view target) {
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
-/// Returns the HTTP status for a request that the parser rejected. Returns no value if
-/// the client has disconnected.
 std::optional<http::status> parse_status(const boost::system::error_code& parse_error) {
     if (parse_error == http::error::body_limit || parse_error == http::error::unexpected_body)
         return http::status::payload_too_large;
@@ -181,7 +179,6 @@ void HttpSession::send_error(Status status) {
 
 void HttpSession::send_overload() { send_error(Status::service_unavailable); }
 
-/// Sends the response, then reads the next request or closes the connection.
 void HttpSession::write_response() {
     start_timeout(hub_.options.idle_time);
     http::async_write(stream_, *response_, [self = shared_from_this()](Error failed, std::size_t) {

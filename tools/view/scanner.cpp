@@ -168,8 +168,6 @@ SimulatedSensor BrowserScanRenderer::tab_sensor(TabCache& tab_cache, const LiveS
     return tab_cache.sensor->second;
 }
 
-/// Reads a sensor file that a browser tab has uploaded, and stores the sensor for this
-/// tab.
 Json BrowserScanRenderer::store_sensor(TabCache& tab_cache, const SensorFile& file) const {
     const std::string ending = std::filesystem::path(file.name).extension().string();
     if (ending != ".csv" && ending != ".json")
@@ -238,8 +236,6 @@ ScanRenderer& BrowserScanRenderer::edited_renderer(const EditedTraffic& traffic)
     return *renderer_;
 }
 
-/// Returns the measured frame of the requested LiDAR that is nearest in time. Returns
-/// null if measured scans are missing or not requested.
 const Frame* BrowserScanRenderer::measured_frame(const LiveScanRequest& request) const {
     const Log* log = real_.sequence();
     if (!log || !request.real) return nullptr;

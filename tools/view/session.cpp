@@ -170,7 +170,6 @@ Json ViewerSession::execute(TabCache& cache, const BrowserRequest& request) cons
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
-/// Saves the edited run in a new folder. Never replaces an existing folder.
 Json ViewerSession::save_edited(const SaveRequest& request) const {
     // Applies the edits before the folder is created, so that invalid edits leave no
     // folder.

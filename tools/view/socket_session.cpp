@@ -50,7 +50,6 @@ void SocketSession::read_message() {
                        [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
 }
 
-/// Passes a text message to the server and reads the next message.
 void SocketSession::on_read(Error error) {
     // The client has disconnected, or its message is invalid or too large. For an invalid
     // message, the stream has already sent the error code.

@@ -161,8 +161,6 @@ nlohmann::json EditedTraffic::actors_json(double time_s) const {
     return actors;
 }
 
-/// Returns the run after all edits. Hidden actors stay in the run, because they are
-/// hidden only in the view.
 Run apply_edits(const Run& run, const OtherRunsByName& others, const ActorEdits& edits) {
     Run result = run;
     SceneWithLog driving =
