@@ -14,14 +14,15 @@ extern char** environ;
 namespace relidar::cli {
 
 void open_in_browser(const std::string& url_or_path) {
-    // No shell: the address may contain special characters.
+    // Starts the program without a shell, because the address may contain special
+    // characters.
     std::string program = "xdg-open", argument = url_or_path;
     char* const arguments[] = {program.data(), argument.data(), nullptr};
     posix_spawn_file_actions_t quiet;
     posix_spawn_file_actions_init(&quiet);
     for (const int descriptor : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO})
         posix_spawn_file_actions_addopen(&quiet, descriptor, "/dev/null", O_RDWR, 0);
-    // Some browsers stay in the foreground, so this does not wait.
+    // Does not wait for the process to end, because some browsers stay in the foreground.
     pid_t process = 0;
     const int failed = posix_spawnp(&process, program.c_str(), &quiet, nullptr, arguments, environ);
     posix_spawn_file_actions_destroy(&quiet);

@@ -30,6 +30,8 @@ std::size_t count_columns(const std::string& text) {
 
 }  // namespace
 
+/// Formats rows of cells as aligned columns. The first row is the header. Columns of
+/// numbers are aligned to the right.
 std::string format_table(const std::vector<std::vector<std::string>>& rows) {
     std::vector<std::size_t> widths;
     std::vector<bool> right;
@@ -124,6 +126,8 @@ void end_progress() {
 
 TerminalProgress::TerminalProgress(bool quiet) : quiet_(quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
 
+/// Shows a progress text, unless the previous text was shown only a short time ago. A
+/// terminal overwrites the line, and a file receives a new line.
 void TerminalProgress::show_text(const std::string& text, bool ignore_rate_limit) {
     const auto time = Clock::now();
     Clock::duration interval = kPlainInterval;
@@ -133,7 +137,8 @@ void TerminalProgress::show_text(const std::string& text, bool ignore_rate_limit
     last_ = time;
     std::string line = text + "\n";
     if (terminal_) {
-        // The next progress line cannot overwrite a line that wraps.
+        // Cuts the text to the width of the terminal, because the next progress line
+        // cannot overwrite a line that wraps.
         winsize size{};
         const bool is_width_known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
         line = "\r" + text.substr(0, is_width_known ? size.ws_col - 1u : std::string::npos) + "\x1b[K";

@@ -46,7 +46,8 @@ Config demo_config(const DemoOptions& options, const fs::path& street_folder) {
     // The preset is made for 64 beams. Here the gaps between 32 beams need larger
     // surfels.
     config.init.scale_factor = 0.6;
-    // The demo takes one to two minutes on two processor cores.
+    // Fewer iterations than in the preset, so that the demo takes one to two minutes on
+    // two processor cores.
     config.train.iterations = 250;
     apply_settings(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street_folder.string());
@@ -64,7 +65,8 @@ Evaluation score_held_out(Device& device, const Run& run, bool quiet) {
     return evaluation;
 }
 
-/// Compares with exact scans of the synthetic street.
+/// Renders the held-out frames from a sensor that is shifted from its recorded position.
+/// Compares the scans with exact scans of the synthetic street.
 Evaluation score_shifted(Device& device, const Run& run, const StreetOptions& street, bool quiet) {
     TerminalProgress progress(quiet);
     ScanRenderer renderer(device, run);
@@ -131,6 +133,8 @@ void write_demo_report(Device& device, const Run& run, const StreetOptions& exac
               fmt::format("\nreport  {}\n", absolute_path((output_folder / "report.html").string())));
 }
 
+/// Runs the complete pipeline on a synthetic street: writes a log, trains a scene,
+/// renders scans, scores them and writes a report.
 void run_demo(const DemoOptions& options, const std::string& command_line) {
     const fs::path out = options.out;
     const Config config = demo_config(options, out / "street");

@@ -74,7 +74,8 @@ void remove_temporary(const fs::path& folder) {
         remove_temp(in);
 }
 
-/// Another process may have replaced the lock file.
+/// Returns true if the path still names the open file. Another process may have removed
+/// the lock file and created a new one.
 bool is_still_at(int file_descriptor, const fs::path& expected_path) {
     struct stat opened {
     }, named{};
@@ -98,6 +99,8 @@ struct OpenLockFile {
     bool exclusive;
 };
 
+/// Opens a file and locks it. Tries again if another process has just removed the file,
+/// because nobody else sees a lock on a removed file.
 /// @return no value if another process holds the lock
 std::optional<OpenLockFile> lock_file(const fs::path& file) {
     for (;;) {
@@ -126,6 +129,7 @@ OutputFolder::~OutputFolder() {
     if (!was_there_) fs::remove(path_, failed);
 }
 
+/// Rejects a folder that is a run or a log, or in which scans would replace other files.
 void check_scan_folder(const fs::path& folder, bool overwrite) {
     if (const fs::path foreign = find_foreign_file(folder); !foreign.empty())
         fail<UsageError>("--out {}: found {}, which is not listed in a scans.json; expected a new folder",
@@ -182,7 +186,8 @@ FolderLock::~FolderLock() {
 
 RunOutputFolder::RunOutputFolder(const fs::path& path, ExistingRunPolicy policy)
     : was_empty_(is_free_folder(path)) {
-    // Before locking, because the lock writes a file into the folder.
+    // Checks the content before the folder is locked, because the lock writes a file into
+    // the folder.
     if (!contains_run(path)) check_folder(path, policy);
     folder_.emplace(path);
     lock_.emplace(path, policy == ExistingRunPolicy::keep ? kEndOfOthers : std::chrono::milliseconds{});
@@ -227,6 +232,8 @@ RunFolderWriter::RunFolderWriter(const fs::path& path, bool replace_existing) : 
         earlier_.emplace(path, replace_existing ? ExistingRunPolicy::replace : ExistingRunPolicy::refuse);
 }
 
+/// Saves a run. If the folder holds only an earlier run, exchanges both folders, so that
+/// a killed process leaves either run complete.
 void RunFolderWriter::save_run_in(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);

@@ -25,7 +25,8 @@ std::vector<std::string> command_names(const CLI::App& app) {
     return names;
 }
 
-/// Adds the expected value to "Could not convert: --device = x".
+/// Adds the expected value to the parser message "Could not convert: --device = x". All
+/// other messages stay as they are.
 std::string explain_conversion(const std::string& parser_message) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = parser_message.find(middle);
@@ -70,7 +71,8 @@ void flush_stdout() {
             "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
-/// Each command has only one line, so that the text fits on one screen.
+/// Returns the help text of the program. Each command has only one line, so that the text
+/// fits on one screen.
 std::string format_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
@@ -106,6 +108,8 @@ void parse_and_run(const ProgramDescription& program, int argc, char** argv) {
 
 }  // namespace
 
+/// Runs the command that the user typed. Converts exceptions to an exit code and a
+/// one-line message.
 int run_program(const ProgramDescription& program, int argc, char** argv) {
     const auto report = [&](ExitCode code, const std::string& message) {
         end_progress();
@@ -123,7 +127,8 @@ int run_program(const ProgramDescription& program, int argc, char** argv) {
                       "out of memory: this machine has too little memory for this log or scene; use fewer "
                       "frames (--frames A:B) or larger voxels (--set init.voxel_m=METRES)");
     } catch (const std::filesystem::filesystem_error& error) {
-        // A file system error is not a bug of relidar.
+        // Uses the exit code for invalid data, because a file system error is not a bug
+        // of relidar.
         return report(ExitCode::data,
                       fmt::format("cannot access {}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {

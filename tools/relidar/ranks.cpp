@@ -25,7 +25,8 @@ void wait_for_mpi(MPI_Request request) {
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// FNV-1a; 0 if the program file cannot be read.
+/// Returns a hash (FNV-1a) of the program file, or 0 if the file cannot be read. Two
+/// processes with the same hash run the same build.
 unsigned long long hash_program() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -36,7 +37,8 @@ unsigned long long hash_program() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Different builds may store settings and arrays in a different order.
+/// Checks that all MPI processes run the same build, because other builds may store
+/// settings and arrays in a different order.
 /// @throws UsageError if the build differs from that of the first process
 void check_same_build(int rank) {
     const unsigned long long build = hash_program();
@@ -46,6 +48,8 @@ void check_same_build(int rank) {
         fail<UsageError>("MPI process {} runs a different build of relidar than the first process", rank);
 }
 
+/// Concatenates the texts of all MPI processes in the order of their ranks. Every process
+/// receives the complete text.
 std::string gather_text(const std::string& text, int n_ranks) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(n_ranks));
@@ -54,7 +58,7 @@ std::string gather_text(const std::string& text, int n_ranks) {
                    &request);
     wait_for_mpi(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    // MPI stores the number of bytes as int.
+    // MPI stores the number of bytes as int, so texts of more than 2 GiB are rejected.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
         throw Error(
             ExitCode::bug,
@@ -114,6 +118,8 @@ std::vector<std::string> MpiProcessGroup::gather_texts(const std::string& text) 
     return texts;
 }
 
+/// Distributes the processes of this machine over its GPUs, unless the user has selected
+/// a device.
 DeviceCommandOptions MpiProcessGroup::select_device(DeviceCommandOptions user_device_choice) const {
     if (size() == 1 || user_device_choice.index >= 0) return user_device_choice;
     std::vector<int> gpus;

@@ -50,6 +50,8 @@ double median(std::vector<double> samples) {
     return samples[samples.size() / 2];
 }
 
+/// Measures each part of a training iteration alone, and a complete iteration. The
+/// targets are the rendered image plus noise, so that the gradients are not zero.
 BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
     const auto n_rays = static_cast<std::uint32_t>(bench_case.rays.size());
     const RendererOptions options{.trace = training_options(bench_case.config),
@@ -103,8 +105,9 @@ BenchTimes measure_times(Device& device, const BenchCase& bench_case) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// At evenly spaced times of the recorded path. The scans of all sensors at the same time
-/// are submitted together. While they are read, the device renders the next scans.
+/// Returns how many scans are rendered per second, at evenly spaced times of the recorded
+/// path. Submits the scans of all sensors at one time together. While they are read, the
+/// device renders the next scans.
 double scans_per_second(ScanRenderer& renderer, const Run& run,
                         std::span<const MountedSimulatedSensor> sensors) {
     const PoseTrack path = shift_track(run.sequence.lidar_track(0), run.sequence.world_offset_m);
@@ -120,7 +123,7 @@ double scans_per_second(ScanRenderer& renderer, const Run& run,
         for (std::size_t i = 0; i < sensors.size(); ++i) renderer.wait_for_points();
     };
     submit(0);
-    // They allocate memory.
+    // The first scans are not measured, because they allocate memory.
     collect();
     const Clock::time_point start = Clock::now();
     submit(0);

@@ -10,6 +10,8 @@
 
 namespace relidar::cli {
 
+/// Returns target values for the losses: a rendered image plus uniform noise. Rays with a
+/// blending weight of at most 0.5 become rays without return.
 std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool is_depth_divided_by_weight) {
     constexpr float kRangeNoise_m = 0.1f, kIntensityNoise = 0.05f, kSolid = 0.5f;
     std::mt19937 random(1);
@@ -27,7 +29,8 @@ std::vector<DeviceTarget> noisy_targets(const RenderedRayValues& rendering, bool
 TrainingStep::TrainingStep(Device& device, const BenchCase& bench_case, const RendererOptions& options,
                            const std::vector<DeviceTarget>& target_values)
     : differentiable(device, bench_case.scene, bench_case.config.image, options,
-                     // Adam skips surfels without hits.
+                     // Does not set the gradients of surfels without hits to zero,
+                     // because Adam skips these surfels.
                      {.sums = backward_options(bench_case.config), .zero_untouched = false}),
       renderer(differentiable.renderer()),
       targets(device, std::span<const DeviceTarget>(target_values), "targets"),

@@ -49,8 +49,9 @@ const char* outcome_name(CheckResult::CheckOutcome outcome_kind) {
     }
 }
 
-/// If the driver reports an error, the result is "wrong".
-/// @param is_device_lost output
+/// Runs one check and measures its time. If the driver reports an error, the result is
+/// "wrong".
+/// @param is_device_lost output: set to true if the driver has lost the device
 NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested, bool& is_device_lost) {
     NamedCheckResult row{check.name, {}, 0.0};
     const Clock::time_point start = Clock::now();
@@ -99,7 +100,8 @@ std::vector<DeviceCheck> list_checks(const std::string& run_folder_or_empty) {
 }
 
 void run_all_checks(const CheckOptions& options) {
-    // The checks must use all methods, also those that failed a test on the device.
+    // relidar avoids methods that have failed a test on the device. The checks must use
+    // all methods, so results without failures replace the real ones.
     const ScopedDeviceTestResults trusting(DeviceTestResults{});
     CheckedDevice checked(to_device_options(options.device));
     const DeviceInfo& info = checked.default_device().info();

@@ -10,8 +10,10 @@ namespace relidar::cli {
 
 CheckResult check_dispatch(CheckedDevice& tested) {
     constexpr double kDispatchTime_s = 0.25;
+    // Runs the kernel once, so that its compile time is not measured.
     test_atomic_adds(tested.default_device(), true);
-    // Ends at a dispatch of 0.25 s, so the last one takes about one second at most.
+    // Each dispatch has four times as many threads as the previous one. The loop ends at
+    // a dispatch of 0.25 s, so the last one takes about one second at most.
     for (std::uint32_t n_threads = 1u << 18; n_threads <= 1u << 28; n_threads *= 4) {
         double seconds = 0.0;
         const double error = test_swap_adds(tested.default_device(), n_threads, seconds);

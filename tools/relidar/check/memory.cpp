@@ -18,6 +18,7 @@ namespace {
 
 constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
 
+/// Returns how many bytes of device memory each check in this file may allocate.
 std::uint64_t memory_budget_bytes(const Device& device) {
     std::uint64_t n_free = gpu::query_budget(device.impl().physical).free_bytes();
     if (const std::uint64_t limit = device.impl().memory_limit_bytes; limit > 0)
@@ -57,6 +58,8 @@ CheckResult check_buffer(CheckedDevice& tested) {
                             : ", which is the limit of the device")};
 }
 
+/// Fills the allowed memory with buffers of different values before it reads them.
+/// Overlapping buffers would then have wrong values.
 CheckResult check_memory(CheckedDevice& tested) {
     Device& device = tested.default_device();
     constexpr std::uint64_t kPieceBytes = 256 * kMiB;

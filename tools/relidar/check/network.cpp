@@ -39,6 +39,8 @@ network::Tensor upload_images(Device& device, const ImageBatch& images) {
     return tensor;
 }
 
+/// Returns the largest absolute error, divided by the largest absolute expected value.
+/// NaN counts as an infinite error.
 double relative_error(const std::vector<float>& actual, const std::vector<double>& expected) {
     double worst = 0.0, largest = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -49,6 +51,8 @@ double relative_error(const std::vector<float>& actual, const std::vector<double
     return worst / largest;
 }
 
+/// Runs a convolution and its derivatives by inputs and weights (vjp: vector-Jacobian
+/// product) on random images. Compares them with the reference on the CPU.
 double convolution_error(Device& device, int n_kernel_taps) {
     const int n_in = 9, n_out = 17;
     ImageBatch from(2, n_in, 7, 33), d_to(2, n_out, 7, 33);

@@ -25,6 +25,8 @@ Words random_words(std::size_t n_values) {
     return words;
 }
 
+/// Sorts random keys by their low 24 bits on the device. Returns true if keys and order
+/// equal those of a stable sort on the CPU.
 bool is_sorted_right(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
     const Words keys = random_words(capacity);
     const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");

@@ -27,6 +27,8 @@ struct RenderAndGradients {
     Surfels gradients;
 };
 
+/// Renders a random scene and computes the gradients of all surfels for random gradients
+/// of the image ("upstream").
 RenderAndGradients run_passes(Device& device) {
     RenderAndGradients pass;
     test::RandomSceneOptions options;
@@ -86,6 +88,8 @@ double gradient_error(const RenderAndGradients& pass, const reference::BruteForc
     return rows.compute_worst_error();
 }
 
+/// Returns the root mean square error of the rendered values, relative to the root mean
+/// square of the exact values.
 double image_error(const RenderAndGradients& pass, const reference::BruteForce& brute_force) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < pass.scene.rays.size(); ++i) {

@@ -23,6 +23,7 @@ constexpr double kValueTolerance = 1e-3;
 /// Maximum share of other rays: rounding decides at edges and at equal distances.
 constexpr double kEdgeShare = 0.02;
 
+/// Selects at most kRunRays evenly spaced rays, because the reference renderer is slow.
 WorldRays thin_out_rays(const WorldRays& rays) {
     WorldRays selected;
     const std::size_t n = std::min(kRunRays, rays.size());
@@ -35,7 +36,8 @@ WorldRays thin_out_rays(const WorldRays& rays) {
     return selected;
 }
 
-/// Farther than four standard deviations, a hit is not blended.
+/// Returns true if the ray passes the centre of a surfel within four standard deviations.
+/// Farther away, the opacity of a hit is too small to be blended.
 bool is_near_surfel(const reference::LocalRay<double>& ray, const reference::Surfel& surfel) {
     const glm::dvec3 to_mean = surfel.mean - ray.origin;
     const double along = glm::dot(to_mean, ray.direction) / glm::dot(ray.direction, ray.direction);
@@ -44,7 +46,9 @@ bool is_near_surfel(const reference::LocalRay<double>& ray, const reference::Sur
     return glm::length(to_mean - along * ray.direction) <= 4.0 * std::exp(log_scale);
 }
 
-/// The surfels of each instance are stored consecutively.
+/// Converts the surfels near the rays to double precision. Skips all others, because the
+/// reference renderer searches every surfel for each ray. The surfels of each instance
+/// are stored consecutively.
 reference::World copy_near_surfels(const BenchCase& bench_case, const std::vector<reference::Ray>& rays) {
     reference::World world;
     for (std::size_t i = 0; i < bench_case.scene.instances.size(); ++i) {

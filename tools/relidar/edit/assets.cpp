@@ -66,7 +66,8 @@ RayTable camera_rays(const CameraAxes& camera_axes, const glm::dvec3& box_size_m
     return rays;
 }
 
-/// From 0 to 1; -1 means that the pixel shows no surface.
+/// Returns the brightness of each pixel from 0 to 1, or -1 if the pixel shows no surface.
+/// The constants keep dark and steep surfaces visible.
 std::vector<float> brightness_of(const RenderedScan& scan, const CameraAxes& camera_axes,
                                  const glm::dquat& world_from_box, float full_brightness_intensity) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
@@ -82,6 +83,8 @@ std::vector<float> brightness_of(const RenderedScan& scan, const CameraAxes& cam
     return shade;
 }
 
+/// Returns the intensity that only 5 % of the visible pixels exceed. The maximum would
+/// make pictures with a few reflectors too dark.
 float bright_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)

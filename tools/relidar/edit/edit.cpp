@@ -34,6 +34,7 @@ bool is_same_track(const PoseTrack& first, const PoseTrack& second) {
     return first.time_s == second.time_s && std::ranges::equal(first.pose, second.pose, same);
 }
 
+/// Returns the tracks of all actors that the edits have added or moved.
 std::vector<std::string> changed_tracks(const SceneWithLog& driving_scene, const Log& original_log) {
     std::vector<std::string> placed;
     for (const ModelInstance& instance : driving_scene.scene.instances) {

@@ -73,7 +73,8 @@ struct ActorToInsert {
     std::optional<double> clearance_m;
 };
 
-/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
+/// Parses a start pose with an optional speed in m/s. The text has the form
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
 NewActorMotion parse_motion(const EditArgument& edit, const std::string& text, const SceneWithLog& edited,
                             const ActorToInsert& actor) {
     const std::size_t colon = text.find(':');
@@ -95,6 +96,8 @@ NewActorMotion parse_motion(const EditArgument& edit, const std::string& text, c
     return {start, speed_mps};
 }
 
+/// Returns the position and tilt of an actor that the program has placed on the ground.
+/// Returns an empty text for other actors.
 std::string describe_ground(const NewActorMotion& start, const std::string& placement_text) {
     if (placement_text.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -183,7 +186,8 @@ struct ExternalActor {
     SceneWithLog owner;
 };
 
-/// RUN#TRACK (run folder and track name), or the folder of an asset.
+/// Loads an actor from RUN#TRACK (run folder and track name), or from the folder of an
+/// asset.
 ExternalActor load_actor(const EditArgument& context, const std::string& source) {
     const bool named = source.find('#') != std::string::npos;
     const auto [folder, named_track] =
@@ -251,6 +255,7 @@ const std::vector<EditOption>& edit_options() {
     return options;
 }
 
+/// Applies one edit of the command line.
 EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     using Apply = EditResult (*)(SceneWithLog, const EditArgument&);
     static const std::vector<std::pair<std::string, Apply>> functions{
@@ -262,7 +267,8 @@ EditResult apply_edit(SceneWithLog edited, const EditArgument& edit) {
     try {
         return function->second(std::move(edited), edit);
     } catch (const UsageError& error) {
-        // so that the user knows which of several edits failed
+        // Adds the option and its value to the message, so that the user knows which of
+        // several edits failed.
         const std::string message = error.what();
         throw UsageError(message.starts_with(edit.option)
                              ? message

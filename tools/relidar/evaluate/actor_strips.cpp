@@ -23,7 +23,8 @@ constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDotSize_px = 3;
 constexpr float kErrorScale_m = 0.3f;  // distance that the brightest colour of the error shows
 
-/// As a list without image rows and columns.
+/// Returns the rays of a frame that may hit the box, as a list without image rows and
+/// columns. They lie in a cone around the box.
 Scan rays_near_box(const Run& run, const Frame& frame, const BoxTrack& box) {
     const Pose sensor = run.sequence.world_from_vehicle.mounted_pose_at(
         frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
@@ -49,7 +50,8 @@ struct WalkingActorFrames {
     double distance_m = std::numeric_limits<double>::max();
 };
 
-/// The one that comes nearest to the vehicle, and the frames in which it is nearest.
+/// Finds the walking actor that comes nearest to the vehicle, and the eight successive
+/// frames in which it is nearest.
 WalkingActorFrames nearest_walker(const Run& run) {
     WalkingActorFrames nearest;
     for (const ModelInstance& instance : run.scene.instances) {
@@ -79,8 +81,9 @@ struct PictureDot {
     float value;
 };
 
+/// Draws several sets of dots side by side.
 /// @param panel_half_size_m half width and half height of each panel, metres
-/// @param min_value at the lower end of the colour map
+/// @param min_value at the lower end of the colour map; `max_value` is at the upper end
 Image draw_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel,
                   const glm::dvec2& panel_half_size_m, float min_value, float max_value,
                   const char* colour_map_name) {
@@ -101,8 +104,8 @@ Image draw_panels(const std::vector<std::vector<PictureDot>>& dots_of_each_panel
     return apply_colour_map(values, rows, columns, min_value, max_value, colour_map_name);
 }
 
-/// Side view along `direction`. The value of a dot is its depth along
-/// this direction, relative to the centre of the actor's box.
+/// Projects the points of an actor into a side view along `direction`. The value of a dot
+/// is its depth along this direction, relative to the centre of the box.
 std::vector<PictureDot> project_dots(const std::vector<glm::dvec3>& points_m, const glm::dvec2& direction) {
     std::vector<PictureDot> dots;
     for (const glm::dvec3& p : points_m)
@@ -111,6 +114,8 @@ std::vector<PictureDot> project_dots(const std::vector<glm::dvec3>& points_m, co
     return dots;
 }
 
+/// Renders the rays of a frame that may hit an actor. Returns the recorded and the
+/// rendered points in the actor's box.
 MovingBoxPoints box_points(ScanRenderer& renderer, const Run& run, const Config& config, const Frame& frame,
                            const BoxTrack& box) {
     const Scan scan = rays_near_box(run, frame, box);
@@ -133,6 +138,8 @@ Config picture_config(const Run& run) {
     return config;
 }
 
+/// Draws an actor in some held-out frames, as the sensor sees it. Returns nothing if the
+/// actor has too few real points.
 std::optional<ReportFigure> draw_actor(ScanRenderer& renderer, const Run& run, const Config& config,
                                        const ActorScore& actor) {
     const BoxTrack* box = find_box(run.sequence, actor.track);
@@ -151,7 +158,7 @@ std::optional<ReportFigure> draw_actor(ScanRenderer& renderer, const Run& run, c
         n += points.real_m.size();
         real.push_back(project_dots(points.real_m, direction));
         simulated.push_back(project_dots(points.simulated_m, direction));
-        // distance to the nearest real point, metres
+        // Colours each simulated point by its distance to the nearest real point, metres.
         std::vector<PictureDot>& error_dots = errors.emplace_back(simulated.back());
         for (std::size_t i = 0; i < error_dots.size(); ++i) {
             double nearest_m = std::numeric_limits<double>::max();

@@ -99,6 +99,8 @@ void select_local_frames(std::vector<int>& frame_positions, const MpiProcessGrou
                        frame_positions.begin() + std::ptrdiff_t(share.end)};
 }
 
+/// Scores the held-out frames of a run. Each MPI process renders a part of the frames,
+/// and the first process writes all scores.
 void eval_run(const EvalOptions& options, const MpiProcessGroup& ranks, const std::string& command_line) {
     // The command writes metrics.json to the run's folder, so no other process may.
     std::optional<FolderLock> lock;
@@ -211,7 +213,8 @@ void run_eval(const EvalOptions& command_options, const std::string& command_lin
             "--open: found {} MPI processes; expected one, because the page shows all frames, but each of "
             "several processes renders only a part of them",
             ranks.size());
-    // Throws for an unknown baseline before the log is loaded, which takes a long time.
+    // Throws an error for an unknown baseline. This is checked before the log is loaded,
+    // because loading takes a long time.
     if (!options.baseline.empty()) (void)parse_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run_folder(options.target)) {
         if (options.open)

@@ -254,6 +254,8 @@ std::string metrics_json(const Evaluation& result, const Config& config, const E
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+/// Collects the scores of all MPI processes in the first process. The images stay in
+/// their process, because they are large.
 Evaluation gather_evaluation(const Evaluation& local_evaluation, const MpiProcessGroup& ranks) {
     if (ranks.size() == 1) return local_evaluation;
     const std::vector<std::string> all = ranks.gather_texts(frames_json(local_evaluation).dump());

@@ -20,10 +20,14 @@ constexpr float kIntensityErrorScale = 0.3f;
 
 }  // namespace
 
+/// Returns pictures of a real scan, the rendered scan and their difference, for range,
+/// intensity and ray drop.
 std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std::string& title,
                                              const std::string& real_caption, double max_range_m) {
     const RangeImage& real = frame.real;
     const RangeImage& rendered = frame.rendered.image;
+    // The mask is 1 for rays that return in both images, because other rays have no range
+    // error.
     std::vector<float> mask = return_mask(real);
     const std::vector<float> rendered_mask = return_mask(rendered);
     for (std::size_t i = 0; i < mask.size(); ++i) mask[i] *= rendered_mask[i];
@@ -82,6 +86,8 @@ Image draw_ranges(const ScoredFrame& frame, double max_range_m) {
                         stretch_factor(frame.real));
 }
 
+/// Draws each ray of a sensor as a dot whose colour shows its firing time. Azimuth
+/// increases to the right and elevation upwards.
 Image draw_ray_pattern(const RayTable& rays) {
     constexpr double kViewSector_rad = 20.0 * kPi / 180.0, kViewMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kPictureWidth_px = 1200, kDotSize_px = 2;
@@ -94,6 +100,8 @@ Image draw_ray_pattern(const RayTable& rays) {
         low = glm::min(low, a);
         high = glm::max(high, a);
     }
+    // A sensor that covers a full turn would be too wide, so shows only the 40 degrees
+    // ahead.
     if (high.x - low.x > 1.9 * kPi) {
         low.x = -kViewSector_rad;
         high.x = kViewSector_rad;

@@ -35,6 +35,8 @@ ReportView make_3d_view(const ScoredFrame& frame, const Config& config, const st
     return {title, {std::move(measured), std::move(simulated)}};
 }
 
+/// Returns a bar chart with the shares of rays with small and large errors, for each
+/// interval of the real range.
 ReportBars error_by_range(const Evaluation& result, const std::string& title) {
     ReportBars bars{title,
                     "Each row: rays that return in the real scan, by the range error of the simulated ray. "

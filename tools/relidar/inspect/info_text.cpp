@@ -277,7 +277,8 @@ RunSummary summarise(const Run& run) {
             "poses: training corrected the poses of the log (train.refine_poses={}), so positions of the "
             "vehicle and of boxes differ from those that `relidar info LOG` prints",
             run.refined_poses));
-    // Actors that edits removed are not ignored boxes.
+    // An edited run has no list of ignored boxes, because the list would contain actors
+    // that the edits have removed.
     summary.log.masked =
         run.edits.empty() ? format_box_list(find_unmodelled(run.scene, run.sequence, run.config.init)) : "";
     for (std::size_t i = 0; i < run.sequence.lidars.size(); ++i) {

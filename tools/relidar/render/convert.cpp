@@ -32,6 +32,8 @@ struct ConvertOptions {
     bool quiet = false;
 };
 
+/// Returns true if a file begins like a network capture: pcap with microseconds or
+/// nanoseconds in either byte order, or pcapng.
 bool is_capture(const std::filesystem::path& file) {
     std::string first_bytes(4, '\0');
     std::ifstream(file, std::ios::binary).read(first_bytes.data(), 4);
@@ -40,7 +42,8 @@ bool is_capture(const std::filesystem::path& file) {
            first_bytes == "\x0a\x0d\x0d\x0a";
 }
 
-/// The calibration file (.csv or .json) must not replace a file either.
+/// Checks that the capture and its calibration file (.csv or .json) replace no file that
+/// the user needs.
 void check_capture(const std::filesystem::path& capture, const std::string& log_path, bool overwrite) {
     namespace fs = std::filesystem;
     std::error_code failed;

@@ -29,7 +29,8 @@ struct ExportOptions {
     bool quiet = false;
 };
 
-/// FOLDER/000010.ply and so on, with the actors at their poses, in relidar's world frame.
+/// Writes the scene of each frame as a PLY file, such as FOLDER/000010.ply. The actors
+/// are at their poses, and positions are in relidar's world frame.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = select_frames(run, options.frames, options.quiet);

@@ -103,6 +103,8 @@ PointCoordinateFrame parse_frame(const std::string& name) {
     fail<UsageError>("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name);
 }
 
+/// Removes the boxes of actors that are not rendered, so that they do not appear in
+/// recordings.
 void remove_hidden_boxes(ScanOutputOptions& output, const Run& run, const std::vector<std::string>& visible) {
     if (visible.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, visible);
@@ -134,6 +136,8 @@ ScanOutputOptions scan_format(const RenderOptions& options, const Run& run, cons
     return format;
 }
 
+/// Checks all options that do not depend on the run, before the run is loaded, because
+/// loading takes a long time.
 void check_options(const RenderOptions& options, bool is_rig, const MpiProcessGroup& ranks) {
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
@@ -201,6 +205,8 @@ std::vector<ScanOutputOptions> format_per_sensor(const RenderOptions& options, c
     return formats;
 }
 
+/// Returns the output format of scans that merge all sensors of a rig. Its range limits
+/// include the limits of all sensors.
 ScanOutputOptions merged_format(const RenderOptions& options, const Run& run,
                                 const std::vector<MountedSimulatedSensor>& rig_sensors,
                                 const Pose& sensor_offset) {
@@ -220,7 +226,8 @@ struct RenderOutputs {
     std::optional<ScanRecordingsWriter> recordings;
 };
 
-/// The other MPI processes wait for the first and then open its folders.
+/// Creates the output folders in the first MPI process. The other processes wait and then
+/// open these folders.
 RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
                              const std::vector<MountedSimulatedSensor>& rendered_sensors,
                              const Pose& sensor_offset, const MpiProcessGroup& ranks) {
@@ -235,7 +242,7 @@ RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
     if (options.merge) sensors = {merged_format(options, run, rendered_sensors, sensor_offset)};
     else sensors = format_per_sensor(options, run, rendered_sensors, sensor_offset);
     const bool is_rig = !options.merge && !rendered_sensors.front().folder.empty();
-    // Before files of an earlier rendering are removed.
+    // Checks all folders before files of an earlier rendering are removed.
     for (const MountedSimulatedSensor& sensor : rendered_sensors)
         if (is_rig && ranks.is_first())
             check_scan_folder(std::filesystem::path(options.out) / sensor.folder, options.overwrite);
@@ -250,6 +257,8 @@ RenderOutputs create_outputs(const RenderOptions& options, const Run& run,
     return output;
 }
 
+/// Collects the entries of scans.json from all MPI processes, writes them in the first
+/// process, and completes the recordings.
 void finish_outputs(RenderOutputs& output, const MpiProcessGroup& ranks) {
     if (output.recordings) output.recordings->finish();
     for (ScanFolderWriter& folder : output.folders) {
@@ -278,6 +287,8 @@ public:
         for (const MountedSimulatedSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
+    /// Renders the scans of all sensors at one time and writes them. Adds up the numbers
+    /// for the summary.
     void render_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
         const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;

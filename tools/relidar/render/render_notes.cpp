@@ -39,6 +39,8 @@ void note_missing_noise(const Run& run, int lidar) {
                     run.folder.string()));
 }
 
+/// Prints a note if points in the world frame are so far from its origin that single
+/// precision rounds them to more than 1 cm.
 void note_rounding(const Run& run, const PoseTrack& dataset_from_sensor, PointCoordinateFrame frame) {
     constexpr double kLeastStep_m = 0.01;
     if (frame != PointCoordinateFrame::world) return;

@@ -86,6 +86,8 @@ void limit_arenas() {
 #endif
 }
 
+/// Serves runs until Ctrl-C, then waits for pending calls. If the GPU is lost, ends with
+/// an error, so that the process can be restarted.
 void run_serve(const ServeCommandOptions& options) {
     limit_arenas();
     raise_file_limit();

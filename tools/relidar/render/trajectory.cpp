@@ -26,6 +26,8 @@ struct TimeSteps {
 
 }  // namespace
 
+/// Returns the times of the scans on a trajectory, in seconds. They are given by --times
+/// or --rate, or by the rate of the log's sensor.
 std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack& track, double log_rate_hz) {
     const double begin = track.time_s.front(), end = track.time_s.back();
     if (options.rate_hz && !(*options.rate_hz > 0.0 && std::isfinite(*options.rate_hz)))
@@ -59,6 +61,8 @@ std::vector<double> scan_times(const TrajectoryOptions& options, const PoseTrack
     return times;
 }
 
+/// Warns if a trajectory leads away from the recorded path, or continues after the end of
+/// the log, where actors do not exist.
 void note_leaves_log(const Run& run, const PoseTrack& sensor_track, const std::vector<double>& times_s) {
     const Log& log = run.sequence;
     double farthest = 0.0;

@@ -68,7 +68,7 @@ view::WebServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     raise_file_limit();
-    // Loading a run takes a long time.
+    // Checks the address before the run is loaded, because loading takes a long time.
     const view::WebServerOptions server_settings = server_options(options);
     check_settings_used(options.sets, render_settings(), "view");
     Run run = load_run(options.run);
@@ -82,8 +82,8 @@ void run_view(const ViewOptions& options) {
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     const std::filesystem::path folder = std::filesystem::absolute(save_to).lexically_normal();
     Device device(to_device_options(options.device));
-    // `session` and `foxglove` send results to the server, which calls them. It is
-    // created last and destroyed first.
+    // `session` and `foxglove` send results to the server, which calls them. The server
+    // is created last and destroyed first, so they need this pointer to it.
     view::WebServer* out = nullptr;
     view::ViewerSession session(
         std::move(run), load_other_runs(options.inserts), device, folder,

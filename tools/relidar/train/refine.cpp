@@ -47,7 +47,8 @@ std::optional<Checkpoint> load_checkpoint(const RefineCommandOptions& options) {
     return start;
 }
 
-/// If the user interrupts, throws an error with the command that resumes the training.
+/// Trains the ray-drop network and saves it. If the user interrupts, throws an error with
+/// the command that resumes the training.
 void train_network(Device& device, Run& run, const RefineCommandOptions& options, const Checkpoint* from) {
     if (from && !options.quiet)
         print(fmt::format("resume  training of the network continues from step {}\n", from->iteration));
@@ -109,7 +110,8 @@ void run_refine(const RefineCommandOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) compare_scores(device, run, options);
-    // Removed last, so that --resume can use them if the process is killed earlier.
+    // The checkpoints are removed last, so that --resume can use them if the process is
+    // killed earlier.
     remove_network_state(run.folder);
 }
 

@@ -52,7 +52,8 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// --resume can precede the log or the output folder.
+/// Decides which argument is the log and which is the output folder, because --resume can
+/// precede either of them.
 TrainOptions resolve_paths(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -70,7 +71,8 @@ TrainOptions resolve_paths(TrainOptions options) {
     return options;
 }
 
-/// A resumed training uses its saved settings, unless --preset or --config is given.
+/// Returns the settings of a training. A resumed training uses its saved settings, unless
+/// --preset or --config is given.
 Config training_config(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     Config config;
@@ -129,6 +131,8 @@ void check_same_settings(const fs::path& run_folder, const Config& current_confi
             run_folder.string(), key);
 }
 
+/// Returns true if the scene was trained to the end with these settings, but no report
+/// was written. Then only the later steps are missing.
 bool lacks_report(const fs::path& run_folder, const Config& config) {
     if (!is_file(run_folder / "scene.json") || is_file(run_folder / "report.html") ||
         last_iteration(run_folder) < config.train.iterations)
@@ -168,7 +172,8 @@ std::string resume_command(const TrainOptions& options) {
     return command;
 }
 
-/// An error names the last checkpoint and the command that resumes the training.
+/// Trains the scene. If the training fails, throws an error that names the last
+/// checkpoint and the command that resumes the training.
 TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
                             const Checkpoint* checkpoint_to_resume, StageTimes& stage_times) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
@@ -219,7 +224,8 @@ Evaluation score_run(Device& device, const Run& run, const TrainOptions& options
     return evaluation;
 }
 
-/// Without scores if the training was interrupted.
+/// Writes the report. If the training was not interrupted, also computes the scores and
+/// writes them.
 void write_train_report(Device& device, const Run& run, const TrainResult& result,
                         const TrainOptions& options, const std::string& command_line,
                         StageTimes& stage_times) {
@@ -262,8 +268,8 @@ void write_train_report(Device& device, const Run& run, const TrainResult& resul
                       absolute_path((run.folder / "report.html").string())));
 }
 
-/// If the checkpoint belongs to another scene or other settings, prints a note and
-/// returns no value.
+/// Loads the checkpoint from which the training of the ray-drop network resumes. If it
+/// belongs to another scene or other settings, prints a note and returns no value.
 std::optional<Checkpoint> load_network_state(const Run& run) {
     try {
         std::optional<Checkpoint> start = load_newest(network_checkpoint_folder(run.folder), print_warning);
@@ -276,8 +282,8 @@ std::optional<Checkpoint> load_network_state(const Run& run) {
     }
 }
 
-/// Only prints a note if the log has no suitable training data, or if the device cannot
-/// run the network.
+/// Trains the ray-drop network of a saved scene and saves it. Only prints a note if the
+/// log has no suitable training data, or if the device cannot run the network.
 void train_drop(Device& device, Run& run, const TrainOptions& options, StageTimes& stage_times) {
     const std::optional<Checkpoint> start = load_network_state(run);
     if (!start) remove_network_state(run.folder);
@@ -295,7 +301,8 @@ void train_drop(Device& device, Run& run, const TrainOptions& options, StageTime
         if (train_network_with_bar(device, run, options.quiet, session) == TrainingEndReason::stopped)
             throw resume_error("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        // A resumed training would fail with the same error.
+        // The checkpoints are useless, because a resumed training would fail with the
+        // same error.
         remove_network_state(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
@@ -305,7 +312,8 @@ void train_drop(Device& device, Run& run, const TrainOptions& options, StageTime
     remove_network_state(run.folder);
 }
 
-/// Such as the ray-drop network and the scores.
+/// Resumes a run whose scene is already trained. Runs only the missing steps, such as the
+/// ray-drop network and the scores.
 void finish_run(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunOutputFolder folder(options.out, ExistingRunPolicy::keep);
     Run run = load_run(options.out);
@@ -323,7 +331,8 @@ void finish_run(const TrainOptions& options, const Config& config, const std::st
     }
     install_handlers();
     if (!run.held_out_placed) finish_scene(device, run, options, stages);
-    // A process that was killed may have left them.
+    // The network is trained, so its checkpoints are obsolete. A process that was killed
+    // may have left them.
     if (has_network) remove_network_state(run.folder);
     else if (config.refine.enabled) train_drop(device, run, options, stages);
     TrainResult result;

@@ -22,7 +22,8 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// between the blocks of a scene
+/// Returns true if a setting may differ between the blocks of a scene, which are trained
+/// separately.
 bool may_differ(const std::string& setting_key) {
     // Each block lists only the actors in its part of the log.
     constexpr std::array kFreeSettings{"dataset.path",           "dataset.memory_mib", "train.log_every",
@@ -107,6 +108,8 @@ public:
           how_(training),
           blocks_(plan_blocks(run.sequence, run.split, run.config.blocks)) {}
 
+    /// Trains all blocks that are not trained yet. The first MPI process then joins their
+    /// surfels and poses into one run.
     TrainResult train_all() {
         if (!how_.quiet)
             print(fmt::format(
@@ -134,7 +137,8 @@ public:
     }
 
 private:
-    /// Does nothing if the block is already trained, or if another MPI process trains it.
+    /// Trains one block. Does nothing if it is already trained, or if another MPI process
+    /// trains it and therefore holds the lock of its folder.
     /// @return true if this call has trained the block
     bool train_block(std::size_t block_index, const fs::path& block_folder) {
         std::error_code failed;
@@ -185,7 +189,8 @@ private:
         end_progress();
     }
 
-    /// If a block or a checkpoint is saved.
+    /// Appends the command that resumes the training, if a block or a checkpoint is
+    /// saved.
     std::string with_resume_hint(const std::string& error_message) const {
         std::error_code failed;
         bool has_saved_block = is_interrupted();

@@ -70,7 +70,8 @@ private:
     bool lost_ = false;
 };
 
-/// Prints how far the scans moved. After Ctrl-C, the scans keep their previous poses.
+/// Aligns the held-out scans to the scene and prints how far they moved. After Ctrl-C,
+/// the scans keep their previous poses.
 void align_held_out(Device& device, Run& run, bool quiet) {
     TerminalProgress progress(quiet);
     const HeldOutPoseReport placed =
@@ -127,6 +128,8 @@ TrainResult train_scene(Device& device, const Log& sequence, const Split& split,
     return result;
 }
 
+/// Runs the steps between the training of a scene and of its ray-drop network: aligns the
+/// held-out scans and learns the noise of intensities.
 TrainingEndReason align_and_fit_noise(Device& device, Run& run, bool quiet, StageTimes& stage_times) {
     stage_times.start_stage("place");
     align_held_out(device, run, quiet);
