@@ -29,6 +29,8 @@ bool has_shape(const py::array& array, const NumpyShape& shape) {
 
 }  // namespace
 
+/// Converts an array of an npz file without copying its bytes. The capsule frees the
+/// bytes when Python releases the array.
 py::array to_numpy(NamedArray&& npz_array) {
     const NumpyShape shape(npz_array.shape.begin(), npz_array.shape.end());
     const py::dtype dtype(npz_array.dtype == "b1" ? "?" : npz_array.dtype);

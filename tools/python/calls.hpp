@@ -34,6 +34,8 @@ inline Progress wrap_progress(const PythonProgressCallback& python_callback) {
 /// so that the C++ code can stop. rethrow() then raises the exception.
 class PythonCallGuard {
 public:
+    /// Calls a Python function and stores the first exception that any call raises.
+    /// Returns false after an exception, so that the caller must stop its work.
     template <class Call>
     bool operator()(Call&& call) {
         if (failure_) return false;

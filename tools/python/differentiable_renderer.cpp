@@ -43,6 +43,8 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     return held;
 }
 
+/// Places the instances of the scene and sets the origin of the view. Values that are
+/// None keep their previous values.
 void set_poses(PythonRenderer& renderer, const py::object& poses, const py::object& view_origin,
                const std::optional<std::vector<bool>>& present) {
     std::vector<InstancePose> placed = renderer.placed;
@@ -104,6 +106,8 @@ py::dict run_forward(PythonRenderer& renderer, const py::object& origins, const 
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 
+/// Reads the gradients dL/d(value) of the rendered values, one array per value with one
+/// number per ray. Missing gradients stay empty and count as 0.
 RenderedGradients read_gradients(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients d;
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},

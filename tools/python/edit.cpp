@@ -31,6 +31,8 @@ struct EditedRun {
         run.folder.clear();
     }
 
+    /// Applies an edit and adds it to the history. The edit works on a copy, so that the
+    /// run does not change if the edit fails.
     EditedRun& apply(const std::string& entry,
                      const std::function<SceneWithLog(SceneWithLog)>& edit_scene_with_log) {
         driving = edit_scene_with_log(driving);
@@ -38,6 +40,8 @@ struct EditedRun {
         return *this;
     }
 
+    /// Applies an edit that can change the times at which an actor is present. Warns if
+    /// the actor is then missing in more frames of the log.
     EditedRun& apply_to_actor(const std::string& entry, const std::string& name,
                               const std::function<SceneWithLog(SceneWithLog)>& edit) {
         const BoxTrack* box = find_box(driving.sequence, name);

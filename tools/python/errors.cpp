@@ -34,6 +34,8 @@ py::object add_type(py::module_& module, const char* type_name, const char* doc,
     return type;
 }
 
+/// Converts an exception of the library to the Python exception with the same meaning.
+/// pybind11 handles all other exceptions.
 void raise_exception(std::exception_ptr exception) {
     try {
         if (exception) std::rethrow_exception(exception);

@@ -9,6 +9,8 @@
 namespace relidar::python {
 namespace {
 
+/// Scores the held-out frames of a run, or of a baseline. A baseline needs the training
+/// scans but no device.
 Evaluation evaluate_loaded(LoadedRun& loaded, const Log& log, const std::optional<std::string>& baseline,
                            const Progress& progress) {
     Run run = loaded.run;

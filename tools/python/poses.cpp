@@ -16,6 +16,8 @@ namespace {
 // limit would reject rotations from text files with six digits.
 constexpr double kMaxRotationError = 1e-4;
 
+/// Converts a 4x4 matrix of row-major numbers to a pose. Rejects every matrix that is not
+/// a rotation and a translation.
 Pose read_pose(const double* matrix, const std::string& where) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
@@ -27,6 +29,7 @@ Pose read_pose(const double* matrix, const std::string& where) {
     if (matrix[12] != 0.0 || matrix[13] != 0.0 || matrix[14] != 0.0 || matrix[15] != 1.0)
         fail(fmt::format("a matrix with the last row {} {} {} {}", matrix[12], matrix[13], matrix[14],
                          matrix[15]));
+    // GLM expects the columns of a matrix, so the numbers are reordered.
     const glm::dmat3 rotation(matrix[0], matrix[4], matrix[8], matrix[1], matrix[5], matrix[9], matrix[2],
                               matrix[6], matrix[10]);
     const glm::dmat3 square = glm::transpose(rotation) * rotation;
@@ -62,6 +65,8 @@ std::vector<Pose> to_poses(const py::handle& matrices, const std::string& where)
     return poses;
 }
 
+/// Converts a single pose [4,4] or a pair (times [n], poses [n,4,4]) to a track. A single
+/// pose gets the time `time_s`.
 PoseTrack to_track(const py::handle& object, const std::string& where, double time_s) {
     if (!py::isinstance<py::tuple>(object)) return {{time_s}, {to_pose(object, where)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);

@@ -70,6 +70,8 @@ int find_nearest_frame(const Log& sequence, double time_s) {
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), is_nearer)->index;
 }
 
+/// Returns the request for a scan. Without a pose, the sensor follows the recorded path
+/// of the log.
 ScanRequest make_request(const RenderArguments& arguments, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = arguments.time.value_or(run.sequence.frames.front().time_s);
@@ -112,6 +114,8 @@ py::dict actor_boxes_dict(const RenderedScan& scan, const ScanOutputOptions& opt
                           make_array("visible_share", {n}, shares.data(), n)});
 }
 
+/// Renders a scan and returns its arrays. Checks all arguments before it locks the
+/// device, so that an error does not block other threads.
 py::dict render_scan(LoadedRun& loaded, const RenderArguments& arguments) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, arguments.lidar);

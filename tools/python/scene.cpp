@@ -15,6 +15,8 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
+/// Calls `callback` for each parameter array of the surfels with its name, its values,
+/// and the shape of one surfel's values.
 template <class Set, class Callback>
 void for_each_array(Set& surfels, Callback&& callback) {
     callback("mean", surfels.mean, NumpyShape{3});
@@ -119,6 +121,8 @@ Surfels read_surfels(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
                                          did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
+    // Only 3D Gaussians have an array of third scales, so its presence decides the kind
+    // of primitive.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveProperties::third_scale);
     surfels.primitive = kind->primitive;

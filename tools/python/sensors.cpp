@@ -29,6 +29,8 @@ void check_rays(const RayTable& rays) {
     }
 }
 
+/// Reads the rays of a sensor that a Python user has defined. Origins, times and rings
+/// are optional and are 0 by default.
 RayTable read_rays(const py::dict& dict) {
     if (!dict.contains("directions"))
         throw DataError(

@@ -24,6 +24,8 @@ struct TrainArguments {
     SharedDevice device;
 };
 
+/// Returns the user's settings for a training, except settings that were fixed when the
+/// log was loaded.
 Config merge_settings(const LoadedLog& log, const std::optional<Config>& requested_config) {
     Config config = requested_config.value_or(log.config);
     config.dataset = log.config.dataset;
@@ -112,6 +114,8 @@ void train_drop_network(LockableDevice& device, Run& run, const TrainArguments& 
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
+/// Trains a run in the same steps as `relidar train`, but keeps it only in memory and
+/// frees its scans at the end.
 std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments& arguments) {
     const Config config = merge_settings(log, arguments.config);
     Run run{{},
@@ -125,6 +129,8 @@ std::unique_ptr<LoadedRun> train_run(const LoadedLog& log, const TrainArguments&
     try {
         result = train_scene(*device, run, arguments, python);
     } catch (const Error&) {
+        // If a Python callback has raised an exception, raises this exception instead of
+        // the error of the library.
         python.rethrow();
         throw;
     }
