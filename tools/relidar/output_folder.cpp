@@ -233,7 +233,7 @@ RunFolderWriter::RunFolderWriter(const fs::path& path, bool replace_existing) : 
 }
 
 /// Saves a run. If the folder holds only an earlier run, exchanges both folders, so that
-/// a killed process leaves either run complete.
+/// a killed process leaves one of the two runs complete.
 void RunFolderWriter::save_run_in(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);

@@ -25,8 +25,7 @@ std::vector<std::string> command_names(const CLI::App& app) {
     return names;
 }
 
-/// Adds the expected value to the parser message "Could not convert: --device = x". All
-/// other messages stay as they are.
+/// Adds the expected value to the parser message "Could not convert: --device = x".
 std::string explain_conversion(const std::string& parser_message) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = parser_message.find(middle);
@@ -71,8 +70,7 @@ void flush_stdout() {
             "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
-/// Returns the help text of the program. Each command has only one line, so that the text
-/// fits on one screen.
+/// Returns the help text. Each command has only one line, so that it fits on one screen.
 std::string format_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());

@@ -118,8 +118,7 @@ std::vector<std::string> MpiProcessGroup::gather_texts(const std::string& text) 
     return texts;
 }
 
-/// Distributes the processes of this machine over its GPUs, unless the user has selected
-/// a device.
+/// Distributes the processes of this machine over its GPUs, unless --device is given.
 DeviceCommandOptions MpiProcessGroup::select_device(DeviceCommandOptions user_device_choice) const {
     if (size() == 1 || user_device_choice.index >= 0) return user_device_choice;
     std::vector<int> gpus;

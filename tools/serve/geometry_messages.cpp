@@ -42,8 +42,7 @@ Pose read_pose(const v1::Pose& message, const std::string& name) {
     return pose;
 }
 
-/// Reads a list of poses whose times must increase, because poses are interpolated
-/// between neighbouring times.
+/// Reads a list of poses. Times must increase, because poses are interpolated in time.
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& name) {
     if (messages.empty() || messages.size() > kMostPoses)

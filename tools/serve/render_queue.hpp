@@ -25,8 +25,7 @@ public:
     /// @param is_last false if another request of the same batch follows, so that both
     /// can be submitted together
     virtual void submit(bool is_last) = 0;
-    /// Waits for the device and stores the response. Called only if the request has a
-    /// scene.
+    /// Waits for the device and stores the response. Only requests with a scene need it.
     virtual void finish() {}
     /// Returns true if nobody waits for the response any more. Polled from one thread.
     virtual bool is_cancelled() const { return false; }

@@ -29,8 +29,8 @@ bool is_far_from_path(double time_s, const PoseTrack& path) {
            (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
-/// Checks a time in seconds and returns it. Rejects times outside the sensor's path,
-/// because the pose of the sensor is unknown there.
+/// Checks a time and returns it. Rejects times more than one second outside the sensor's
+/// path, because the pose of the sensor is unknown there.
 double time_near_path(double time_s, const PoseTrack& path, const std::string& field) {
     checked_time(time_s, field);
     if (is_far_from_path(time_s, path))

@@ -139,8 +139,7 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     return sensor;
 }
 
-/// Reads a sensor that scans a rectangular window column by column. Row 0 is the highest
-/// row, and column 0 is the leftmost column.
+/// Reads a sensor that scans a rectangular window column by column. Row 0 is the highest.
 WindowScanSensor read_window(const v1::ScanningWindow& message, const std::string& field) {
     check_ray_count(field, std::uint64_t(message.rows()) * message.columns());
     check_row_count(field, message.rows());

@@ -122,8 +122,7 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     return {{frame.start_s}, {start}};
 }
 
-/// Reads a request for a scan and checks all fields. Times in the message are in
-/// microseconds.
+/// Reads a request for a scan and checks all fields. Message times are in microseconds.
 RenderRequest SensorsimReader::read_request(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)

@@ -69,8 +69,7 @@ private:
     std::deque<std::string> methods_;
 
     /// Registers an RPC method with gRPC.
-    /// @param handle_call computes the answer, and throws RejectedRequest to reject a
-    /// call
+    /// @param handle_call computes the answer, or throws RejectedRequest
     template <class RequestMessage, class Answer, class Function>
     void register_method(const std::string& method_name, Function handle_call) {
         using grpc::internal::RpcMethodHandler, grpc::internal::RpcServiceMethod;

@@ -113,8 +113,7 @@ Json pose_json(const Pose& pose) {
     return result;
 }
 
-/// Encodes a simulated scan, a measured scan, or both as one binary message in the format
-/// of frame.hpp.
+/// Encodes a simulated scan, a measured scan, or both in the binary format of frame.hpp.
 std::string encode_scans(Json header, const ScanColumns* simulated, const ScanColumns* measured) {
     BinaryArrayPacker arrays;
     if (simulated) {

@@ -153,8 +153,7 @@ bool ViewerSession::run_next(std::chrono::milliseconds max_wait) {
     try {
         job->run();
     } catch (const DeviceError&) {
-        // A device error ends the viewer, because no tab can receive a scan without a
-        // device.
+        // Ends the viewer, because no tab can receive a scan without a device.
         throw;
     } catch (const Error& error) {
         send_error(job->id, job->about, error.what());
@@ -171,8 +170,7 @@ Json ViewerSession::execute(TabCache& cache, const BrowserRequest& request) cons
 }
 
 Json ViewerSession::save_edited(const SaveRequest& request) const {
-    // Applies the edits before the folder is created, so that invalid edits leave no
-    // folder.
+    // Applies the edits first, so that invalid edits leave no folder behind.
     Run run = apply_edits(scanner_.trained_run(), scanner_.other_runs(), request.edits);
     const std::filesystem::path folder = save_folder_ / request.name;
     std::error_code failed;

@@ -73,8 +73,7 @@ void check_tracks(const SceneWithLog& scene, const std::set<std::string>& track_
     (void)select_instances(scene.scene, names);
 }
 
-/// Converts the edits to the history of a saved run, in the form that `relidar edit`
-/// writes.
+/// Converts the edits to the history of a saved run, in the form of `relidar edit`.
 std::vector<EditHistoryEntry> make_history(const Run& run, const OtherRunsByName& others,
                                            const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {

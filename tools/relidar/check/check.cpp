@@ -49,8 +49,7 @@ const char* outcome_name(CheckResult::CheckOutcome outcome_kind) {
     }
 }
 
-/// Runs one check and measures its time. If the driver reports an error, the result is
-/// "wrong".
+/// Runs and times one check. If the driver reports an error, the result is "wrong".
 /// @param is_device_lost output: set to true if the driver has lost the device
 NamedCheckResult run_one_check(const DeviceCheck& check, CheckedDevice& tested, bool& is_device_lost) {
     NamedCheckResult row{check.name, {}, 0.0};

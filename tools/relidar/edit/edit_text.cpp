@@ -186,8 +186,7 @@ struct ExternalActor {
     SceneWithLog owner;
 };
 
-/// Loads an actor from RUN#TRACK (run folder and track name), or from the folder of an
-/// asset.
+/// Loads an actor from RUN#TRACK (run folder and track name), or from an asset folder.
 ExternalActor load_actor(const EditArgument& context, const std::string& source) {
     const bool named = source.find('#') != std::string::npos;
     const auto [folder, named_track] =

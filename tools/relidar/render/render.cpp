@@ -287,8 +287,7 @@ public:
         for (const MountedSimulatedSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
-    /// Renders the scans of all sensors at one time and writes them. Adds up the numbers
-    /// for the summary.
+    /// Renders and writes the scans of all sensors at one time.
     void render_sweep(const NumberedScanTime& sweep, RenderOutputs& output) {
         const bool has_user_trajectory = !options_.trajectory.file.empty();
         std::vector<RenderedScan> scans;

@@ -22,8 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// Returns true if a setting may differ between the blocks of a scene, which are trained
-/// separately.
+/// Returns true if a setting may differ between the separately trained blocks of a scene.
 bool may_differ(const std::string& setting_key) {
     // Each block lists only the actors in its part of the log.
     constexpr std::array kFreeSettings{"dataset.path",           "dataset.memory_mib", "train.log_every",
@@ -189,8 +188,7 @@ private:
         end_progress();
     }
 
-    /// Appends the command that resumes the training, if a block or a checkpoint is
-    /// saved.
+    /// Appends the command that resumes the training, if any block is saved.
     std::string with_resume_hint(const std::string& error_message) const {
         std::error_code failed;
         bool has_saved_block = is_interrupted();
