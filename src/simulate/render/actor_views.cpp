@@ -13,6 +13,7 @@ struct FiredRay {
     glm::dvec3 origin, direction;
 };
 
+/// Returns the rays of a sweep in the world frame of the scene, each at its firing time.
 std::vector<FiredRay> fired_rays(const SimulatedSweep& sweep) {
     const RayTable& rays = sweep.rays();
     std::vector<FiredRay> in_world;
@@ -24,7 +25,8 @@ std::vector<FiredRay> fired_rays(const SimulatedSweep& sweep) {
     return in_world;
 }
 
-/// The test uses a sphere that contains the model during the full sweep.
+/// Returns the indices of the rays that pass near a model. The test uses a sphere that
+/// contains the model during the full sweep.
 RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sweep, const InstancePose& pose,
                      double model_radius_m) {
     const auto [first_s, last_s] = std::ranges::minmax(sweep.rays().time_offset_s);
@@ -44,8 +46,8 @@ RayIndices rays_near(const std::vector<FiredRay>& rays, const SimulatedSweep& sw
 
 }  // namespace
 
-/// A ray at the edge of an actor counts only if surfaces absorb at least half of its
-/// light.
+/// Counts for each instance the rays that return from it. A ray at the edge of an actor
+/// counts only if surfaces absorb at least half of its light.
 ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const {
     ActorViews views;
     for (const ModelInstance& instance : sweeps.layout().instances) views.push_back({instance.track});
@@ -56,7 +58,8 @@ ActorViews ScanRenderer::Impl::count_first_hits(const RenderedScan& scan) const 
     return views;
 }
 
-/// Traces the rays near each actor in a scene that contains only this actor.
+/// For each actor, traces the nearby rays in a scene that contains only this actor, and
+/// counts their hits. Then removes the background and actors without hits from `views`.
 void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const ScanRenderPlan& plan,
                                           ActorViews& views) {
     const std::vector<FiredRay> rays = fired_rays(sweep);
@@ -76,6 +79,7 @@ void ScanRenderer::Impl::count_unoccluded(const SimulatedSweep& sweep, const Sca
     }
     std::erase_if(views,
                   [](const ActorVisibility& view) { return view.track.empty() || view.n_rays_alone == 0; });
+    // Restores the instances of the full scene for the steps that follow.
     prepare_scene(lanes->single_lane(), sweep);
 }
 

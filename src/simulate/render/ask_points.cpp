@@ -12,6 +12,8 @@
 namespace relidar {
 namespace {
 
+/// Copies the points that the device computed to `points`. Rounds their intensities to
+/// the steps of the sensor.
 void copy_points(std::span<const shared::ReturnedPoint> returned, const IntensityScatterModel& scatter,
                  LidarPoints& points) {
     constexpr std::size_t kPointsPerTask = 1 << 13;
@@ -36,6 +38,9 @@ void copy_points(std::span<const shared::ReturnedPoint> returned, const Intensit
 
 }  // namespace
 
+/// Records GPU commands that render a sweep and compute its points. A scan joins a batch
+/// if the device may render several scans in parallel.
+/// @param timing with_next: waits for the next scan before it submits the commands
 PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
                                                 const ScanRenderPlan& plan, SubmissionTiming timing) try {
     const int side_by_side = sweeps.layout().blocks.empty() ? lanes->parallel_limit() : 1;
@@ -67,6 +72,8 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
     throw;
 }
 
+/// Waits for the points of a requested scan.
+/// @param memory points of an earlier scan, whose allocated memory is reused
 RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoints memory) {
     if (scan.ready) return std::move(*scan.ready);
     lanes->submit_batch();
@@ -96,6 +103,7 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoin
     return result;
 }
 
+/// Collects all requested scans now, so that their device arrays can be changed.
 void ScanRenderer::Impl::finish_pending() {
     for (PendingPoints& scan : pending) scan.ready = collect_points(scan);
 }
@@ -129,6 +137,8 @@ RenderedPoints ScanRenderer::wait_for_points(LidarPoints memory) {
     return s.collect_points(first, std::move(memory));
 }
 
+/// Waits until the device no longer uses the arrays of this object. First submits
+/// commands that are only recorded.
 void ScanRenderer::Impl::wait_for_device() noexcept {
     try {
         lanes->submit_batch();

@@ -7,6 +7,8 @@
 namespace relidar {
 namespace {
 
+/// Returns the unit normal of the surface that each ray hit, in the sensor's frame at the
+/// firing time of the ray.
 ChannelValues make_normals(const RenderedRayValues& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoseInterpolator firing(scan);
@@ -42,6 +44,8 @@ ChannelValues make_velocity(const RenderedScan& scan, const ChannelInputs& conte
     return velocity;
 }
 
+/// Returns the class of the surface that each ray hits. For the background, looks up the
+/// class at the point at the median range.
 ChannelValues make_classes(const RenderedScan& scan, const ChannelInputs& context) {
     std::vector<std::int32_t> of_rays(scan.instance.size(), -1);
     parallel_blocks(of_rays.size(), [&](std::size_t ray) {

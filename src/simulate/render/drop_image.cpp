@@ -9,11 +9,13 @@
 namespace relidar {
 namespace {
 
-// Limits the logits to -9.2 ... 9.2.
+// Probabilities are clamped to this distance from 0 and 1, so that logits are in -9.2 ...
+// 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
-/// Value RELIDAR_DROP_* of a ray. The kernel simulate/render/drop_channels computes equal
-/// values.
+/// Returns a function that computes one input value of the ray-drop network for a ray.
+/// `channel` selects the value (RELIDAR_DROP_*). The kernel simulate/render/drop_channels
+/// computes equal values.
 RayFunction drop_input(const RenderedScan& scan, std::uint32_t channel, const glm::vec3& origin_m) {
     if (channel == RELIDAR_DROP_LOG_RANGE)
         return [&](std::size_t index) { return std::log1p(std::max(scan.median_range_m[index], 0.0f)); };

@@ -9,7 +9,8 @@
 namespace relidar {
 namespace {
 
-// Minimum weight of a sub-ray in means, which are weighted by intensity.
+// Minimum weight of a sub-ray in means, which are weighted by intensity. Without it, a
+// group of black sub-rays would have a total weight of 0.
 constexpr float kMinIntensity = 1e-3f;
 
 struct SubRayReturn {
@@ -17,8 +18,11 @@ struct SubRayReturn {
     float light = 0.0f;  ///< sum of the intensities
 };
 
-/// True if at least five sub-rays hit the same plane. On a plane, 1 / range is a linear
-/// function of the sub-ray offsets.
+/// Returns true if at least five sub-rays hit the same plane. Fits 1 / range by least
+/// squares, because on a plane it is a linear function of the sub-ray offsets. Three
+/// sub-rays always fit a plane, so a test needs more.
+/// @param first index of the first sub-ray of the beam
+/// @param tolerance_m maximum distance of a hit from the plane along its ray
 bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, std::size_t first,
                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
@@ -31,6 +35,7 @@ bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, st
         normal_matrix += glm::outerProduct(row(i), row(i));
         right += row(i) / double(ranges_m[i]);
     }
+    // Sub-rays on a line do not define a plane.
     if (std::abs(glm::determinant(normal_matrix)) < 1e-9) return false;
     const glm::dvec3 plane = glm::inverse(normal_matrix) * right;
     return std::ranges::all_of(parts, [&](std::size_t index) {
@@ -39,9 +44,11 @@ bool is_coplanar(const RayIndices& parts, const std::vector<float>& ranges_m, st
     });
 }
 
+/// Joins consecutive groups of sub-rays that hit the same plane. A plane at a grazing
+/// angle, such as a distant road, spans many ranges but gives only one return.
 void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& ranges_m, std::size_t first,
                    const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    // Tries the longest sequences first.
+    // First tries to join all groups of the beam, then shorter and shorter sequences.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             SubRayReturn joined;
@@ -57,6 +64,9 @@ void join_coplanar(std::vector<SubRayReturn>& groups, const std::vector<float>& 
     }
 }
 
+/// Divides the returned sub-rays of a beam into groups that form one return each. A new
+/// group begins where the sorted ranges have a gap of at least `separation_m`.
+/// @param first index of the first sub-ray of the beam
 std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t first,
                                          const std::vector<glm::dvec2>& offsets, float separation_m) {
     const std::vector<float>& range_m = scan.median_range_m;
@@ -75,6 +85,8 @@ std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t f
     return groups;
 }
 
+/// Returns the mean of `values` over the sub-rays of a group, weighted by their
+/// intensities.
 float weighted_mean(const SubRayReturn& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
@@ -94,6 +106,9 @@ float mean_of_slice(const std::vector<float>& values, std::size_t first_index, i
     return sum / static_cast<float>(count);
 }
 
+/// Returns the group that is the second return of a beam: the last one, or the second
+/// strongest if the last is the strongest. Returns null if that group is too weak.
+/// @param groups groups of the beam, sorted by range
 const SubRayReturn* second_group(const std::vector<SubRayReturn>& groups, const SubRayReturn& strongest) {
     const SubRayReturn* second = nullptr;
     if (&strongest != &groups.back()) {
@@ -105,6 +120,7 @@ const SubRayReturn* second_group(const std::vector<SubRayReturn>& groups, const 
     return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
 }
 
+/// Joins the sub-rays of each beam to one ray with up to two returns.
 class SubRayMerger {
 public:
     SubRayMerger(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
@@ -115,11 +131,15 @@ public:
         if (config.returns == 2) scan_.second_returns.resize(1);
     }
 
+    /// Appends a beam to the joined scan. ChannelMergeRule says how each channel combines
+    /// the values of the sub-rays.
     void append_beam(std::size_t beam) {
         const int n = config_.sub_rays;
         const std::size_t first = beam * std::size_t(n);
         const std::vector<SubRayReturn> groups =
             group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
+        // Without a group, no sub-ray returns. The beam then gets the values of its
+        // central sub-ray.
         const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kMinIntensity)};
         const SubRayReturn& strongest =
             groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
@@ -137,7 +157,9 @@ public:
                                                                   : sum_over_group(strongest, of_parts) /
                                                                         static_cast<float>(n));
                              }
-                             // The first sub-ray is nearest to the centre.
+                             // Copies the value of the sub-ray nearest to the centre.
+                             // This sub-ray has the smallest index, because sub-rays are
+                             // ordered from the centre outwards.
                              of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                          });
         if (scan_.second_returns.empty()) return;
@@ -167,6 +189,8 @@ RayTable split_rays(const RayTable& rays, int sub_rays_per_ray, double divergenc
     parts.columns = rays.columns * sub_rays_per_ray;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const glm::dvec3 direction(rays.direction[i]);
+        // `left` and `up` are unit vectors, perpendicular to the ray and to each other.
+        // `helper` is any axis that is not nearly parallel to the ray.
         const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
         const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
         const glm::dvec3 up = glm::cross(direction, left);

@@ -11,6 +11,8 @@ void append_elements(std::vector<T>& target, const std::vector<T>& source) {
     target.insert(target.end(), source.begin(), source.end());
 }
 
+/// Adds the channels of a scan to the merged scan. The rays that are already merged have
+/// no values in a new channel.
 /// @throws UsageError if a channel has a different type in two scans
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : copy_layout(scan.channels)) {
@@ -31,6 +33,8 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
+/// Appends the values that a channel has for second returns. Earlier scans may have none,
+/// so their rays get the empty value first.
 void append_second(ScanChannel& merged, const ScanChannel& source, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (count_values(merged.second) == 0) merged.second = std::vector<T>{};
@@ -41,6 +45,8 @@ void append_second(ScanChannel& merged, const ScanChannel& source, std::size_t f
     std::visit(add, source.second);
 }
 
+/// Combines the poses of a sensor rig (`rig_scan`) with the firing times of one of its
+/// sensors (`sensor_scan`). Used to interpolate the rig's pose at each firing time.
 RenderedScan rig_at_firing_times(const RenderedScan& rig_scan, const RenderedScan& sensor_scan) {
     RenderedScan rig;
     rig.image.rows = sensor_scan.image.rows;
@@ -70,10 +76,14 @@ private:
     FiringPoseInterpolator world_from_rig_, world_from_firing_;
 };
 
+/// Appends the values of all channels of a scan. Rotates vectors, such as normals, into
+/// the frame of the rig.
+/// @param first index of the scan's first ray in the merged scan
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t first) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        // clang 14 cannot capture structured bindings in lambdas.
+        // Copies the reference, because clang 14 cannot capture structured bindings in
+        // lambdas.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* scan_values = find_values<T>(scan.channels, info.name);
@@ -90,6 +100,8 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& r
     }
 }
 
+/// Extends the lists of second returns to all rays. For rays without a second return,
+/// range and intensity are 0, and the channels have no value.
 void pad_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (AdditionalReturns& second : merged.second_returns) {
@@ -102,6 +114,8 @@ void pad_second_returns(RenderedScan& merged) {
                        channel.second);
 }
 
+/// Adds the ray counts of a scan to the merged scan: rays per actor, and rays per
+/// unobserved side of an actor.
 void merge_counts(RenderedScan& merged, const RenderedScan& scan) {
     for (const ActorVisibility& view : scan.actor_views) {
         const auto known = std::ranges::find(merged.actor_views, view.track, &ActorVisibility::track);
@@ -122,6 +136,8 @@ void merge_counts(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
+/// Appends the rays of a scan to the merged scan. Each ray is transformed into the frame
+/// of the rig at the firing time of the ray.
 /// @param ring number of this scan's ring 0 in the merged scan
 void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
@@ -153,6 +169,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         RigPoses poses(merged, scan);
         append_rays(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
+        // Ring numbers are stored in 16 bits.
         if (rings > 65536)
             fail<UsageError>("cannot merge scans: found {} beams in total, expected at most 65536", rings);
         const std::size_t first_ray = merged.image.range_m.size();

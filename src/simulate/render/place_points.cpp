@@ -11,6 +11,7 @@
 namespace relidar {
 namespace {
 
+// number of points that one parallel task places
 constexpr std::size_t kPointsTogether = 4096;
 
 struct RayReturnIndex {
@@ -18,6 +19,8 @@ struct RayReturnIndex {
     std::uint8_t number;
 };
 
+/// Lists the returns that become points, in the order of the rays. Second returns
+/// directly follow the first return of their ray.
 std::vector<RayReturnIndex> select_returns(const RenderedScan& scan, const std::vector<float>& ranges_m,
                                            PointSelection selection) {
     std::vector<RayReturnIndex> returns;
@@ -33,7 +36,8 @@ std::vector<RayReturnIndex> select_returns(const RenderedScan& scan, const std::
     return returns;
 }
 
-/// Returns no poses if the points are in the sensor's frame.
+/// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
+/// poses if the points are in the sensor's frame.
 SensorPoses sensor_poses(const RenderedScan& scan, const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
     const PoseTrack track =
@@ -42,7 +46,8 @@ SensorPoses sensor_poses(const RenderedScan& scan, const std::optional<Pose>& da
     return poses_between(to_frame(track, *dataset_from_points), scan.time_s, double(first_s), double(last_s));
 }
 
-/// Must select the same pose as shaders/simulate/render/sensor_way.glsl.
+/// Returns the last pose before a time, found by bisection. Must select the same pose as
+/// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& find_pose(const SensorPoses& poses, float time_offset_s) {
     std::size_t k = 0, end = std::max<std::size_t>(poses.size(), 2) - 1;
     while (end - k > 1) {
@@ -91,6 +96,8 @@ LidarPoints place_points(const RenderedScan& scan, const Config& config,
         for (const auto& [ray, number] : returns)
             append_return(points.channels[k], scan.channels[k], ray, number);
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
+        // Vectors that turn with the sensor, such as normals, go to the frame of the
+        // points.
         if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
         for (std::size_t i = 0; i < n; ++i)
             (*vectors)[i] = shared::to_world(find_pose(poses, points.time_offset_s[i]),

@@ -29,6 +29,8 @@ void DevicePointComputer::reserve(Stream& stream, std::size_t n_rays) {
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");
 }
 
+/// Records three kernels: mark the returned rays, compute the index of each point by a
+/// prefix sum, and gather the points without gaps.
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record(
     Stream& stream, const DeviceSensorRays& rays, const PointComputeOptions& options,
     const Array<std::uint32_t>& truncated) {
@@ -67,6 +69,7 @@ DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
       sampled_ranges(device, kSampledRays * sizeof(float), "ranges of rays"),
       capped(device, sizeof(std::uint32_t), "number of truncated rays") {}
 
+/// Records the copies to host buffers. A slot is free if no pending scan refers to it.
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_readback(
     Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated) {
     auto free_slot = std::ranges::find_if(

@@ -30,18 +30,24 @@ constexpr double kNearReflectivity = 0.0025;
 // the constants of bloom, which were fitted to KITTI's intensities.
 constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0), kStrayPower = 0.005 / (80.0 * 80.0);
 
+/// Checks that the primitives of the scene can provide a channel. 3D Gaussians have no
+/// normals.
+/// @throws UsageError for a channel that needs normals which the scene does not have
 void check_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || properties_of(config.image.primitive).has_normals) return;
     fail<UsageError>("{}: the channel {} needs normals, which image.primitive={} has not; expected surfel",
                      error_prefix, channel.name, properties_of(config.image.primitive).name);
 }
 
+/// Returns the options of the renderer. First rejects channels that the scene cannot
+/// provide, so that the error precedes the expensive upload of the scene.
 TraceOptions trace_options(const Config& config) {
     for (const ChannelInfo& channel : parse_channels(config.render.channels))
         check_channel(config, channel, "setting render.channels");
     return rendering_options(config);
 }
 
+/// Copies the measurements of the device to the arrays of a scan, one value per ray.
 void copy_measurements(RenderedScan& scan, std::span<const shared::MeasuredRay> measured) {
     const std::size_t n = measured.size();
     for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m,
@@ -60,13 +66,18 @@ void copy_measurements(RenderedScan& scan, std::span<const shared::MeasuredRay> 
     }
 }
 
-/// Keeps a probability of 1: such a ray hits nothing that the sensor can measure.
+/// Replaces the drop probabilities by those of the ray-drop network. Keeps a probability
+/// of 1, because such a ray hits nothing that the sensor can measure.
 void replace_drop(RenderedScan& scan, std::span<const float> network_drop_probabilities) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
         if (drop_prob[i] < 1.0f) drop_prob[i] = network_drop_probabilities[i];
 }
 
+/// Returns the properties of a sensor that determine how weather affects its scans. All
+/// powers are relative: a surface with reflectivity 1 at 1 m has power 1.
+/// @param rays rays of the sensor, which define the beam divergence
+/// @param name name of the sensor; selects the maximum range of its data sheet
 WeatherSensorProperties weather_properties(const Config& config, const RayTable& rays,
                                            const RangeLimits& limits, const std::string& name) {
     WeatherSensorProperties result;
@@ -79,6 +90,7 @@ WeatherSensorProperties weather_properties(const Config& config, const RayTable&
     result.separation_m = config.sensor.return_separation_m;
     result.min_range_m = limits.min_m;
     result.max_range_m = limits.max_m;
+    // Converts the noise power to the reflectivity that equals it at the maximum range.
     result.darkest = kNoisePower * limits.max_m * limits.max_m;
     result.min_stray_power = kStrayPower;
     return result;
@@ -112,6 +124,7 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
 
+/// Decides which steps run for a sweep.
 ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
     return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(), sampled);
 }
@@ -120,11 +133,14 @@ bool ScanRenderer::Impl::has_channel(const std::string& name) const {
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
 }
 
+/// Returns the space that the log observed, limited to the range of the sensor.
 LogObservedSpace ScanRenderer::Impl::observed_space_of(const SimulatedSensor& sensor) const {
     return {settings.coverage, sweeps.sequence().world_offset_m,
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
+/// Returns the data from which the channels of a scan are computed. Looks up classes only
+/// if the channel "class" is requested.
 ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
     ChannelInputs context{observed_space_of(sweep.sensor),
                           {sweeps.sequence().lidar_track(sweep.sensor.lidar), sweep.instances}};
@@ -135,15 +151,19 @@ ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
     return context;
 }
 
+/// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep) {
-    // Loading blocks can replace the renderer that pending scans use.
+    // Waits for pending scans, because loading blocks of the scene can replace the
+    // renderer that these scans use.
     if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.load_near(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
     lanes->renderer_of(resources).record_poses(sweep.instances, sensor_m);
 }
 
-/// Call prepare_scene() before.
+/// Records GPU commands that trace rays and compute the measurements. The order is fixed:
+/// rays to world frame, tracing, measurements, ray-drop. Call prepare_scene() before.
+/// @param with_drop true to run the ray-drop network as well
 std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanResources& lane,
                                                                    const SimulatedSweep& sweep,
                                                                    const RayTable& rays, bool with_drop) try {
@@ -168,6 +188,9 @@ std::shared_ptr<DeviceSensorRays> ScanRenderer::Impl::record_trace(ParallelScanR
     throw;
 }
 
+/// Traces rays and waits for the result. The scan has the poses of the dataset frame,
+/// whereas the scene is shifted by Log::world_offset_m.
+/// @param with_drop true to run the ray-drop network as well
 ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSweep& sweep,
                                                               const RayTable& ray_table, bool with_drop) {
     Renderer& renderer = scene.renderer();
@@ -185,7 +208,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     scan.track = shift_track(sweep.world_from_sensor, offset_m);
     scan.world_from_sensor = {sweep.pose.rotation, sweep.pose.translation + offset_m};
     scan.time_s = sweep.time_s;
-    // Ray-drop networks read this channel.
+    // Ray-drop networks read the channel "incidence", so this channel is computed even if
+    // it is not requested. render_sweep() removes it afterwards.
     std::vector<ChannelInfo> channels = settings.channels;
     if (lanes->drop_network() && !has_channel(kIncidenceChannel))
         channels.push_back(parse_channels(kIncidenceChannel).front());
@@ -194,7 +218,8 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace_rays(const SimulatedSwe
     return {std::move(scan), with_drop ? rays->wait_drop(renderer.stream()) : std::span<const float>{}};
 }
 
-/// If a beam hits several surfaces, traces it again with more sub-rays.
+/// Traces several sub-rays for each beam and joins them to returns. If a beam hits
+/// several surfaces, traces the beam again with more sub-rays.
 RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, SensorConfig beam_config) {
     const RayTable& rays = sweep.rays();
     const auto split = [&](const RayTable& some) {
@@ -209,6 +234,7 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, Se
         replace_rays(scan, edges,
                      join_sub_rays(trace_rays(sweep, split(edge_rays)).scan, edge_rays, beam_config));
     }
+    // The sensor does not report beams whose joined range is outside its limits.
     const RangeLimits& limits = sweep.sensor.limits;
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
@@ -216,12 +242,17 @@ RenderedScan ScanRenderer::Impl::trace_footprint(const SimulatedSweep& sweep, Se
     return scan;
 }
 
+/// Corrects the drop probabilities of a finished scan on the device. Used if the network
+/// needs beams that are joined from sub-rays, or the cells of a grid.
 void ScanRenderer::Impl::correct_drop(RenderedScan& scan) {
     replace_drop(scan,
                  lanes->refiner_of(lanes->single_lane())
                      .predict_drops(make_drop_image(scan, lanes->drop_network()->inputs, first_origin_m)));
 }
 
+/// Converts expected values to random measurements: draws returns, adds weather, and
+/// rounds intensities to the steps of the sensor.
+/// @param seed without a value, the scan keeps its expected values
 void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& sweep, SampleSeed seed) {
     const SimulatedSensor& sensor = sweep.sensor;
     const Log& log = sweeps.sequence();
@@ -244,17 +275,23 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
             .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
             .seed = seed.value_or(0),
             .motion = &motion};
+        // A ray that is always dropped is blocked near the sensor, so it cannot hit rain
+        // or fog.
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
                                   kDropThreshold);
         add_weather(scan, input);
     }
+    // Sampled intensities already have the steps of the sensor unless weather changed
+    // them.
     if (!seed || !settings.weather.is_clear())
         for (float& intensity : scan.image.intensity) intensity = scatter.quantise(intensity);
     for (AdditionalReturns& echo : scan.second_returns)
         for (float& intensity : echo.intensity) intensity = scatter.quantise(intensity);
 }
 
+/// Renders the scan of a sweep, from tracing the rays to weather and rounding. Channels
+/// are computed before the ray-drop network runs, because it changes the probabilities.
 RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, SampleSeed seed) {
     using Network = ScanRenderPlan::RayDropStage;
     const SimulatedSensor& sensor = sweep.sensor;
@@ -268,11 +305,15 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     if (sweeps.is_background_shown()) set_unseen_share(scan, observed_space_of(sensor));
     std::vector<ActorVisibility> views;
     if (settings.has_views) views = count_first_hits(scan);
+    // A network for the cells of a grid needs the projected scan. Without such a network,
+    // the scan is projected last, after noise and weather.
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop(scan, drops);
     else if (plan.network != Network::none) correct_drop(scan);
-    // count_unoccluded() invalidates the values in `drops`.
+    // count_unoccluded() traces more rays, which invalidates the probabilities in
+    // `drops`. So it runs after they have been used.
     if (settings.has_views) count_unoccluded(sweep, plan, views);
+    // trace_rays() adds this channel for the network, although nobody requested it.
     if (!has_channel(kIncidenceChannel))
         std::erase_if(scan.channels,
                       [](const ScanChannel& channel) { return channel.info.name == kIncidenceChannel; });
@@ -297,7 +338,8 @@ void ScanRenderer::show_instances(const std::vector<bool>& visible_flags) {
 }
 
 void ScanRenderer::use_network(const RayDropNetwork& network) {
-    // Throws an error if the network has inputs that cannot be rendered.
+    // Called only because it throws an error if the network has inputs that cannot be
+    // rendered.
     channel_numbers(network.inputs);
     impl_->finish_pending();
     impl_->lanes->use_network(network);

@@ -14,6 +14,8 @@ ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene
 
 ParallelScanResources& ParallelScanResourcePool::next_lane() {
     if (!batch_) {
+        // If the device memory is too small for another copy of the scene, uses fewer
+        // copies.
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {
@@ -57,11 +59,13 @@ void ParallelScanResourcePool::set_limit(int count) {
     while (std::ssize(others_) >= count) others_.pop_back();
 }
 
+/// Returns the rays of a sensor on the device, and uploads them unless they are cached.
+/// The cache is sorted by last use, so that the oldest entries are dropped.
 std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& device,
                                                                      const SimulatedSensor& sensor,
                                                                      const RayTable& ray_table,
                                                                      const RayFunction& drop_probability) {
-    // limits for the rays that stay in device memory; they need at most 0.2 GB
+    // Limits for the rays that stay in device memory. They need at most 0.2 GB.
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_log_lidar);
     const auto match =
@@ -70,7 +74,8 @@ std::shared_ptr<DeviceSensorRays> ParallelScanResources::upload_rays(Device& dev
         std::rotate(cached.begin(), match, match + 1);
         return cached.front();
     }
-    // No pending scan may use the rays.
+    // An entry can be overwritten if no pending scan uses its rays, and if it is empty or
+    // belongs to the same sensor.
     const auto is_free = [&](const std::shared_ptr<DeviceSensorRays>& rays) {
         return rays.use_count() == 1 && (rays->ray_table().size() == 0 || rays->sensor_name() == name);
     };

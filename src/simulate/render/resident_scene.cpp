@@ -24,6 +24,8 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
         renderer_.emplace(device, has_model_copy_ ? unshare_models(scene) : scene, model_, options_);
 }
 
+/// Replaces the renderer by a renderer of these blocks. Measures the memory per surfel,
+/// which predicts how many blocks fit.
 void ResidentScene::load_blocks(const std::vector<std::size_t>& blocks) {
     if (renderer_) past_.add_times(renderer_->stream().times());
     // frees memory before the new renderer allocates
@@ -38,7 +40,8 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& blocks) {
     loaded_ = blocks;
 }
 
-/// Adds other loaded blocks while they fit into memory, the most recently needed first.
+/// Adds other loaded blocks to the blocks that a scan needs, while they fit into memory.
+/// Prefers the most recently needed blocks, because the sensor may return to them.
 std::vector<std::size_t> ResidentScene::add_recent_blocks(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;

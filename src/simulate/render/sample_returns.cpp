@@ -36,6 +36,8 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
 
 void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const IntensityScatterModel& scatter,
                     std::uint64_t seed, const RangeLimits& limits) {
+    // Each ray has a separate generator, so the result does not depend on the number of
+    // threads.
     const std::uint64_t of_scan = hash_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensityImage likely = make_noise_image(scan);
     const std::vector<float>& likely_m = likely.range_m;
@@ -69,6 +71,7 @@ void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const Inte
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
+    // Adds the same noise to the mean range as to the median range.
     for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);

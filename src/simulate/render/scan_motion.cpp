@@ -4,6 +4,7 @@
 namespace relidar {
 
 RayMotion MotionDuringScan::motion_of_ray(const RenderedScan& scan, std::size_t ray) const {
+    // half of the time span of the central difference
     constexpr double kVelocityStep_s = 0.005;
     const double time_s = scan.time_s + double(scan.time_offset_s[ray]);
     const Pose world_from_firing = world_from_sensor.pose_at(time_s);
@@ -22,6 +23,7 @@ glm::dvec3 MotionDuringScan::object_velocity(std::int32_t instance, double after
                                              const glm::dvec3& point_m) const {
     if (instance < 0 || std::size_t(instance) >= placed.size()) return glm::dvec3(0.0);
     const InstancePose& object = placed[std::size_t(instance)];
+    // velocity of a rigid body: translation plus rotation about its centre
     const glm::dvec3 middle_m = object.motion.pose_at(object.world_from_model, after_s).translation;
     return object.motion.velocity_mps + glm::cross(object.motion.angular_velocity_radps, point_m - middle_m);
 }

@@ -9,7 +9,9 @@ namespace {
 /// RayDropNetwork::image if the image has one pixel per ray; other values name a grid.
 constexpr const char* kNativeGrid = "native";
 
-/// @throws UsageError for a beam without divergence
+/// Checks that the beams of a sensor can be split into sub-rays.
+/// @throws UsageError for a beam without divergence, or for settings that exclude each
+/// other
 void check_sub_rays(const RayTable& rays, const SensorConfig& config, const SimulatedSensor& sensor) {
     if (sensor.grid && config.returns > 1)
         fail<UsageError>(
@@ -30,13 +32,18 @@ void check_sub_rays(const RayTable& rays, const SensorConfig& config, const Simu
                          config.sub_rays, rays.size(), kMaxRays);
 }
 
+/// Returns true if there is a network and it can correct an image with this name and
+/// size.
 bool fits_network(const RayDropNetwork* network, const std::string& image_name, int rows, int columns) {
     if (!network || network->image != image_name) return false;
-    // A network with 1 x 1 convolutions processes each ray separately.
+    // A network with 1 x 1 convolutions processes each ray separately, so an image of one
+    // pixel is enough.
     const int side = network->taps == 1 ? 1 : std::max(2, network->min_image_size());
     return rows >= side && columns >= side;
 }
 
+/// Decides where the ray-drop network runs: on the device directly after tracing, on
+/// beams that are joined from sub-rays, on the cells of a grid, or nowhere.
 ScanRenderPlan::RayDropStage choose_drop_stage(const RayDropNetwork* network, const SimulatedSensor& sensor,
                                                const RayTable& rays, bool has_sub_rays) {
     using enum ScanRenderPlan::RayDropStage;
@@ -60,6 +67,8 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
             "cannot render {}: this sensor does not spin and defines no rays; use another sensor",
             sensor.name);
     plan.network = choose_drop_stage(network, sensor, rays, plan.has_sub_rays());
+    // The device computes only the points of a plain scan. All other steps need the scan
+    // on the host.
     plan.points_on_device = !sampled && settings.weather.is_clear() && settings.channels.empty() &&
                             !sensor.grid && !plan.has_sub_rays() && sensor.rays.size() > 0;
     return plan;

@@ -17,7 +17,8 @@ RayWithSurfaceRange surface_ray(const RenderedScan& scan, std::size_t ray) {
             scan.median_range_m[ray]};
 }
 
-/// The path ends at the surface that the ray hits, or at the maximum range.
+/// Returns the fraction of a ray's path that the log has observed. The path ends at the
+/// surface that the ray hits, or at the maximum range.
 float observed_share(const RayWithSurfaceRange& ray, const LogObservedSpace& space) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= space.world_offset_m;

@@ -18,6 +18,7 @@ namespace {
 /// Minimum sum of blending weights along a ray that is projected into the image.
 constexpr float kLeastWeight = 0.05f;
 
+/// Returns the range limits of the dataset settings, in metres.
 RangeLimits configured_limits(const Config& config, const Log& log) {
     return {config.dataset.min_range_m, with_max_range(config, log).dataset.max_range_m};
 }
@@ -32,6 +33,7 @@ bool has_rolling_shutter(const Config& config, const Log& log) {
     return config.sensor.rolling_shutter == RollingShutter::yes || log.rolling_shutter;
 }
 
+/// Returns a sensor with the rays, beams and limits of a LiDAR of the log.
 SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar) {
     const Lidar& log_lidar = log.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = log_lidar.sensor;
@@ -47,6 +49,9 @@ SimulatedSensor make_log_sensor(const Config& config, const Log& log, int lidar)
             .rolling_shutter = has_rolling_shutter(config, log)};
 }
 
+/// Returns a sensor for a range grid. With the method "cast", its rays are the pixels of
+/// the grid. With "project", it has the rays of the LiDAR, whose points are binned into
+/// the grid.
 SimulatedSensor grid_sensor(const RangeImageGrid& grid, const Config& config, const Log& log, int lidar) {
     const std::string& method = config.sensor.grid_method;
     const RangeLimits limits = intersect({0.0, grid.max_range_m}, configured_limits(config, log));
@@ -66,6 +71,8 @@ SimulatedSensor grid_sensor(const RangeImageGrid& grid, const Config& config, co
     return choice;
 }
 
+/// Copies all values of a ray to a cell of the grid, except drop probabilities. Ranges
+/// are measured from the origin of the grid, not from the origin of the ray.
 void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
     const glm::vec3 &origin = source.image.origin[ray], &direction = source.image.direction[ray];
     for_all_channels(
@@ -81,7 +88,8 @@ void copy_to_cell(const RenderedScan& source, std::size_t ray, RenderedScan& tar
     target.time_offset_s[cell] = source.time_offset_s[ray];
 }
 
-/// A pixel returns if any of its rays returns, so it gets the minimum.
+/// Updates a pixel (cell) with one of its rays. Its drop probability is the minimum over
+/// its rays, because the pixel has a return if any ray returns.
 void merge_drop(const RenderedScan& source, std::size_t ray, RenderedScan& target, std::size_t cell) {
     for_all_channels(
         source, target,
@@ -100,6 +108,7 @@ bool is_rolling(const SimulatedSensor& sensor, const Config& config) {
 
 SimulatedSensor follow_sweep(const SimulatedSensor& sensor, std::span<const Frame> frames,
                              std::span<const Lidar> lidars, double time_s) {
+    // Maximum difference between the requested time and the time stamp of a sweep.
     constexpr double kSameTime_s = 1e-3;
     if (!sensor.follows_sweeps) return sensor;
     const auto is_now = [&](const Frame& f) {
@@ -151,7 +160,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
                      [n]<class T>(const ChannelInfo& channel, const std::vector<T>&,
                                   std::vector<T>& of_cells) { of_cells.assign(n, empty_value<T>(channel)); });
     result.time_offset_s.assign(n, 0.0f);
-    // [cells] drop probability of the ray that the pixel shows; 2 without a ray
+    // [cells] drop probability of the ray that each pixel shows; 2 for pixels without a
+    // ray
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
@@ -163,6 +173,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
         merge_drop(scan, i, result, c);
         const bool returns = drop < kDropThreshold, winner_returns = winner_drop[c] < kDropThreshold;
         const bool is_nearer = glm::length(point) < result.median_range_m[c];
+        // A returned ray wins over a dropped one. Of two returned rays, the nearer wins.
+        // Of two dropped rays, the one with the lower probability wins.
         bool wins = returns;
         if (returns == winner_returns) wins = returns ? is_nearer : drop < winner_drop[c];
         if (!wins && winner_drop[c] < 1.5f) continue;

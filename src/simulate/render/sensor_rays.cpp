@@ -12,7 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Compares in parallel, because a ray table has several megabytes.
+/// Returns true if two tables have the same bytes. Compares in parallel, because a ray
+/// table has several megabytes.
 template <class Values>
 bool are_bytes_equal(const Values& first, const Values& second) {
     if (first.size() != second.size()) return false;
@@ -31,6 +32,7 @@ std::uint32_t range_kind_number(const std::string& name) {
     return name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
+/// Returns the number of a network input in the kernel drop_channels (RELIDAR_DROP_*).
 std::uint32_t channel_number(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
@@ -53,6 +55,9 @@ std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& names
     return result;
 }
 
+/// Converts a part of a track to the pose format of the kernels. Stores each pose with
+/// the twist to the next pose. `position_rest` holds the part of the position that single
+/// precision loses.
 SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s) {
     const std::vector<Pose>& pose = world_from_sensor.pose;
     const std::size_t first = world_from_sensor.find_segment(time_s + first_s).left,
@@ -99,6 +104,8 @@ bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& name
            are_bytes_equal(rays.channel, table_.channel);
 }
 
+/// Uploads the rays unless the device already stores them. Allocates only if the table
+/// has grown.
 void DeviceSensorRays::upload(const RayTable& rays, const std::string& name, const RayFunction& drop) {
     if (is_uploaded(rays, name)) return;
     std::vector<shared::SensorRay> all(rays.size());
@@ -148,6 +155,9 @@ RayBatch DeviceSensorRays::world_batch() const {
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
+/// Records the kernel that converts rendering results to measurements. Beams have
+/// calibrated range offsets and intensity gains. `response` is the intensity factor by
+/// range.
 void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch,
                                       const RayMeasurementOptions& options) {
     std::vector<shared::SensorBeam> beams;
@@ -178,9 +188,12 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch
     refined_ = nullptr;
 }
 
+/// Records the kernel that fills the input channels of the ray-drop network, then the
+/// network.
 void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m) {
     const std::vector<std::uint32_t> channels = channel_numbers(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
+        // Pending commands may still use the old array.
         stream.submit_and_wait();
         samples_ = Array<float, shared::DropSamples>(device_, channels.size() * table_.size(),
                                                      "input channels of the ray-drop network");
@@ -201,6 +214,8 @@ std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
     return {static_cast<const float*>(refined_readback_->wait_for_bytes(stream)), table_.size()};
 }
 
+/// Copies the measurements, and the drop probabilities if a network ran, to the host.
+/// Buffers have room for all allocated rays, so that they are reused for larger tables.
 std::span<const shared::MeasuredRay> DeviceSensorRays::wait_measured(Stream& stream) {
     const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
                                std::size_t n_bytes, const char* text) {

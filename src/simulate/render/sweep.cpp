@@ -15,6 +15,7 @@ constexpr double kBeyondPath_s = 1.0;
 constexpr double kMaxCoordinate =
     1e10;  // limit for coordinates in metres and for times in seconds since 1970
 
+/// Checks the track of a sensor or an actor.
 /// @throws DataError if poses or times are invalid
 void check_track(const PoseTrack& track, const std::string& object_name) {
     const auto refuse = [&](const std::string& found, const char* expected) {
@@ -41,6 +42,8 @@ void check_track(const PoseTrack& track, const std::string& object_name) {
     }
 }
 
+/// Checks that the rays of a sweep are fired while the path of the sensor is known.
+/// @throws DataError if rays are fired long before or after the path
 void check_path(const SimulatedSweep& sweep) {
     const std::vector<double>& times_s = sweep.world_from_sensor.time_s;
     if (times_s.size() < 2 || sweep.rays().size() == 0) return;
@@ -87,8 +90,9 @@ SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor,
     return follow_sweep(sensor, shifted_, log_.lidars, time_s);
 }
 
-/// Sets the vehicle track of the log so that the sensor follows `world_from_sensor`.
-/// @param world_from_actor if null, uses the tracks of the run
+/// Makes a sweep for a sensor on a given track. Sets the vehicle track of the log so that
+/// the sensor follows `world_from_sensor`.
+/// @param world_from_actor poses of the actors; if null, uses the tracks of the run
 SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor, double time_s,
                                                   PoseTrack world_from_sensor,
                                                   const ActorTracksByName* world_from_actor) {
@@ -96,7 +100,8 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     log_.world_from_vehicle = mount_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = is_rolling(sensor, config_);
     lidar.pattern = sensor.pattern;
-    // Without a pattern, find_sweep_start() uses the log's spinning LiDAR.
+    // The sweep starts at an azimuth that depends on the scan pattern. Without a pattern,
+    // find_sweep_start() uses the log's spinning LiDAR.
     const SweepTiming now{time_s, sensor.lidar, find_sweep_start(sensor.rays, lidar)};
     // without a value: the rays of the sensor
     std::optional<RayTable> rays;
@@ -119,6 +124,8 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
 SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& sensor, double time_s,
                                                        const Pose& offset) {
     log_.world_from_vehicle = log_world_from_vehicle_;
+    // A mounted sensor away from the LiDAR moves on an arc while the vehicle turns, so
+    // the track needs more poses.
     const bool is_elsewhere = offset.translation != glm::dvec3(0.0) || offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.lidar_track(sensor.lidar);
     return along_track(sensor, time_s, is_elsewhere ? mount_track(subdivide_turns(track), offset) : track,

@@ -12,7 +12,9 @@ namespace {
 // With fewer rays, the side is not reported.
 constexpr std::size_t kFewestRays = 5;
 
-/// Range, and axis of the side. Infinity if the ray misses the box or starts inside.
+/// Returns the range at which a ray enters a box, and the axis of the side through which
+/// it enters (slab method). The range is infinite if the ray misses the box or starts
+/// inside.
 std::pair<double, int> enter_box(const glm::dvec3& from, const glm::dvec3& along, const glm::dvec3& half_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
@@ -41,6 +43,8 @@ struct PartlyObservedActor {
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
 
+    /// Returns true if the ray passes through the bounding sphere of the box. This fast
+    /// test avoids most of the exact tests.
     bool is_ray_near_box(const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to_centre = centre_m - origin;
         const double along_m = glm::dot(to_centre, direction);
@@ -48,8 +52,11 @@ struct PartlyObservedActor {
                glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
     }
 
-    /// All coordinates are in the box frame.
-    /// @param range_m 0 if the ray has no return
+    /// Counts a ray if it sees a side of the actor that the log has not observed. Such a
+    /// side is either filled with mirrored surfels or left empty. All coordinates are in
+    /// the box frame.
+    /// @param range_m range of the return; 0 if the ray has no return
+    /// @param hits_actor true if the return is a surface of this actor
     void count_ray(const glm::dvec3& origin, const glm::dvec3& direction, double range_m, bool hits_actor) {
         if (hits_actor && range_m > 0.0)
             if (const auto side = surface->find_mirrored_side(origin + range_m * direction))
@@ -64,6 +71,8 @@ struct PartlyObservedActor {
     }
 };
 
+/// Lists the actors that are present during the scan and have an unobserved side or
+/// mirrored surfels.
 std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Scene& scene, const Log& log) {
     std::vector<PartlyObservedActor> boxes;
     if (scan.time_offset_s.empty()) return boxes;

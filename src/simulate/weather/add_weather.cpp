@@ -15,7 +15,8 @@ constexpr const char* kSourceChannel = "source";
 
 using ReturnCauses = std::vector<std::int32_t>;
 
-/// Sets all causes to `nothing`.
+/// Returns the channel "source", which stores the cause of each return, and sets all
+/// causes to `nothing`. Adds the channel if the scan does not have it.
 ScanChannel& prepare_causes(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSourceChannel; };
     const auto source = std::ranges::find_if(scan.channels, has_name);
@@ -29,7 +30,8 @@ ScanChannel& prepare_causes(RenderedScan& scan) {
     return channel;
 }
 
-/// Null if the scan does not have this channel.
+/// Returns the channel "velocity" of a scan with a value for each second return, or null
+/// if the scan does not have this channel.
 ScanChannel* prepare_velocity(RenderedScan& scan) {
     for (ScanChannel& channel : scan.channels) {
         if (channel.info.name != "velocity") continue;
@@ -39,6 +41,8 @@ ScanChannel* prepare_velocity(RenderedScan& scan) {
     return nullptr;
 }
 
+/// Removes the surface that a ray hit. Sets the instance to -1, and resets all channels
+/// that describe surfaces.
 void clear_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -56,6 +60,8 @@ public:
           channel_(prepare_causes(scan)),
           velocity_(input.motion && !input.weather.is_clear() ? prepare_velocity(scan) : nullptr) {}
 
+    /// Computes the returns of a ray in the weather and writes them to the scan. In clear
+    /// air, writes only the causes.
     void apply_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
         RayWeatherState ray{.index = ray_index};
@@ -98,7 +104,9 @@ private:
         return std::min(static_cast<float>(echo.reflectivity * input_.response.range_factor(echo.range_m)),
                         1.0f);
     }
-    /// A surface without a return also stops the light.
+    /// Returns the distance that the light of a ray travels through the air: to the first
+    /// opaque surface, or to the maximum range. A surface without a return also stops the
+    /// light.
     double free_path_m(const RayWeatherState& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =
@@ -106,6 +114,8 @@ private:
         if (!is_blocked || !(median_m > 0.0f)) return input_.sensor.max_range_m;
         return std::max(double(median_m), ray.second.range_m);
     }
+    /// Writes the strongest return. Keeps the surface values if the return is still the
+    /// surface, otherwise removes them.
     void write_strongest(std::size_t ray_index, const LidarEcho& before, const LidarEcho& after) {
         RangeImage& image = scan_.image;
         if (after.source == ReturnCause::nothing) {
@@ -119,7 +129,8 @@ private:
             static_cast<float>(after.range_m);
         clear_surface(scan_, ray_index);
     }
-    /// Sunlight and stray light have no object, so their velocity stays 0.
+    /// Sets the velocity of fog, rain, snow and mirrored objects. Sunlight and stray
+    /// light have no object, so their velocity stays 0.
     void set_air_velocity(ChannelValues& values, std::size_t ray_index, const LidarEcho& echo) const {
         if (echo.source < ReturnCause::fog || echo.source > ReturnCause::mirror) return;
         const RayMotion ray = input_.motion->motion_of_ray(scan_, ray_index);

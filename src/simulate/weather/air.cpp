@@ -21,6 +21,8 @@ bool is_bright_enough(const EchoCandidate& candidate, const EchoCandidate& stron
     return reflectivity / (range_m * range_m) >= kSecondReturnShare * strongest.power;
 }
 
+/// Returns the second return of a dual-return sensor. This is the last return, or the
+/// second strongest if the strongest return is also the last.
 LidarEcho select_second(const EchoCandidates& echoes, const EchoCandidate& strongest, double separation_m) {
     LidarEcho last, next;
     double power = 0.0;
@@ -60,14 +62,17 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
                                          std::vector<std::unique_ptr<RayWeatherEffect>> effects)
     : sensor_(sensor), alpha_(extinction_per_m(weather)), effects_(std::move(effects)) {}
 
-/// If the log has a lower intensity than the sensor could detect, the intensity is not
-/// exact: returns a random value above the limit.
+/// Returns the reflectivity of a surface. If the log has a lower intensity than the
+/// sensor could detect, the intensity is not exact: returns a random value above the
+/// limit.
 double WeatherRaySimulator::sample_albedo(const LidarEcho& surface, Random& random) const {
     const double lowest = sensor_.min_power_at(surface.range_m) * surface.range_m * surface.range_m;
     if (surface.reflectivity >= lowest) return surface.reflectivity;
     return std::lerp(lowest, kBrightestUnknownSurface * lowest, random.sample_uniform());
 }
 
+/// Adds the return of a surface if it is still detected. Its light passes the air twice.
+/// @param brightness brightness of the wet ground relative to the dry ground
 void WeatherRaySimulator::append_surface(EchoCandidates& echoes, LidarEcho echo, double brightness,
                                          Random& random) const {
     if (echo.source == ReturnCause::nothing) return;

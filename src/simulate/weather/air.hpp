@@ -54,8 +54,11 @@ using EchoCandidates = std::vector<EchoCandidate>;
 class RayWeatherEffect {
 public:
     virtual ~RayWeatherEffect() = default;
-    /// Called before the air attenuates the light.
+    /// Changes the return of the surface that a ray hits. Called before the air
+    /// attenuates the light.
     virtual void modify_surface(RayWeatherState& /*ray*/) const {}
+    /// Adds the possible returns that the effect causes on a ray, for example from
+    /// raindrops.
     virtual void append_returns(EchoCandidates&, const RayWeatherState&, Random&) const {}
 };
 
@@ -69,6 +72,7 @@ public:
     explicit WeatherRaySimulator(const WeatherInput& input);
     WeatherRaySimulator(const Weather& weather, const WeatherSensorProperties& sensor,
                         std::vector<std::unique_ptr<RayWeatherEffect>> effects);
+    /// Computes the strongest and the second return that the sensor measures along a ray.
     /// The second return is the last one, or the second strongest if the last is the
     /// strongest. Both are at least WeatherSensorProperties::separation_m apart, and the
     /// second has a tenth of the light. Leaves out returns below the detection threshold.
@@ -83,13 +87,15 @@ private:
     void append_surface(EchoCandidates& candidates, LidarEcho echo, double brightness, Random& random) const;
 };
 
+/// Adds a return if its power reaches the detection limit.
 /// @param transmission  share of the light that the air does not absorb or scatter
 void append_detectable(EchoCandidates& echoes, LidarEcho echo, const WeatherSensorProperties& sensor,
                        double transmission);
 
-/// If the weather causes a return, the ray gets its range and intensity, the instance -1
-/// and no surface values. The channel `source` has the causes; clear air changes only
-/// this channel. The result depends only on seed and time, not on the number of threads.
+/// Adds weather to a scan. If the weather causes a return, the ray gets its range and
+/// intensity, the instance -1 and no surface values. The channel `source` has the causes;
+/// clear air changes only this channel. The result depends only on seed and time, not on
+/// the number of threads.
 void add_weather(RenderedScan& scan, const WeatherInput& weather_input);
 
 }  // namespace relidar

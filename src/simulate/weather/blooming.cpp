@@ -37,6 +37,8 @@ bool is_retro_reflector(const RenderedScan& scan, std::size_t ray) {
            scan.image.intensity[ray] >= kMinReflectorIntensity;
 }
 
+/// Finds the reflectors of a scan in cells of one square degree. The solid angle of a
+/// reflector is the share of rays in its cell that hit it.
 std::vector<RetroReflector> find_reflectors(const RenderedScan& scan) {
     std::map<std::pair<int, int>, DirectionCell> squares;
     for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
@@ -60,7 +62,8 @@ std::vector<RetroReflector> find_reflectors(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Without the factors of the setting `bloom` and of the beam.
+/// Returns the stray light of retro-reflectors that a ray in this direction receives. The
+/// caller must multiply the result by `bloom` and by the random factor of the beam.
 LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::dvec3& ray_direction) {
     std::vector<double> share;
     std::size_t most = 0;
@@ -74,15 +77,18 @@ LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::d
         share.push_back(reflector.deg2 / (off_deg * off_deg * off_deg));
         if (power(share.size() - 1) > power(most)) most = share.size() - 1;
     }
+    // The brightest reflector determines the range. Only reflectors at nearly the same
+    // range add to its return.
     LidarEcho echo{reflectors[most].range_m, 0.0, ReturnCause::blooming};
     for (std::size_t i = 0; i < share.size(); ++i)
         if (std::abs(reflectors[i].range_m - echo.range_m) < kSameRange_m) echo.reflectivity += share[i];
     return echo;
 }
 
-/// Surfaces with an intensity of at least kMinReflectorIntensity are reflectors. The
-/// brightest reflector determines the range.
-/// @return [rays]; empty if there are no reflectors
+/// Computes the stray-light return of each ray of a scan. Surfaces with an intensity of
+/// at least kMinReflectorIntensity are reflectors.
+/// @return [rays] returns, empty for a ray without stray light; an empty list if there
+/// are no reflectors
 std::vector<LidarEcho> stray_echoes(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<RetroReflector> reflectors = find_reflectors(scan);

@@ -15,15 +15,17 @@ namespace {
 constexpr double kFogStep_m = 0.05;  // Range step in metres of the table of backscattered power.
 // Per metre and steradian, times the visibility in metres (Rasshofer et al. 2011).
 constexpr double kFogBackscatter = 0.046;
-// Of the logarithm of the density. The value is an assumption.
+// Standard deviation of the logarithm of the density. The value is an assumption.
 constexpr double kFogSpread = 1.0;
-// Standard deviations above the mean of the logarithmic density.
+// Fog that is denser by this many standard deviations is too rare to extend the table.
 constexpr double kRareFog = 5.0;
 
 double fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
 
 class FogEffect : public RayWeatherEffect {
 public:
+    /// Tabulates the mean power by range. The table ends where even rare dense fog is too
+    /// weak to be detected.
     explicit FogEffect(const WeatherInput& input)
         : sensor_(input.sensor),
           alpha_(extinction_per_m(input.weather)),
@@ -38,6 +40,8 @@ public:
         }
     }
 
+    /// Draws one density and one range in each interval of half a pulse length, because
+    /// the receiver gets the light of such an interval at the same time.
     void append_returns(EchoCandidates& echoes, const RayWeatherState& ray, Random& random) const override {
         if (power_.empty()) return;
         const double stretch_m = 0.5 * pulse_length_m(sensor_), first_m = min_air_range_m(sensor_);
@@ -59,7 +63,8 @@ private:
     // [k] mean power that fog reflects at the minimum range plus k range steps
     std::vector<double> power_;
 
-    /// Integrates over the pulse with the midpoint rule.
+    /// Returns the mean power that fog reflects from a range. Integrates over the pulse
+    /// with the midpoint rule.
     double mean_fog_power(double range_m) const {
         constexpr int kPulseSteps = 32;
         const double width_m = pulse_length_m(sensor_), part_m = width_m / kPulseSteps;

@@ -23,16 +23,18 @@ struct ParticleDistribution {
     double (*fall_speed)(double melted_mm);
 };
 
-/// Marshall and Palmer 1948. A drop reflects as water at normal incidence, ((n - 1) / (n
-/// + 1))^2. Speed: Atlas, Srivastava and Sekhon 1973.
+/// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
+/// as water at normal incidence, ((n - 1) / (n + 1))^2. Speed: Atlas, Srivastava and
+/// Sekhon 1973.
 ParticleDistribution rain_drops(const Weather& weather) {
     return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02, [](double mm) {
                 return std::max(9.65 - 10.3 * std::exp(-0.6 * mm), 0.0);
             }};
 }
 
-/// By the diameter of the melted flake (Gunn and Marshall 1958). The density is a tenth
-/// of water's. All flakes fall at 1 m/s (assumption).
+/// Returns the size distribution of snowflakes by the diameter of the melted flake (Gunn
+/// and Marshall 1958). The density is a tenth of water's, so a flake is wider by the cube
+/// root of 10. All flakes fall at 1 m/s (assumption).
 ParticleDistribution snow_flakes(const Weather& weather) {
     return {ReturnCause::snow,
             3.8e3 * std::pow(weather.snow_mm_h, -0.87),
@@ -50,6 +52,8 @@ double particle_extinction(const Weather& weather) {
 
 class PrecipitationEffect : public RayWeatherEffect {
 public:
+    /// Tabulates the expected number of detectable particles by range, with the
+    /// trapezoidal rule.
     PrecipitationEffect(const WeatherInput& input, const ParticleDistribution& particles)
         : sensor_(input.sensor), alpha_(extinction_per_m(input.weather)), falling_(particles) {
         double expected = 0.0, before = 0.0;
@@ -64,6 +68,8 @@ public:
         }
     }
 
+    /// Draws particles at random counts of the table, which makes them a Poisson process.
+    /// The size above the smallest detectable size is exponentially distributed.
     void append_returns(EchoCandidates& echoes, const RayWeatherState& ray, Random& random) const override {
         if (expected_.empty()) return;
         const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform()); };
@@ -91,8 +97,9 @@ private:
     // kParticleStep_m beyond it
     std::vector<double> expected_;
 
-    /// Of the melted flake for snow. Infinity if even a particle as wide as the beam is
-    /// not detected.
+    /// Returns the diameter in millimetres of the smallest particle that the sensor
+    /// detects at a range; for snow, of the melted flake. Returns infinity if even a
+    /// particle as wide as the beam is not detected.
     double min_diameter_mm(double range_m) const {
         const double share = sensor_.min_power_at(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;

@@ -28,7 +28,8 @@ constexpr double kPhoton_J = 2.195e-19;     // energy of a photon at 905 nm
 constexpr double kClearDay_klux = 100.0;    // illuminance on a clear day
 constexpr float kHidesSun = 0.5f;
 
-/// Empty if the scene hides the sun from the sensor.
+/// Returns the angle between each ray of a scan and the direction to the sun, in radians.
+/// Returns an empty list if the scene hides the sun from the sensor.
 std::vector<float> sun_angles_rad(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const double azimuth_rad = input.weather.sun.azimuth_deg * kPi / 180.0,
@@ -54,8 +55,9 @@ public:
     SunlightEffect(const WeatherInput& input, std::vector<float> angles_rad)
         : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
 
-    /// Peaks of Gaussian noise above the threshold have power^2 = threshold^2 + 2 sigma^2
-    /// E, with an exponential random number E.
+    /// Adds false returns caused by sunlight: peaks of Gaussian noise above the detection
+    /// threshold. A peak has power^2 = threshold^2 + 2 sigma^2 E, with an exponential
+    /// random number E.
     void append_returns(EchoCandidates& echoes, const RayWeatherState& ray, Random& random) const override {
         if (!(ray.free_m > 0.0)) return;
         const bool meets_surface = ray.strongest.source == ReturnCause::surface;
@@ -63,6 +65,7 @@ public:
         const double sigma = sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
                                        !meets_surface && ray.free_m >= sensor_.max_range_m);
         const double per_m = false_returns_per_m(sensor_, sensor_.floor_power() / sigma);
+        // Exponential distances between the returns make a Poisson process.
         const auto waiting = [&random] { return -std::log(1.0 - random.sample_uniform()); };
         if (!(per_m > 0.0)) return;
         for (double range_m = min_air_range_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
@@ -91,6 +94,7 @@ double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double a
                  bool sees_sky) {
     const double irradiance = kSunIrradiance * sun.klux / 100.0, half_rad = 0.5 * sensor.divergence_rad;
     const double off_deg = std::max(angle_rad, kSunRadius_rad) / kRadPerDegree;
+    // radiance / irradiance of the three sources in turn: window, surface and solar disc
     double per_sr = kAureole_sr / (off_deg * off_deg) + albedo_or_0 / kPi;
     if (sees_sky)
         per_sr += std::clamp((kSunRadius_rad + half_rad - angle_rad) / sensor.divergence_rad, 0.0, 1.0) /

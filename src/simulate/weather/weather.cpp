@@ -28,7 +28,8 @@ bool has_valid_values(const WeatherEffectEntry& effect, const std::vector<double
     return true;
 }
 
-/// Leaves out optional numbers that have their default values.
+/// Formats a weather effect as text, for example "rain=5". Leaves out optional numbers
+/// that have their default values.
 std::string format_effect(const WeatherEffectEntry& effect, const Weather& weather) {
     std::vector<double> values = parameters_of(effect, weather);
     while (values.size() > std::max<std::size_t>(effect.n_required, 1) &&
@@ -41,6 +42,7 @@ std::string format_effect(const WeatherEffectEntry& effect, const Weather& weath
     fail<UsageError>("weather: found {}, expected {}", word, expected);
 }
 
+/// Parses numbers that are separated by colons.
 /// @return an empty list if a number cannot be read
 std::vector<double> parse_numbers(std::string_view text) {
     std::vector<double> values;
@@ -56,6 +58,8 @@ std::vector<double> parse_numbers(std::string_view text) {
     return values;
 }
 
+/// Parses the text of one weather effect, for example "rain=5".
+/// @throws UsageError for an unknown, repeated or incomplete effect
 void parse_effect(Weather& weather, std::string_view effect_text) {
     const std::size_t equals = std::min(effect_text.find('='), effect_text.size());
     const auto* row =

@@ -61,6 +61,8 @@ struct GroundPlane {
     bool is_ground = false;
 };
 
+/// Fits a plane z = height + slope . (x, y) to the points of a cell by least squares. A
+/// ridge keeps the slope small across a narrow strip of points.
 GroundPlane fit_ground_plane(const GroundGridCell& cell) {
     if (cell.n < kMinPointsPerPlane) return {};
     const glm::dvec3 mean = cell.sum / cell.n;
@@ -72,12 +74,14 @@ GroundPlane fit_ground_plane(const GroundGridCell& cell) {
     const glm::dvec2 right = cell.products / cell.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
+    // Variance of the heights around the plane, slightly increased by the ridge.
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kMaxPlaneError_m * kMaxPlaneError_m && glm::length(slope) < kMaxSlope};
 }
 
-/// Relative to the sensor; NaN for rays that do not hit the background below it.
+/// Returns the hit point of each ray that hits the background below the sensor, relative
+/// to the sensor. Other rays have NaN.
 std::vector<glm::dvec3> points_below_sensor(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
@@ -91,6 +95,8 @@ std::vector<glm::dvec3> points_below_sensor(const RenderedScan& scan) {
     return points;
 }
 
+/// Sums the candidates for ground in each cell. The first pass finds the lowest point of
+/// each cell, the second adds only points within kGroundLayer_m of it.
 GroundGrid ground_cells(const std::vector<glm::dvec3>& points) {
     GroundGrid cells;
     for (const glm::dvec3& p : points)
@@ -105,7 +111,7 @@ GroundGrid ground_cells(const std::vector<glm::dvec3>& points) {
     return cells;
 }
 
-/// Also uses the eight cells around it.
+/// Fits a plane to the cell of a point and the eight cells around it.
 GroundPlane fit_plane_near(const GroundGrid& cells, const glm::dvec3& point) {
     GroundGridCell together;
     for (int dx = -1; dx <= 1; ++dx)
@@ -116,9 +122,11 @@ GroundPlane fit_plane_near(const GroundGrid& cells, const glm::dvec3& point) {
     return fit_ground_plane(together);
 }
 
-/// A cell is ground if the candidates of the 3 x 3 cells around it fit a plane. The
-/// material does not matter.
-/// @return [rays] unit normal in the world frame of the dataset, or 0
+/// Finds the rays that hit level ground below the sensor. A cell is ground if the
+/// candidates of the 3 x 3 cells around it fit a plane. Ignores the material of the
+/// ground.
+/// @return [rays] unit normal in the world frame of the dataset, or 0 for rays without a
+/// return from ground
 std::vector<glm::dvec3> ground_normals_of(const RenderedScan& scan) {
     const std::vector<glm::dvec3> points = points_below_sensor(scan);
     const GroundGrid cells = ground_cells(points);
@@ -137,7 +145,8 @@ std::vector<glm::dvec3> ground_normals_of(const RenderedScan& scan) {
     return normals;
 }
 
-/// Diffuse light: the mean over all directions, weighted by the cosine.
+/// Returns the fraction of diffuse light that a water film reflects: the mean reflectance
+/// over all directions, weighted by the cosine.
 double mean_reflectance() {
     constexpr int kCosineSteps = 1000;
     double sum = 0.0;
@@ -165,11 +174,13 @@ constexpr double kRayLift_m = 0.1;
 // Hits below this height belong to the ground.
 constexpr double kMinMirroredHeight_m = 0.3;
 
+/// Returns the probability that a ray gets no return, from its logits.
 float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
     return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray] - rendering.drop_logit[ray]));
 }
 
-/// Leaves out mirrored rays that return less light than the ground.
+/// Computes the brightness of the wet ground, and the rays that the water mirrors. Leaves
+/// out mirrored rays that return less light than the ground.
 MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3>& normals,
                          std::vector<WetGroundRay>& wet_rays) {
     const RenderedScan& scan = input.scan;
@@ -185,7 +196,8 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
         wet_rays[i].through_water = 1.0 - share + share * wet_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(water_reflectance(cosine), 2);
         // A sensor with one return reports the brighter of the wet ground
-        // (`through_water` * albedo) and the mirrored object (at most `mirrors`).
+        // (`through_water` * albedo) and the mirrored object (at most `mirrors`). Skips
+        // the mirrored ray if the object cannot be brighter.
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;
@@ -199,6 +211,8 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
     return mirrored;
 }
 
+/// Traces the mirrored rays and adds the returns of the objects that they hit. The range
+/// of such a return is the length of the path via the water.
 std::vector<WetGroundRay> wet_ground_rays(const WeatherInput& input) {
     const std::vector<glm::dvec3> up = ground_normals_of(input.scan);
     std::vector<WetGroundRay> wet(up.size());
@@ -248,6 +262,8 @@ constexpr WeatherParameter kWetNumbers[] = {
 
 }  // namespace
 
+/// Averages the Fresnel equations for light polarised across and along the plane of
+/// incidence.
 double water_reflectance(double cosine) {
     // Snell's law
     const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWaterIndex * kWaterIndex));
