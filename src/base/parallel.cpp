@@ -22,7 +22,9 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
     std::exception_ptr failure;
     int failed = n_tasks;
     std::atomic<int> next{0};
-    // Tasks start in ascending order, which the loops of oneTBB do not guarantee.
+    // Gets the next index from a shared counter, so that tasks start in ascending order.
+    // The loops of oneTBB do not guarantee this, because they split the range in the
+    // middle.
     const auto run_tasks = [&] {
         for (int i = next++; i < n_tasks; i = next++) {
             try {
@@ -33,6 +35,7 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
                     failure = std::current_exception();
                     failed = i;
                 }
+                // No further task starts.
                 next = n_tasks;
             }
         }

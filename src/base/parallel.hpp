@@ -43,8 +43,9 @@ void parallel_blocks(std::size_t n_items, const Task& task) {
     });
 }
 
-/// Partial sums of `range_size` items are added in the order of the ranges, so that the
-/// result does not depend on the number of threads.
+/// Computes a sum over [0, n_items) in parallel. Partial sums of `range_size` items are
+/// added in the order of the ranges, so that the result does not depend on the number of
+/// threads.
 /// @param compute_range_sum function (begin, end) -> Sum
 template <class Part>
 auto parallel_sum(std::size_t n_items, std::size_t range_size, const Part& compute_range_sum) {

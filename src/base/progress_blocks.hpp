@@ -13,8 +13,9 @@
 
 namespace relidar {
 
-/// Only the calling thread reports progress: the finished fraction before each of its
-/// tasks, and 1 at the end. The loop stops if `progress` throws.
+/// Runs task(i) for every i in [0, n_tasks) in parallel. Only the calling thread reports
+/// progress: the finished fraction before each of its tasks, and 1 at the end. The loop
+/// stops if `progress` throws.
 template <class Task>
 void progress_for(std::size_t n_tasks, const Progress& progress, std::string_view text, const Task& task) {
     if (progress) progress(text, 0.0);

@@ -12,7 +12,8 @@ namespace {
 
 constexpr int kMostParts = 8, kDeepest = 8;
 
-/// The end of the line if the closing quote is missing.
+/// Returns the position after a quoted text. If the closing quote is missing, returns the
+/// end of the line.
 std::size_t skip_quoted(std::string_view text, std::size_t quote_position) {
     const char quote = text[quote_position++];
     for (; quote_position < text.size() && text[quote_position] != quote && text[quote_position] != '\n';

@@ -25,6 +25,8 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
          description);
 }
 
+/// Copies a flatbuffer to aligned memory, because its position in the file may be
+/// unaligned.
 struct AlignedFlatbuffer {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
@@ -37,6 +39,7 @@ struct AlignedFlatbuffer {
     const std::uint8_t* data() const { return reinterpret_cast<const std::uint8_t*>(words.data()); }
 };
 
+/// Reads the fields of a table by number. Checks each position before it reads.
 class FlatbufferTable {
 public:
     static FlatbufferTable root_table(AlignedFlatbuffer& flatbuffer) {

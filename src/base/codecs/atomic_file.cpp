@@ -38,7 +38,8 @@ struct TemporaryFile {
     }
 };
 
-/// Follows a symbolic link, so that writing does not replace the link.
+/// Returns the path of the file to write. Follows a symbolic link, so that writing does
+/// not replace the link. Rejects devices and other targets that are not regular files.
 fs::path resolve_target(const fs::path& path) {
     if (!path.has_filename()) fail_write(path, "the path has no file name");
     std::error_code error;
@@ -57,6 +58,8 @@ fs::path resolve_target(const fs::path& path) {
     return folder / path.filename();
 }
 
+/// Calls the writer. Only data errors get the path of the file. For example, a GPU
+/// failure during a download is not a file error.
 void write_temp(const fs::path& where, const fs::path& temporary,
                 const std::function<void(const fs::path&)>& write_content) {
     try {
@@ -80,8 +83,9 @@ void flush_file(const fs::path& where, const fs::path& temporary) {
     if (result != 0) fail_write(where, "cannot flush the file to disk: " + errno_text(error));
 }
 
-/// The new file name then survives a power failure. Ignores failures, because some file
-/// systems cannot flush folders.
+/// Flushes the folder, so that the new file name survives a power failure. Ignores
+/// failures, because some folders cannot be opened and some file systems cannot flush
+/// them.
 void flush_folder(const fs::path& file_path) {
     const int folder = ::open(file_path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;

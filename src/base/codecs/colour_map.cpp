@@ -40,8 +40,9 @@ constexpr Colour kNoValue{44, 44, 48};        // Dark gray for pixels without a 
 constexpr std::uint8_t kSeparatorGray = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
-/// @param stops evenly spaced
-/// @param fraction in [0, 1]
+/// Returns the interpolated colour at a position of a colour map.
+/// @param stops colours of the map, evenly spaced
+/// @param fraction position in the map, [0, 1]
 Colour colour_at(std::span<const Colour> stops, double fraction) {
     const double position = fraction * double(stops.size() - 1);
     const std::size_t low = std::min(std::size_t(position), stops.size() - 2);

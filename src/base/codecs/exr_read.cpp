@@ -80,7 +80,8 @@ void parse_window(std::string_view bytes, ImageHeader& image_header) {
     std::memcpy(corner, bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    // Larger values could overflow OpenEXR's 32-bit integers.
+    // Maximum absolute value of a corner coordinate. Larger values could overflow
+    // OpenEXR's 32-bit integers.
     constexpr std::int32_t kMaxCoordinate = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kMaxCoordinate || c > kMaxCoordinate)
@@ -115,7 +116,8 @@ void parse_channels(std::string_view bytes, ImageHeader& image_header) {
         fail("the list of channels is shorter than its stored size, so the file is damaged");
 }
 
-/// OpenEXR ignores the stored size, so a wrong size would make it read unchecked data.
+/// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
+/// size, so a wrong size would make it read unchecked data.
 void check_attribute(const std::string& name, const std::string& attribute_type, std::string_view bytes) {
     static const std::map<std::string, std::size_t> kAttributeBytes = [] {
         std::istringstream text(
@@ -169,7 +171,8 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
         const std::string_view bytes = header.read_bytes(std::size_t(size));
         if (!attribute_names.insert(name).second)
             fail("attribute '{}' occurs twice, expected it once", quote(name));
-        // Nothing checks the inner sizes of these attributes.
+        // Values of these types contain more sizes, for example of a preview image.
+        // Nothing checks these inner sizes, so such attributes are rejected.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             fail("attribute '{}' has the type '{}', which is not supported", quote(name), type);
         check_attribute(name, type, bytes);
@@ -183,6 +186,7 @@ ImageHeader parse_exr_header(const std::string& exr_file_bytes) {
     return image_header;
 }
 
+/// Checks that the file is large enough for the image size that its header states.
 void check_file_size(const ImageHeader& image_header, std::size_t file_size_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
@@ -190,6 +194,7 @@ void check_file_size(const ImageHeader& image_header, std::size_t file_size_byte
              image_header.channels.size());
     if (rows > std::int64_t(kMaxPixels) / columns)
         fail("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels);
+    // OpenEXR decompresses full blocks, so the last block counts with all its rows.
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum uncompressed size in bytes, assuming half-precision channels.

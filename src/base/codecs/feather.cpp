@@ -34,6 +34,8 @@ T read_at(std::string_view bytes, std::size_t byte_offset) {
     return value;
 }
 
+/// Returns the `n_bytes` bytes that start at an offset. Throws an error if they are not
+/// inside `bytes`.
 std::string_view checked_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
                                const char* where) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
@@ -43,6 +45,8 @@ std::string_view checked_range(std::string_view bytes, std::int64_t offset, std:
     return bytes.substr(std::size_t(offset), std::size_t(n_bytes));
 }
 
+/// Returns the flatbuffer of the footer. Its length is stored before the magic at the end
+/// of the file.
 std::string_view find_footer(std::string_view bytes) {
     constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kArrowMagic.size();
     if (bytes.size() < kHeaderBytes + kTrailerBytes || !bytes.starts_with(kArrowMagic))
@@ -54,7 +58,8 @@ std::string_view find_footer(std::string_view bytes) {
     return checked_range(bytes, end - n, n, "a footer");
 }
 
-/// The message begins with 0xFFFFFFFF and the length of the flatbuffer.
+/// Reads the record batch at a position of the file. Its message begins with 0xFFFFFFFF
+/// and the length of the flatbuffer that follows.
 Batch read_batch(std::string_view bytes, const codecs::ArrowFileBlock& block) {
     constexpr std::int64_t kPrefixBytes = 8;
     const std::string_view message = checked_range(bytes, block.offset, block.metadata_bytes, "a message");
@@ -66,7 +71,8 @@ Batch read_batch(std::string_view bytes, const codecs::ArrowFileBlock& block) {
             checked_range(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// The result may have padding behind n_expected_bytes.
+/// Decompresses a buffer of a record batch. Throws an error if the result has fewer than
+/// n_expected_bytes bytes, or more than n_expected_bytes plus padding.
 std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t n_expected_bytes) {
     const codecs::ArrowBufferRange& buffer_range = batch.layout.buffers.at(buffer_index);
     std::string_view stored = checked_range(batch.body, buffer_range.offset, buffer_range.length, "a buffer");
@@ -89,6 +95,9 @@ std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t
     return bytes;
 }
 
+/// Returns the number of rows of a column in a record batch. Throws an error if the
+/// column has missing values.
+/// @param node index of the column in the list of nodes, which has one entry per column
 std::size_t rows_without_nulls(const Batch& batch, std::size_t node, std::size_t last_buffer_index) {
     if (node >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
@@ -111,6 +120,7 @@ void append_converted(std::vector<T>& values, const Batch& batch, const Feather:
         values.push_back(convert_stored_value(read_at<Stored>(bytes, i * sizeof(Stored))));
 }
 
+/// Appends the integers of a column to `values`. The integers may have any width.
 template <class T>
 void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
                      const ArrowField::Type& type) {
@@ -137,7 +147,8 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
                                         [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Text i is stored between the offsets i and i + 1.
+/// Appends the texts of a column to `values`. Text i is stored between the offsets i and
+/// i + 1.
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node, std::size_t buffer,
                   std::size_t max_bytes) {
     const std::size_t n = rows_without_nulls(batch, node, buffer + 2);
@@ -157,6 +168,8 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
+/// Returns the number of rows of all batches. The limit prevents a damaged file from
+/// making the reader allocate too much memory.
 std::size_t total_rows(const std::vector<Batch>& batches, std::size_t max_allowed_rows) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
@@ -183,7 +196,8 @@ Feather::Feather(std::string where, std::string bytes) : name_(std::move(where))
             at.node += 1;
             at.buffer += n_buffers;
         }
-        // Blocks do not overlap.
+        // Number of remaining file bytes. Blocks do not overlap, so their sizes must not
+        // add up to more than the file size.
         std::int64_t left = std::int64_t(bytes_.size());
         const auto read = [&](const std::vector<codecs::ArrowFileBlock>& blocks,
                               std::vector<Batch>& batches) {
@@ -255,6 +269,8 @@ std::vector<std::string> Feather::read_texts(const std::string& column_name) con
             for (const Batch& batch : batches_) append_texts(values, batch, column.node, column.buffer, most);
             return values;
         }
+        // Dictionary-encoded: a separate batch has the words, and the rows have their
+        // indices.
         std::vector<std::string> words;
         for (const Batch& batch : dictionaries_)
             if (batch.layout.dictionary == column.field.dictionary->id)

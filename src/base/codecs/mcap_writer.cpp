@@ -105,12 +105,14 @@ void McapWriter::write_chunk() {
     if (chunk_.empty()) return;
     const std::uint64_t begin = written_, n_bytes = chunk_.size();
     const auto crc = std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(n_bytes)));
-    // The empty name means no compression: the floats of a scan compress poorly.
+    // Writes an empty name, which means no compression. Compression would save little,
+    // because the floats of a scan compress poorly.
     append(
         encode_record(kChunk, encode(chunk_first_ns_, chunk_last_ns_, n_bytes, crc, "", n_bytes) + chunk_));
     const std::uint64_t end = written_;
 
-    // Channel ids with the file positions of their message indices, for the chunk index.
+    // List of channel ids, each with the file position of the channel's message index.
+    // The chunk index record contains this list.
     std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
         index_positions += encode(channel, written_);
@@ -143,7 +145,8 @@ std::string McapWriter::encode_statistics() const {
                                              n_messages ? first_ns_ : std::uint64_t(0), last_ns_, counts));
 }
 
-/// The section at the end of the file. Records with the same code form a group.
+/// Returns the bytes of the summary section at the end of the file. Records with the same
+/// code form a group.
 /// @param record_groups receives the position of each group
 std::string McapWriter::encode_summary(std::vector<SummaryRecordGroup>& record_groups) const {
     std::string bytes;

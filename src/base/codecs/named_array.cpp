@@ -16,6 +16,7 @@
 namespace relidar {
 namespace {
 
+/// A half-precision number (IEEE 754): sign, 5 bits of exponent, 10 bits of mantissa.
 struct Half {
     std::uint16_t bits;
 
@@ -76,6 +77,8 @@ std::vector<Out> convert_numeric(const NamedArray& array) {
     return function(array);
 }
 
+/// Returns the number of bytes after the first byte of a UTF-8 sequence, or 4 if the byte
+/// cannot begin a sequence.
 std::size_t utf8_tail_size(unsigned char first) {
     if (first < 0x80) return 0;
     if (first >> 5 == 6) return 1;
@@ -83,8 +86,10 @@ std::size_t utf8_tail_size(unsigned char first) {
     return first >> 3 == 30 ? 3 : 4;
 }
 
+/// Converts UTF-8 to Unicode code points. Replaces each invalid byte with U+FFFD.
 std::u32string decode_utf8(std::string_view utf8) {
-    // kMinCodePoint by length: a longer sequence for a smaller code point is invalid.
+    // Smallest code point for each length of a sequence. A longer sequence for a smaller
+    // code point is invalid (overlong encoding).
     constexpr char32_t kReplacementCharacter = 0xFFFD, kMinCodePoint[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {

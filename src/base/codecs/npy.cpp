@@ -106,6 +106,8 @@ private:
     std::string_view text_;
 };
 
+/// Returns the type without its byte order, for example "f4" for "<f4". Accepts "|" only
+/// for types whose byte order does not matter.
 std::string parse_dtype(const std::string& numpy_type_with_byte_order) {
     const std::string_view type =
         std::string_view(numpy_type_with_byte_order).substr(numpy_type_with_byte_order.empty() ? 0 : 1);
@@ -117,7 +119,8 @@ std::string parse_dtype(const std::string& numpy_type_with_byte_order) {
     return std::string(type);
 }
 
-/// In Fortran order, the first index varies fastest.
+/// Reorders the values of an array in Fortran order, in which the first index varies
+/// fastest.
 void make_row_major(NamedArray& array) {
     const std::size_t size = element_bytes(array.dtype), n_dimensions = array.shape.size();
     const std::vector<std::byte> column_major = array.bytes;
@@ -137,11 +140,13 @@ std::string make_npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    // In Python, (n,) is a tuple but (n) is a number.
+    // Removes the space, but not the comma, after a single extent. In Python, (n,) is a
+    // tuple but (n) is a number.
     if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);
     constexpr std::size_t kPrefixBytes = 10;  // Number of bytes of magic, version and length.
+    // numpy pads the header with blanks, so that the values are aligned.
     const std::size_t total =
         (kPrefixBytes + dict.size() + 1 + kNpyAlignment - 1) / kNpyAlignment * kNpyAlignment;
     dict.resize(total - kPrefixBytes - 1, ' ');

@@ -20,7 +20,8 @@ void append_be32(std::string& bytes, std::uint32_t value) {
     for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
 }
 
-/// An uncompressed iTXt chunk, because the simplified interface of libpng writes no text.
+/// Returns a PNG text chunk (iTXt) with a name and an uncompressed UTF-8 text. We write
+/// this chunk ourselves, because the simplified interface of libpng cannot write text.
 std::string make_text_chunk(const std::string& keyword, const std::string& text) {
     // The zero bytes: end of the name, not compressed, method 0, no language, no
     // translation.

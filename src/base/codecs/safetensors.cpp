@@ -61,6 +61,7 @@ std::string to_numpy(const std::string& where, const std::string& safetensors_ty
     return std::string(it->second);
 }
 
+/// Returns the JSON header of a file, which lists the arrays in the order of `arrays`.
 std::string make_header(const std::vector<NamedArray>& arrays,
                         const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -91,6 +92,8 @@ struct SafetensorsHeader {
     std::size_t data_start = 0;
 };
 
+/// Parses and checks the header. The callback of the JSON parser records the order of the
+/// names and detects names that occur twice, which the parsed object cannot show.
 SafetensorsHeader parse_header(const std::vector<std::byte>& bytes) {
     SafetensorsHeader header;
     std::uint64_t size = 0;
@@ -143,6 +146,9 @@ struct DataByteRange {
     std::size_t begin = 0, end = 0;
 };
 
+/// Parses the header entry of an array. Returns its name, type and shape, and the byte
+/// range of its data.
+/// @param n_bytes number of data bytes in the file
 std::pair<NamedArray, DataByteRange> parse_array(const std::string& name, const Json& json,
                                                  std::size_t n_bytes) {
     if (!json.is_object() || !json.contains("dtype") || !json["dtype"].is_string())
@@ -169,6 +175,8 @@ std::map<std::string, std::string> parse_metadata(const Json& metadata_json) {
     return result;
 }
 
+/// Reads all arrays in the order of their data. The ranges must cover the data without
+/// gaps.
 std::vector<NamedArray> parse_file(const std::vector<std::byte>& bytes,
                                    std::map<std::string, std::string>* metadata) {
     const SafetensorsHeader header = parse_header(bytes);

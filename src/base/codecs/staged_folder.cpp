@@ -74,7 +74,8 @@ StagedFolder::~StagedFolder() {
 
 void StagedFolder::publish_folder() const {
     ::unlink((path_ / kMarkerFile).c_str());
-    // rename() replaces only an empty folder.
+    // rename() replaces an empty folder. It fails if anything else exists at the
+    // destination.
     if (::rename(path_.c_str(), final_path_.c_str()) == 0) return;
     const int error = errno;
     const bool destination_exists = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
@@ -88,7 +89,8 @@ void StagedFolder::publish_folder() const {
 void StagedFolder::replace_folder() const {
     ::unlink((path_ / kMarkerFile).c_str());
 #ifdef RENAME_EXCHANGE
-    // The old folder then has the temporary name, and the destructor deletes it.
+    // Exchanges the new and the old folder atomically. The old folder then has the
+    // temporary name, and the destructor deletes it.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, final_path_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
     const fs::path old = path_.string() + "-old";

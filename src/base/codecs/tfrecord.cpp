@@ -37,6 +37,8 @@ T load_value(const char* bytes) {
 
 }  // namespace
 
+/// Returns the CRC-32C of bytes in the masked form of TFRecord: rotated right by 15 bits,
+/// plus 0xa282ead8.
 std::uint32_t masked_crc32c(std::string_view bytes) {
     static constexpr std::array<std::uint32_t, 256> kCrcTable = make_crc_table();
     std::uint32_t c = ~0u;
@@ -45,6 +47,8 @@ std::uint32_t masked_crc32c(std::string_view bytes) {
     return ((c >> 15) | (c << 17)) + 0xa282ead8u;
 }
 
+/// Finds the positions of all records. A record has a length (8 bytes), the CRC of the
+/// length, the data, and the CRC of the data.
 TfRecordReader::TfRecordReader(std::filesystem::path file) : file_(std::move(file)) {
     if (!does_path_exist(file_)) fail("{}: no such file", file_.string());
     std::ifstream in(file_, std::ios::binary | std::ios::ate);

@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-/// 21 bits per axis: unique only within 2^20 cells of the origin.
+/// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
+/// axis, so keys are unique only within 2^20 cells of the origin.
 inline std::uint64_t grid_key(const glm::dvec3& point_m, double cell_size_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)

@@ -19,6 +19,8 @@ constexpr std::size_t kItemsPerBlock = 1 << 16;
 
 using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kHashParts>;
 
+/// Divides the items of each block into parts by the hash of their keys, so that equal
+/// keys are in the same part.
 std::vector<ItemIndicesByPart> partition_by_hash(std::span<const std::uint64_t> cell_key_per_item) {
     std::vector<ItemIndicesByPart> blocks((cell_key_per_item.size() + kItemsPerBlock - 1) / kItemsPerBlock);
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {
@@ -35,8 +37,8 @@ std::vector<ItemIndicesByPart> partition_by_hash(std::span<const std::uint64_t> 
 ItemCellIndices number_cells(std::span<const std::uint64_t> cell_key_per_item) {
     const std::vector<ItemIndicesByPart> blocks = partition_by_hash(cell_key_per_item);
     ItemCellIndices numbers{std::vector<std::uint32_t>(cell_key_per_item.size()), 0};
-    // The first loop stores in `numbers.of` the index of the first item in the same cell,
-    // which the last loop replaces by cell numbers.
+    // `first` is the result array. The first loop stores, for each item, the index of the
+    // first item in the same cell. The last loop replaces these indices by cell numbers.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kHashParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

@@ -24,11 +24,13 @@ struct RangeImageRays {
 /// Distance in columns of the pixels that incidence compares.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Uses the points one row above and below, and kIncidenceColumns left and right, which
-/// reduces the effect of range noise. Returns a negative value if one of these points is
-/// missing or on another surface.
+/// Returns the cosine of the angle of incidence at a pixel. Uses the points one row above
+/// and below, and kIncidenceColumns left and right, which reduces the effect of range
+/// noise. Returns a negative value if one of these points is missing or on another
+/// surface.
 inline double incidence_cosine(const RangeImageRays& image, std::size_t pixel_index) {
     constexpr std::size_t kColumnOffset = kIncidenceColumns;
+    // Maximum relative difference between the ranges of two pixels on the same surface.
     constexpr double kSameSurface = 0.2;
     const auto columns = std::size_t(image.columns), row = pixel_index / columns,
                column = pixel_index % columns;

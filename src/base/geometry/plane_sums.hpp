@@ -32,7 +32,8 @@ struct PointMomentSums {
                                point_relative_to_origin.x * point_relative_to_origin.y);
     }
 
-    /// The plane is relative to the same origin. Requires at least one point.
+    /// Returns the least-squares plane of the added points, relative to the same origin.
+    /// Requires at least one point.
     PlaneFit fit_plane() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

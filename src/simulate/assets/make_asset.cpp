@@ -16,7 +16,8 @@
 namespace relidar {
 namespace {
 
-/// For example "car-3". Contains only characters that are valid in file names.
+/// Returns the name of an asset, for example "car-3". It contains only characters that
+/// are valid in file names. If an object has no class, the name is its track id.
 std::string make_asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -27,7 +28,8 @@ std::string make_asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// The opacity must reach the blending threshold, and the surfel must be in the box.
+/// Returns true if a surfel can be visible. Its opacity must reach the blending
+/// threshold, and it must lie inside the box of its model.
 bool is_useful(const Surfels& surfels, std::size_t i, const SurfelModel& model, const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
@@ -35,6 +37,8 @@ bool is_useful(const Surfels& surfels, std::size_t i, const SurfelModel& model, 
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
+/// Returns the frames of a log in which an actor is present, without their scans and
+/// without other actors.
 Log log_of_actor(const Log& full, const BoxTrack& actor_box) {
     Log log = strip_frames(full);
     log.boxes = {actor_box};
@@ -101,6 +105,7 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
         facts.mirrored = mirror_unobserved(surfels, surface);
         facts.completed = surface.is_completed ? surface.mirrorable_fraction() : 0.0;
     }
+    // Sorts neighbours together again, because the mirrored surfels were appended.
     surfels = surfels.reorder(kd_tree_order(surfels.mean));
     facts.surfels = surfels.size();
 

@@ -33,6 +33,7 @@ std::vector<int> frames_with_actors(const Run& run, const std::vector<const BoxT
     return positions;
 }
 
+/// Adds the hits of a scan to the actors, as points and ray directions in the box frame.
 void add_observations(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
                       ObservationsByTrack& observed) {
     FiringPoseInterpolator firing(scan);
@@ -44,7 +45,8 @@ void add_observations(const RenderedScan& scan, const Run& run, const std::vecto
         const Pose& world_from_firing = firing.pose_of(i);
         const glm::dvec3 point_m =
             box_from_world * (world_from_firing * scan.end_of<double>(i) - run.sequence.world_offset_m);
-        // The surfel was mirrored to fill an unobserved side.
+        // Skips returns from surfels that were mirrored to fill an unobserved side of the
+        // actor. The log has not observed them.
         const SurfelModel& model = run.scene.models[run.scene.instances[std::size_t(scan.instance[i])].model];
         if (model.surface && model.surface->find_mirrored_side(point_m)) continue;
         ActorObservations& actor = observed[box->id];

@@ -103,7 +103,6 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoin
     return result;
 }
 
-/// Collects all requested scans now, so that their device arrays can be changed.
 void ScanRenderer::Impl::finish_pending() {
     for (PendingPoints& scan : pending) scan.ready = collect_points(scan);
 }

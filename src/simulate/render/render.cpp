@@ -124,7 +124,6 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       scene(device, all, settings_of_run, {.accel = {}, .trace = trace_options(config)}),
       lanes(std::make_unique<ParallelScanResourcePool>(device, scene)) {}
 
-/// Decides which steps run for a sweep.
 ScanRenderPlan ScanRenderer::Impl::plan_sweep(const SimulatedSweep& sweep, bool sampled) const {
     return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->drop_network(), sampled);
 }
@@ -133,7 +132,6 @@ bool ScanRenderer::Impl::has_channel(const std::string& name) const {
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
 }
 
-/// Returns the space that the log observed, limited to the range of the sensor.
 LogObservedSpace ScanRenderer::Impl::observed_space_of(const SimulatedSensor& sensor) const {
     return {settings.coverage, sweeps.sequence().world_offset_m,
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};

@@ -18,7 +18,6 @@ namespace {
 /// Minimum sum of blending weights along a ray that is projected into the image.
 constexpr float kLeastWeight = 0.05f;
 
-/// Returns the range limits of the dataset settings, in metres.
 RangeLimits configured_limits(const Config& config, const Log& log) {
     return {config.dataset.min_range_m, with_max_range(config, log).dataset.max_range_m};
 }

@@ -128,6 +128,8 @@ std::string encode(const Write& write) {
     return bytes;
 }
 
+/// Returns a DescriptorProto of a message type. The numbers are the field numbers of
+/// descriptor.proto.
 std::string describe_message(const ProtobufMessageType& message) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, message.name);
@@ -232,6 +234,8 @@ std::string pack_points(const LidarPoints& cloud) {
     return bytes;
 }
 
+/// Returns a foxglove.PointCloud message. Its pose is the identity, because the points
+/// are already in the frame `frame_id`.
 std::string encode_cloud(const RecordedCloud& recorded, const std::string& frame_id) {
     const LidarPoints& cloud = recorded.points;
     return encode([&](pbf_writer& writer) {
@@ -278,9 +282,12 @@ std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g} {:.6g} {:.6g}", vector.x, vector.y, vector.z);
 }
 
-/// The new boxes replace all earlier boxes. Velocities are in the world frame.
+/// Returns a foxglove.SceneUpdate message with the boxes of the actors, each with its own
+/// time stamp. The new boxes replace all earlier boxes. Velocities are in the world
+/// frame.
 std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    // SceneEntityDeletionType ALL deletes all earlier boxes.
+    // Value ALL of SceneEntityDeletionType. It deletes all earlier boxes, so that no
+    // boxes of absent actors remain.
     constexpr int kDeleteAll = 1;
     return encode([&](pbf_writer& writer) {
         writer.add_message(1, encode([&](pbf_writer& deletion) {
@@ -322,8 +329,9 @@ std::vector<RecordedMessage> vehicle_transforms(const RecordedSweep& moment) {
     return messages;
 }
 
-/// Each scan repeats this message, so that playback can start anywhere. Concatenated
-/// protobuf messages are one message with all list entries.
+/// Returns one message with the poses of all sensors on the vehicle. Each scan repeats
+/// this message, so that playback can start anywhere. Concatenated protobuf messages are
+/// one message with all list entries.
 std::vector<RecordedMessage> sensor_transforms(const RecordedRig& rig, const RecordedSweep& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)

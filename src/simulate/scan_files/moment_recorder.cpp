@@ -17,6 +17,8 @@ constexpr double kStampRounding_s = 2e-8;
 // turns with 1 rad/s, the error is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 
+/// Adds times from `first_s` to `last_s` at intervals of at most kPoseStep_s, and the
+/// times of the track's poses between these limits.
 void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
@@ -26,6 +28,8 @@ void add_pose_times(std::vector<double>& times_s, const PoseTrack& track, double
     if (begin < end) times_s.insert(times_s.end(), begin, end);
 }
 
+/// Merges the actors of several scans with the same time stamp. For an actor in several
+/// scans, adds up its points, and keeps the largest visible share.
 void merge_actors(std::vector<RecordedActor>& merged, std::vector<RecordedActor> new_actors) {
     for (RecordedActor& actor : new_actors) {
         const auto known = std::ranges::find(merged, actor.name, &RecordedActor::name);
@@ -101,6 +105,8 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
     return moment;
 }
 
+/// Returns the poses of the vehicle at the given times, from the path of the first
+/// sensor.
 /// @param scan scan of the first sensor
 std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan, std::vector<double> at_s) {
     std::ranges::sort(at_s);
@@ -111,7 +117,8 @@ std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan,
     std::vector<RecordedPose> poses;
     for (const double t_s : at_s) {
         const std::uint64_t time_ns = to_stamp_ns(t_s);
-        // Sweeps can overlap in time.
+        // Skips times for which a pose was already written, because sweeps can overlap in
+        // time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), object_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
@@ -124,6 +131,7 @@ RecordedCloud SweepRecorder::make_cloud(const RenderedScan& scan, const ScanOutp
     RecordedCloud cloud{
         to_stamp_ns(first_s),
         place_points(scan, format.config, world_from_output(format, sensor_pose_at(scan, first_s)))};
+    // Makes the times relative to the stamp, which is the time of the first ray.
     for (float& time_s : cloud.points.time_offset_s)
         time_s = static_cast<float>(std::max(0.0, double(time_s) - (first_s - scan.time_s)));
     return cloud;

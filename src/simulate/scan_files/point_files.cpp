@@ -25,6 +25,9 @@ struct PointFileField {
     char pcd_type;
 };
 
+/// Lists the fields of a file in the order of pack_records(). Leaves out unknown values,
+/// but a file without points lists them, so that all files of a folder have the same
+/// fields.
 std::vector<PointFileField> list_fields(const LidarPoints& points) {
     const bool is_empty = points.size() == 0;
     std::vector<PointFileField> fields;

@@ -10,13 +10,16 @@ namespace {
 
 using Actors = std::vector<RecordedActor>;
 
-/// Each detection has the time at which the sensor points at the box.
+/// Returns a Detection3DArray message with one detection per actor. Each detection has
+/// the time at which the sensor points at the box.
 std::string encode_detections(std::uint64_t stamp_ns, const Actors& actors) {
     codecs::CdrWriter cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.add_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
+        // Each detection has one class with a score of 1, because the class is known
+        // exactly.
         cdr.add_number(std::uint32_t(1)).append_string(actor.category).add_number(1.0);
         add_pose(cdr, actor.faced.world_from_box);
         add_covariance(cdr);
@@ -38,6 +41,7 @@ constexpr AutowareLabel kAutowareLabels[] = {
     {"animal", 8},  {"dog", 8},     {"car", 1},   {"van", 1},           {"vehicle", 1}};
 constexpr std::uint8_t kUnknownLabel = 0;
 
+/// Returns Autoware's number of the class whose word the dataset's category contains.
 std::uint8_t autoware_label(std::string category) {
     std::ranges::transform(category, category.begin(), [](unsigned char character) {
         return static_cast<char>(std::tolower(character));
@@ -48,7 +52,8 @@ std::uint8_t autoware_label(std::string category) {
     return match == std::end(kAutowareLabels) ? kUnknownLabel : match->number;
 }
 
-/// The UUID depends only on the name: two FNV-1a hashes, version 8 (custom UUID).
+/// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
+/// files. It consists of two FNV-1a hashes. Its version is 8 (custom UUID).
 void add_uuid(codecs::CdrWriter& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -64,7 +69,8 @@ void add_uuid(codecs::CdrWriter& cdr, const std::string& name) {
     }
 }
 
-/// Objects have no time stamps: their poses are at the time of the message.
+/// Returns a TrackedObjects message with the boxes of all actors. The objects have no
+/// time stamps, so their poses are at the time of the message.
 std::string encode_tracked(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     codecs::CdrWriter cdr;
@@ -72,7 +78,8 @@ std::string encode_tracked(std::uint64_t stamp_ns, const Actors& actors) {
     cdr.add_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
-        // existence probability; label and probability
+        // Existence probability, then one class with its label and probability. Both
+        // probabilities are 1.
         cdr.add_number(1.0f)
             .add_number(std::uint32_t(1))
             .add_number(autoware_label(actor.category))

@@ -25,7 +25,8 @@ const std::vector<RosField> kAutowareFields = {
 /// as Nebula defines them
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
-/// Angles in radians. Azimuth increases from the x axis to the left.
+/// Packs points as PointXYZIRCAEDT. Angles are in radians. Azimuth increases from the x
+/// axis to the left, and elevation increases upwards. Times are in nanoseconds.
 std::string pack_autoware(const LidarPoints& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
@@ -33,6 +34,7 @@ std::string pack_autoware(const LidarPoints& cloud) {
         // A second return that is nearer than the first return is the second strongest.
         const bool is_second = !cloud.return_number.empty() && cloud.return_number[i] == 2;
         ReturnType return_type = kStrongest;
+        // The first return of the ray is the previous point.
         if (is_second && i > 0)
             return_type = glm::length(p) > glm::length(cloud.position_m[i - 1]) ? kLast : kSecondStrongest;
         append_raw(bytes, p);
@@ -69,6 +71,8 @@ struct RosPointType {
 const RosPointType kPlainType{kPlainFields, 24, pack_velodyne, true},
     kAutowareType{kAutowareFields, 32, pack_autoware, false};
 
+/// Returns a PointCloud2 message with the points in one row (height 1, little-endian,
+/// dense).
 std::string encode_cloud2(const RecordedCloud& recorded, const std::string& frame, const RosPointType& type) {
     const LidarPoints& cloud = recorded.points;
     const std::string points = type.points(cloud);
@@ -109,7 +113,8 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // Points in the world frame have no azimuth and elevation relative to the sensor.
+    // Leaves out this topic in the world frame, because such points have no azimuth and
+    // elevation relative to the sensor.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }

@@ -25,6 +25,8 @@ constexpr const char *kSummaryName = "scans.json", *kSummaryFormat = "relidar sc
 // exists while a rendering is not finished
 constexpr const char* kUnfinishedName = ".unfinished_scans";
 
+/// Returns true if a file name is scans.json, the name of a recording or capture, or
+/// frame_<number>.<format>.
 bool is_output_name(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummaryName || scan_files::PacketFileWriter::is_packet_file(name) ||
@@ -46,6 +48,8 @@ std::vector<fs::path> output_files(const fs::path& folder) {
     return files;
 }
 
+/// Returns the names of all files that the scans.json of a folder lists, and scans.json.
+/// Returns no names for a file of another program.
 std::set<std::string> listed_names(const fs::path& folder) {
     std::ifstream file(folder / kSummaryName);
     const Json json = Json::parse(file, nullptr, false);
@@ -70,7 +74,8 @@ Json matrix_json(const Pose& pose) {
     return rows;
 }
 
-/// Numbers and booleans keep their type. Other values become strings.
+/// Returns a JSON object with the value of each setting. Numbers and booleans keep their
+/// type. Other values become strings.
 Json settings_json(const Config& config) {
     Json json = Json::object();
     for (const ConfigKey& key : list_config_keys(config)) {
@@ -114,7 +119,8 @@ ScanFolderWriter ScanFolderWriter::join_folder(fs::path folder, ScanOutputOption
 ScanFolderWriter::ScanFolderWriter(fs::path folder, ScanOutputOptions format)
     : ScanFolderWriter(std::move(folder), std::move(format), JoinExistingTag{}) {
     recordings_ = std::make_shared<ScanRecordingsWriter>(folder_, std::vector{format_});
-    // The marker of an interrupted rendering stays if there are scans.
+    // If the rendering is interrupted, the marker stays unless the folder has no scans. A
+    // later rendering then knows that all scan files are unfinished.
     unfinished_marker_ = {new fs::path(folder_ / kUnfinishedName), [](const fs::path* marker) {
                               std::error_code failed;
                               if (output_files(marker->parent_path()).empty()) fs::remove(*marker, failed);

@@ -16,7 +16,8 @@ constexpr float kMaxColourRange_m = 80.0f;
 // Rays without image rows are drawn in lines of this length.
 constexpr int kRaysPerLine = 2048;
 
-/// The last line ends with dropped rays. Has only the values that a picture shows.
+/// Arranges the rays of a scan without image rows in lines. The last line ends with
+/// dropped rays. The result has only the values that a picture shows.
 RangeImage arrange_rows(const RangeImage& image) {
     RangeImage lines;
     lines.columns = kRaysPerLine;

@@ -54,7 +54,8 @@ public:
 
     void write(const RecordedSweep& moment) {
         for (const ScanMessage& message : sorted_messages(topics_, moment)) {
-            // Log times must not decrease, although sweeps can overlap.
+            // Log times in the file must not decrease, although sweeps can overlap. A
+            // message that is too early gets the log time of the previous message.
             last_logged_ns_ = std::max(last_logged_ns_, message.time_ns);
             writer_.add_message(channels_[message.topic], last_logged_ns_, message.bytes);
         }
@@ -87,7 +88,8 @@ bool is_topic_char(char character) {
     return std::isalnum(static_cast<unsigned char>(character)) != 0 || character == '_';
 }
 
-/// One or more words, each after a slash; a word does not begin with a digit.
+/// Returns true if a name is a valid ROS topic: one or more words, each after a slash. A
+/// word does not begin with a digit.
 bool is_topic_name(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
@@ -100,6 +102,7 @@ bool is_topic_name(const std::string& topic) {
     return true;
 }
 
+/// Checks the topic names and frame ids of all sensors.
 /// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
 void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> used_frame_ids{scan_files::kWorldFrame, scan_files::kVehicleFrame};

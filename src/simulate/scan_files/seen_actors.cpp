@@ -12,15 +12,20 @@ class SampledScanRays {
 public:
     explicit SampledScanRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMaxSampledRays = 4096;
-        // An odd step does not divide the number of columns, so that rows differ.
+        // Uses every `step`-th ray. The step is odd, because an even step may divide the
+        // number of columns. Every row would then contribute the same columns.
         const std::size_t n = scan.image.direction.size(), step = (n / kMaxSampledRays) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
-    /// Firing time of the ray that passes closest to a moving point.
+    /// Returns the firing time of the ray that passes closest to a moving point.
+    /// @param get_position_m returns the position at a given time, in the world frame of
+    /// the dataset
     template <class PositionFunction>
     double time_towards(const PositionFunction& get_position_m) const {
-        // Fixed-point iterations: the time gives a direction, which gives the next time.
+        // Number of fixed-point iterations. Each computes the direction from the sensor
+        // to the point at `time_s`, and sets `time_s` to the firing time of the ray
+        // closest to this direction.
         constexpr int kTimeIterations = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kTimeIterations && !rays_.empty(); ++round) {
@@ -41,6 +46,7 @@ private:
     std::vector<SampledRay> rays_;
 };
 
+/// Returns the firing times of the first returns of a scan on an actor.
 std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOptions& format,
                                   const std::string& track) {
     const auto name = std::ranges::find(format.instance_names, track);
@@ -54,8 +60,10 @@ std::vector<float> times_on_actor(const RenderedScan& scan, const ScanOutputOpti
     return times_s;
 }
 
-/// The start and the end of a sweep hit different parts of a box behind the sensor. Such
-/// a box gets the median time of its returns, to match the larger part.
+/// Returns the time of a box. The start and the end of a sweep hit different parts of a
+/// box behind the sensor. Such a box gets the median time of its returns, to match the
+/// larger part.
+/// @param faced_s  time at which the sensor points at the centre of the box
 double choose_box_time(const RenderedScan& scan, double faced_s, std::vector<float> times_s) {
     // A box takes a smaller share of a sweep, unless it is hit at its start and end.
     constexpr double kMostOfSweep = 0.5;

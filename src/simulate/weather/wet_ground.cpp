@@ -174,7 +174,6 @@ constexpr double kRayLift_m = 0.1;
 // Hits below this height belong to the ground.
 constexpr double kMinMirroredHeight_m = 0.3;
 
-/// Returns the probability that a ray gets no return, from its logits.
 float drop_chance(const RenderedRayValues& rendering, std::size_t ray) {
     return 1.0f / (1.0f + std::exp(rendering.hit_logit[ray] - rendering.drop_logit[ray]));
 }
