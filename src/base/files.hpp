@@ -12,7 +12,8 @@ namespace relidar {
 
 std::string read_file(const std::filesystem::path& path);
 
-/// Removes the UTF-8 byte-order mark that Excel writes.
+/// Returns the content of a text file without the UTF-8 byte-order mark that Excel
+/// writes.
 /// @throws DataError if the file cannot be read, or begins with a UTF-16 byte-order mark
 std::string read_text_file(const std::filesystem::path& path);
 
@@ -22,14 +23,18 @@ void require_folder(const std::filesystem::path& path, const std::string& expect
 
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
+/// Returns the number in a file name of digits, or nullopt. It is below 10^8 to fit an
+/// int.
 std::optional<int> parse_stem(const std::string& file_stem);
 
+/// Shortens a text to 80 characters for a message, and replaces control characters.
 std::string quote(std::string_view text);
 
 std::vector<std::string> split_lines(const std::string& text);
 
 std::string_view trim(std::string_view text);
 
+/// Converts a text that is one number, "nan" or "inf". Returns nullopt for other texts.
 std::optional<double> parse_number(std::string_view text);
 
 std::optional<std::vector<double>> parse_numbers(std::string_view text);

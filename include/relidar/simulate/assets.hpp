@@ -66,9 +66,9 @@ struct ActorAsset {
     /// Has the frames in which the actor is present, and an empty background.
     Run run;
 };
-/// Removes surfels that are too faint to be blended or outside the box. Parts of a
-/// vehicle that no ray has hit are replaced by the mirror image of the other side, if
-/// rays have hit it.
+/// Extracts an actor from a run. Removes surfels that are too faint to be blended or
+/// outside the box. Parts of a vehicle that no ray has hit are replaced by the mirror
+/// image of the other side, if rays have hit it.
 /// @param observations  hits of this actor
 /// @throws UsageError if no instance has this track
 ActorAsset extract_asset(const Run& run, const std::string& track, const ActorObservations& observations);
@@ -76,14 +76,16 @@ ActorAsset extract_asset(const Run& run, const std::string& track, const ActorOb
 /// Writes asset.json, and the files of a trained run that contains only the actor.
 /// @throws DataError if the folder cannot be written
 void save_asset(ActorAsset asset, const std::filesystem::path& folder);
-/// @throws DataError if asset.json is missing or malformed
+/// Reads asset.json from a folder.
+/// @throws DataError if the file is missing or malformed
 AssetDescription read_description(const std::filesystem::path& folder);
 /// Returns AssetDescription::clearance_m, or nothing if the run is not an asset.
 std::optional<double> read_clearance(const Run& run);
-/// Sorted by name.
+/// Returns the folders of all assets in a folder, sorted by name.
 /// @throws DataError if the folder contains no asset
 std::vector<std::filesystem::path> list_assets(const std::filesystem::path& folder);
 
+/// Returns the track name of the only actor of a run, for example of an asset.
 /// @throws UsageError if the run has no actor or several
 std::string only_track(const Run& run);
 

@@ -87,9 +87,11 @@ struct RenderedScan {
     double time_s = 0.0;
     double trace_ms = 0.0;
 
-    /// Pose of the sensor at the firing time of a ray, in the dataset's world frame.
+    /// Returns the pose of the sensor at the firing time of a ray, in the dataset's world
+    /// frame.
     Pose firing_pose(std::size_t ray) const;
-    /// Point at the median range, in the frame of the sensor at the ray's firing time.
+    /// Returns the point at the median range, in the frame of the sensor at the ray's
+    /// firing time.
     template <class Real = float>
     glm::vec<3, Real> end_of(std::size_t ray) const {
         using Vector = glm::vec<3, Real>;
@@ -97,14 +99,16 @@ struct RenderedScan {
     }
 };
 
-/// Finds sides that the log did not observe, although at least five rays reach them. Uses
-/// the poses of the actors in the log.
+/// Finds the sides of actors that the log did not observe, although at least five rays of
+/// the scan reach them. Such a side has no surfels, or mirrored ones. Uses the poses of
+/// the actors in the log.
 UnobservedActorSides find_unseen_sides(const RenderedScan& scan, const Scene& scene, const Log& log);
 
 /// Pose of the sensor at the firing time of each ray, interpolated once per column. Not
 /// thread-safe.
 class FiringPoseInterpolator {
 public:
+    /// Keeps a reference to the scan, which contains the poses of the sensor.
     /// @param scan must outlive this object
     /// @param target_from_dataset transform to the frame of the returned poses
     explicit FiringPoseInterpolator(const RenderedScan& scan, const Pose& target_from_dataset = {});
@@ -129,11 +133,12 @@ private:
 /// below 0.01, a sensor in the next lane has a few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
-/// [n] metres. `render.points` selects scan.median_range_m or scan.image.range_m.
+/// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
+/// setting `render.points` selects scan.median_range_m or scan.image.range_m.
 const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
 
-/// [n] |mean range - median range| in metres. Large where a ray passes an edge, and 0 if
-/// the transmittance never falls below 0.5.
+/// Returns |mean range - median range| of each ray, [n] metres. The value is large where
+/// a ray passes an edge, and 0 if the transmittance never falls below 0.5.
 std::vector<float> range_spread(const RenderedScan& scan);
 
 /// Computes the inputs of a ray-drop network.
@@ -143,10 +148,12 @@ std::vector<float> range_spread(const RenderedScan& scan);
 RayDropImage make_drop_image(const RenderedScan& scan, const std::vector<std::string>& inputs,
                              const glm::dvec3& origin_m);
 
-/// [3] First position of the log's vehicle in metres, in the dataset's world frame.
+/// Returns the first position of the log's vehicle, [3] metres, in the dataset's world
+/// frame.
 glm::dvec3 first_position(const Log& log);
 
-/// Returns the values from which random intensities are drawn.
+/// Returns the values from which random intensities are drawn: rendered intensity, range,
+/// spread, incidence and elevation of each ray.
 RenderedIntensityImage make_noise_image(const RenderedScan& scan);
 
 /// Replaces the expected values by a random sample. Rays return independently with
@@ -190,8 +197,9 @@ struct SimulatedSensor {
     bool rolling_shutter = true;
 };
 
-/// Without a rolling shutter (setting `sensor.rolling_shutter`), all points are in the
-/// sensor frame at the scan's time.
+/// Returns true if the sensor fires its rays at different times. Without a rolling
+/// shutter (setting `sensor.rolling_shutter`), all points are in the sensor frame at the
+/// scan's time.
 bool is_rolling(const SimulatedSensor& sensor, const Config& config);
 
 /// Sets the measured azimuths of the log's sweep at this time, if the sensor follows
@@ -210,7 +218,8 @@ SimulatedSensor make_sensor(const Config& config, const Log& log, int lidar = 0)
 /// range grid; `sensor.grid_method` applies to the grid "kitti360".
 SimulatedSensor choose_sensor(const std::string& name, const Config& config, const Log& log, int lidar = 0);
 
-/// A sensor that replaces a LiDAR of the log.
+/// Creates a sensor that replaces a LiDAR of the log. A sensor of a rig also has its
+/// number of returns per ray.
 SimulatedSensor simulate_sensor(const SensorModel& sensor, int lidar = 0);
 SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar = 0);
 
@@ -239,44 +248,49 @@ using SampleSeed = std::optional<std::uint64_t>;  ///< empty: without noise
 /// model; with ShDirection::ray, instances share it.
 class ScanRenderer {
 public:
+    /// Creates a renderer of a scene.
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& log);
-    /// Also uses the observed space, the surface classes and the scatter of intensities
-    /// of the run, and its ray-drop network if `refine.enabled` is set.
+    /// Creates a renderer of a run. Also uses its observed space, surface classes and
+    /// intensity scatter, and its ray-drop network if `refine.enabled` is set.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
+    /// Hides instances of the scene in all following scans.
     /// @param visible_flags [instances] false for an instance that is not rendered
     void show_instances(const std::vector<bool>& visible_flags);
-    /// An empty network switches the correction off. A network for rays needs scans in
-    /// image order with enough rows and columns, and runs before a scan is binned. A
-    /// network for the cells of a grid runs only on images of that grid. A drop
-    /// probability of 1 stays.
+    /// Sets the network that corrects the drop probabilities of all following scans. An
+    /// empty network switches the correction off. A network for rays needs scans in image
+    /// order with enough rows and columns, and runs before a scan is binned. A network
+    /// for the cells of a grid runs only on images of that grid. A drop probability of 1
+    /// stays.
     /// @throws DataError if the arrays of the network do not match its shape
     void use_network(const RayDropNetwork& network);
-    /// Adds to the channels of `render.channels`.
+    /// Adds channels to all following scans, in addition to those of `render.channels`.
     /// @throws UsageError for an unknown channel, or for a channel that needs normals in
     /// a scene of 3D Gaussians
     void add_channels(const std::string& comma_separated_names);
-    /// Fills RenderedScan::actor_views. Traces the rays near each actor a second time, in
-    /// a scene that contains only this actor.
+    /// Switches RenderedScan::actor_views on or off. The renderer then traces the rays
+    /// near each actor a second time, in a scene that contains only this actor.
     void count_actor_rays(bool enabled = true);
-    /// Sets the space from which RenderedScan::unseen_share is computed. Empty: switched
-    /// off.
+    /// Sets the space from which RenderedScan::unseen_share is computed. An empty set
+    /// switches this off.
     void use_observed(const ObservedVoxelSet& observed_voxels);
     /// Sets the classes for the channel `class`. With an empty map, the background is
     /// `unknown`.
     void use_classes(const SurfaceClassMap& class_map);
     bool has_classes() const;  ///< true if the classes of the background are known
-    /// Scans with a random seed draw intensities from these models. Other scans round
-    /// intensities to the steps of the log.
+    /// Sets the random intensity model of each LiDAR of the log. Scans with a random seed
+    /// draw intensities from these models. Other scans round intensities to the steps of
+    /// the log.
     /// @param scatter [lidars] without a model, intensities are as rendered
     void use_scatter(const std::vector<IntensityScatterModel>& scatter);
-    /// Uses the seed `sample` of render(), or 0. Scans in weather have the channel
-    /// `source`.
+    /// Sets the weather of all following scans. Its random numbers use the seed `sample`
+    /// of render(), or 0. Scans in weather have the channel `source`.
     /// @throws UsageError if all intensities of the log are 0
     /// @throws errors of check_weather()
     void set_weather(const Weather& weather);
+    /// Returns true if a ray-drop network corrects the scans of this sensor.
     bool has_network_for(const SimulatedSensor& sensor) const;
     /// Renders a scan on the recorded path of the log's vehicle.
     /// @param offset pose of the sensor in the frame of the log's LiDAR
@@ -284,6 +298,7 @@ public:
     /// the scan has expected values
     RenderedScan render(const SimulatedSensor& sensor, double time_s, const Pose& offset = {},
                         SampleSeed sample = {});
+    /// Renders a scan at the poses of a request.
     /// @throws DataError if poses or times are not finite or exceed 1e10 m or s, or if
     /// times do not increase
     /// @throws UsageError for an actor that is not in the scene
@@ -303,14 +318,15 @@ public:
                        SampleSeed seed = {}, SubmissionTiming timing = SubmissionTiming::now);
     /// Maximum number of requested scans. Two keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
-    /// Scans that the device renders in parallel: 4 on a GPU, 1 on a CPU and for a scene
-    /// in blocks. Each further scan needs a copy of the scene; the number falls if memory
-    /// is exhausted.
+    /// Returns the number of scans that the device renders in parallel: 4 on a GPU, 1 on
+    /// a CPU and for a scene in blocks. Each further scan needs a copy of the scene; the
+    /// number falls if memory is exhausted.
     int max_parallel() const;
     static int default_parallel(const Device& device);
+    /// Sets the maximum number of scans that the device renders in parallel.
     /// @throws UsageError if `count` is less than 1
     void set_parallel(int count);
-    /// Waits for the oldest requested scan.
+    /// Waits for the oldest requested scan and returns its points.
     /// @param memory earlier points, whose memory is reused
     /// @throws UsageError if no scan was requested
     RenderedPoints wait_for_points(LidarPoints memory = {});
@@ -326,8 +342,8 @@ private:
 /// not a product, because neighbouring rays are dropped for the same reason.
 RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid);
 
-/// Measured image for comparison with a rendered one: the rays of the scan, or its points
-/// in the configured grid.
+/// Returns the measured image of a frame for comparison with a rendered one: the rays of
+/// the scan, or its points in the configured grid.
 RangeImage measured_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

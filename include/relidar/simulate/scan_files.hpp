@@ -29,11 +29,12 @@ struct RenderedScan;
 struct Run;
 struct SimulatedSensor;
 
-/// File extensions for single scans, and the recordings `mcap`, `rosbag` and `pcap`.
+/// Returns the names of all formats: the file extensions for single scans, and the
+/// recordings `mcap`, `rosbag` and `pcap`.
 std::vector<std::string> scan_formats();
 /// Returns what the files of each format contain, for help texts.
 std::string make_scan_format_help();
-/// True if one file stores all scans, so that only one process can write it.
+/// Returns true if one file stores all scans, so that only one process can write it.
 bool is_recording(const std::string& format);
 
 /// Coordinate frame of points, and of the rays in npz and exr files.
@@ -78,16 +79,20 @@ struct ScanOutputOptions {
     std::int64_t time_shift_ns = 0;
     Config config;
 };
+/// Returns a time shift for ScanOutputOptions::time_shift_ns with which no stamp is
+/// before 1970.
 /// @param first_scan_s  time of the first scan, if it can be before the log
 std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor,
                            double first_scan_s = std::numeric_limits<double>::infinity());
-/// npz files with rays in the sensor frame, at the poses of the log's sensor.
+/// Returns the default format for scans of a run: npz files with rays in the sensor
+/// frame, at the poses of the log's sensor.
 ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor);
-/// True for the world frame, for `deskew` and without a rolling shutter. Otherwise each
-/// point is in the sensor frame at its firing time.
+/// Returns true if all points of a written scan share one coordinate frame: in the world
+/// frame, with `deskew` and without a rolling shutter. Otherwise each point is in the
+/// sensor frame at its firing time.
 bool has_common_frame(const ScanOutputOptions& options);
-/// /lidar/NAME/points, with to_topic_name(), and NAME. An empty name gives
-/// /lidar/points and lidar.
+/// Sets the topic and the frame id of a sensor to /lidar/NAME/points, with
+/// to_topic_name(), and NAME. An empty name gives /lidar/points and lidar.
 void name_topics(ScanOutputOptions& options, const std::string& sensor_name);
 /// Replaces characters that ROS does not allow in topic names by _.
 std::string to_topic_name(const std::string& name);
@@ -121,12 +126,14 @@ public:
     /// allow a name, or if find_foreign_file() finds a file
     /// @throws DataError if a file cannot be written
     ScanRecordingsWriter(std::filesystem::path folder, std::vector<ScanOutputOptions> sensors);
+    /// Appends the scans of a sweep to the recordings.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease or a file cannot store them
     void write_scans(std::span<const RenderedScan> scans);
     /// Gives the files their final names, and lists them in scans.json.
     void finish();
-    /// Calibration files of packets are listed after finish().
+    /// Returns the names of the files. Calibration files of packets are listed after
+    /// finish().
     std::vector<std::string> list_file_names() const;
 
 private:
@@ -149,7 +156,7 @@ class ScanMessageEncoder {
 public:
     explicit ScanMessageEncoder(std::vector<ScanOutputOptions> sensors);
     std::vector<ScanTopic> list_topics() const;
-    /// In the order of their times.
+    /// Converts the scans of a sweep to messages in the order of their times.
     /// @param scans  a scan for each sensor, all of the same sweep
     /// @throws DataError if times decrease
     std::vector<ScanMessage> encode(std::span<const RenderedScan> scans);
@@ -191,13 +198,14 @@ public:
     /// @throws UsageError for a recording, because only one process can write it
     /// @throws errors of the constructor
     static ScanFolderWriter join_folder(std::filesystem::path folder, ScanOutputOptions options);
+    /// Writes the files of a scan.
     /// @throws DataError if a file cannot be written
     void write_scan(int frame_number, const RenderedScan& scan);
-    /// Must be called after the last scan.
+    /// Writes scans.json and finishes the recordings. Must be called after the last scan.
     void finish();
     const std::filesystem::path& path() const { return folder_; }
-    /// Entries of scans.json, as JSON without line breaks. set_entries() can add
-    /// those of other processes.
+    /// Returns the entries of scans.json, as JSON without line breaks. set_entries() can
+    /// add the entries of other processes.
     const std::vector<std::string>& entries() const { return entries_; }
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
@@ -218,27 +226,28 @@ private:
     void write_summary() const;
 };
 
-/// Arrays of an npz file, in the order of the file.
+/// Returns the arrays of a scan's npz file, in the order of the file.
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanOutputOptions& format);
 
-/// Files that an earlier rendering has written: those in its scans.json, or all of an
-/// unfinished rendering.
+/// Returns the files that an earlier rendering has written to a folder: those in its
+/// scans.json, or all of an unfinished rendering. ScanFolderWriter would remove them.
 std::vector<std::filesystem::path> list_scan_files(const std::filesystem::path& folder);
 /// Returns a file that list_scan_files() does not list, although its name is a name of
 /// rendered scans. Empty if there is none.
 std::filesystem::path find_foreign_file(const std::filesystem::path& folder);
 
-/// False colours by the square root of the range, so that near objects have more
-/// contrast. The next two are gray. Pixels without a return are dark gray.
+/// Draws the ranges in false colours, which depend on the square root of the range, so
+/// that near objects have more contrast. The next two functions return gray pictures. In
+/// all pictures, pixels without a return are dark gray.
 Image draw_range(const RangeImage& image, double max_range_m);
 Image draw_intensity(const RangeImage& image);
 Image draw_drop(const RangeImage& image);
-/// Range, intensity and drop probability below each other.
+/// Draws range, intensity and drop probability below each other.
 Image draw_scan(const RenderedScan& scan);
-/// Factor for stack_images(): the angles between rows are larger than between
-/// columns.
+/// Returns the vertical factor for stack_images(). LiDAR images would otherwise look too
+/// flat, because the angles between rows are larger than between columns.
 int stretch_factor(const RangeImage& image);
-/// [rows*columns] 1 for pixels with a return, 0 for all others.
+/// Returns a mask [rows*columns]: 1 for pixels with a return, 0 for all others.
 std::vector<float> return_mask(const RangeImage& image);
 
 }  // namespace relidar

@@ -11,7 +11,8 @@
 
 namespace relidar {
 
-/// Rays without a return get range 0.
+/// Converts a rendered scan to a measured scan, for example for a packet encoder. Rays
+/// without a return get range 0.
 Scan to_measured(const RenderedScan& scan, const Config& config);
 
 /// Converts the scans of a sensor, or of all sensors of a rig, to their network packets.
@@ -22,11 +23,12 @@ public:
     explicit ScanPacketEncoder(std::vector<ScanOutputOptions> sensors);
     ~ScanPacketEncoder();
 
+    /// Adds the scans of a sweep.
     /// @param scans  a scan for each sensor
     /// @return [sensors] packets that are complete
     /// @throws UsageError if a scan does not fit its sensor or overlaps the previous scan
     std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
-    /// Must be called after the last scans.
+    /// Returns the remaining packets. Must be called after the last scans.
     std::vector<std::vector<SensorPacket>> flush();
     const PacketEncoder& encoder(std::size_t sensor) const;
 

@@ -40,13 +40,14 @@ struct Weather {
     bool operator==(const Weather&) const = default;
 };
 
-/// Words of kWeatherEffects separated by commas, for example "rain=5,wet=0.5". "clear" or
-/// an empty text means clear air, dry ground and no sun.
+/// Parses words of kWeatherEffects separated by commas, for example "rain=5,wet=0.5".
+/// "clear" or an empty text means clear air, dry ground and no sun.
 /// @throws UsageError for an unknown word, for a number out of range, and for rain
 /// together with snow
 Weather parse_weather(const std::string& text);
-/// Inverse of parse_weather(); "clear" for clear air.
+/// Formats weather as text that parse_weather() reads; "clear" for clear air.
 std::string format_weather(const Weather& weather);
+/// Checks that all values of the weather are in their ranges.
 /// @throws UsageError for the same values as parse_weather()
 void check_weather(const Weather& weather);
 
@@ -72,10 +73,11 @@ struct WeatherSensorProperties {
     /// Weakest stray light around a reflector. 0 = no such limit.
     double min_stray_power = 0.0;
 
-    /// Minimum power of noise and stray light: the darkest surface at the maximum range.
+    /// Returns the minimum power of noise and stray light that is detected: the power of
+    /// the darkest surface at the maximum range.
     double floor_power() const { return darkest / (max_range_m * max_range_m); }
-    /// Minimum power of surfaces, fog, particles and mirrored objects: the largest of
-    /// floor_power(), `min_specified_power`, and the power of
+    /// Returns the minimum power that surfaces, fog, particles and mirrored objects must
+    /// reach: the largest of floor_power(), `min_specified_power`, and the power of
     /// `weakest_reflectivity` at this range.
     double min_power_at(double range_m) const;
 };
@@ -106,24 +108,28 @@ struct LidarEcho {
     double away_mps = 0.0;
 };
 
-/// Extinction coefficient alpha in 1/m: R metres of air transmit exp(-alpha R).
+/// Returns the extinction coefficient alpha of the air in 1/m. Over R metres, the air
+/// transmits exp(-alpha R) of the light.
 double extinction_per_m(const Weather& weather);
 
-/// Fresnel, unpolarised, n = 1.33.
+/// Returns the fraction of light that a smooth water surface reflects (Fresnel,
+/// unpolarised, n = 1.33).
 /// @param cosine  of the angle of incidence in air, 0..1
 double water_reflectance(double cosine);
-/// Light that wet ground returns, divided by that of dry ground (Lekner and Dorf 1988).
+/// Returns the light that wet ground returns, divided by the light that dry ground
+/// returns (Lekner and Dorf 1988). Light passes the water surface twice.
 /// Total reflection keeps a part of the scattered light in the water until it leaves or
 /// is absorbed. F_mean is the mean of F over the light of a diffuse surface:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - F_mean) / n^2
 /// @param cosine  of the angle of incidence in air, 0..1
 /// @param albedo  albedo of the dry ground, 0..1
 double wet_ratio(double cosine, double albedo);
-/// 1 if the water is at least 1 mm deep, the assumed texture depth of asphalt.
+/// Returns the fraction of the ground that is covered by a film of water. It is 1 if the
+/// water is at least 1 mm deep, the assumed texture depth of asphalt.
 double film_fraction(double water_depth_mm);
 
-/// Standard deviation of the power after a matched filter, by shot noise of three
-/// sources:
+/// Returns the standard deviation of the power after a matched filter. It is caused by
+/// the shot noise of three sources:
 /// - light scattered by a dusty window: 5 E (1 deg / angle)^2 1/sr;
 /// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
 /// - the solar disc, if it is in view: E divided by its solid angle.
@@ -131,7 +137,7 @@ double film_fraction(double water_depth_mm);
 /// @param sees_sky  true if nothing is between the sensor and the sky
 double sun_noise(const Sun& sun, const WeatherSensorProperties& sensor, double angle_rad, double albedo_or_0,
                  bool sees_sky);
-/// How often noise exceeds a threshold, per metre of range (2 / c seconds):
+/// Returns how often noise exceeds a threshold, per metre of range (2 / c seconds):
 /// exp(-sigmas^2 / 2) / (2 sqrt(3) tau) times per second, where tau is the
 /// pulse duration (Rice 1945; RCA Electro-Optics Handbook 1974).
 /// @param sigmas  in standard deviations of the noise
@@ -169,6 +175,7 @@ extern const WeatherEffectEntry kFogEffect, kRainEffect, kSnowEffect, kWetGround
 /// In the order in which they act on a ray.
 inline constexpr const WeatherEffectEntry* kWeatherEffects[] = {
     &kFogEffect, &kRainEffect, &kSnowEffect, &kWetGroundEffect, &kBloomingEffect, &kSunlightEffect};
+/// Returns a help text: the word of each weather effect and its meaning.
 std::string weather_help();
 
 }  // namespace relidar

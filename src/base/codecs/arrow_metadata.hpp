@@ -31,7 +31,8 @@ struct ArrowField {
     };
     std::optional<Dictionary> dictionary;
 
-    /// Numbers: validity and values. Text: validity, offsets and characters.
+    /// Returns the number of buffers that a record batch stores for this column. Numbers:
+    /// validity and values. Text: validity, offsets and characters.
     std::size_t buffer_count() const { return type.kind == ArrowValueKind::text && !dictionary ? 3 : 2; }
 };
 

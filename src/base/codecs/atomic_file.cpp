@@ -84,8 +84,7 @@ void flush_file(const fs::path& where, const fs::path& temporary) {
 }
 
 /// Flushes the folder, so that the new file name survives a power failure. Ignores
-/// failures, because some folders cannot be opened and some file systems cannot flush
-/// them.
+/// folders that cannot be opened and file systems that cannot flush folders.
 void flush_folder(const fs::path& file_path) {
     const int folder = ::open(file_path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;

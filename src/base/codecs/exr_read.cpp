@@ -194,7 +194,6 @@ void check_file_size(const ImageHeader& image_header, std::size_t file_size_byte
              image_header.channels.size());
     if (rows > std::int64_t(kMaxPixels) / columns)
         fail("the image has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels);
-    // OpenEXR decompresses full blocks, so the last block counts with all its rows.
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum uncompressed size in bytes, assuming half-precision channels.

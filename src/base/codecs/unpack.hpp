@@ -8,7 +8,8 @@
 
 namespace relidar {
 
-/// `uncompressed_bytes` must have exactly the uncompressed size.
+/// Decompress lz4 or zstd frames. `uncompressed_bytes` must have exactly the uncompressed
+/// size.
 /// @throws DataError if the data are damaged or have a different uncompressed size
 void decompress_lz4(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);
 void decompress_zstd(std::string_view compressed_bytes, std::span<char> uncompressed_bytes);

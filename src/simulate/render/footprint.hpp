@@ -9,6 +9,8 @@ namespace relidar {
 
 using RayIndices = std::vector<std::size_t>;
 
+/// Splits each ray into sub-rays, ordered from the centre outwards. A sub-ray has the
+/// origin, time and channel of its ray.
 /// @param sub_rays_per_ray 1, 5 or 9; with any other number, the sub-rays form a spiral
 /// @param divergence_rad full divergence of all rays; if 0, each ray has its own
 /// divergence
@@ -38,7 +40,10 @@ RenderedScan join_sub_rays(const RenderedScan& parts, const RayTable& beams, con
 /// a second return, even if the surface fills a tiny part of the beam.
 inline constexpr int kEdgeParts = 40;
 
+/// Returns the indices of the beams that hit several surfaces, so that their sub-rays
+/// form more than one return.
 RayIndices find_edge_beams(const RenderedScan& parts, const RayTable& beams, const SensorConfig& config);
+/// Replaces some rays of a scan by the rays of a more exact scan.
 /// @param rays [rays of `replacement`] indices of the replaced rays
 void replace_rays(RenderedScan& scan, const RayIndices& rays, const RenderedScan& replacement);
 

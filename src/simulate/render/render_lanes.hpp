@@ -36,7 +36,8 @@ public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
     ParallelScanResources& single_lane() { return first_; }
-    /// Begins a batch if there is none.
+    /// Returns the device resources for the next scan of a batch. Begins a batch if there
+    /// is none.
     ParallelScanResources& next_lane();
     bool has_open_batch() const { return batch_.has_value(); }
     void submit_batch();

@@ -17,11 +17,13 @@ class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
 
+    /// Loads all blocks of the scene within the range of a sensor.
     /// @throws DataError if the file of a block is invalid
     void load_near(const glm::vec3& sensor_position_m, double max_range_m);
     /// Call load_near() before.
     Renderer& renderer() { return *renderer_; }
     bool is_loaded() const { return renderer_.has_value(); }
+    /// Copies the scene on the device, so that several scans can be rendered in parallel.
     /// The scene must not have blocks. renderer() must outlive the copy, because both use
     /// the same stream.
     /// @throws DeviceError if memory is exhausted

@@ -15,9 +15,11 @@ struct MotionDuringScan {
     PoseTrack world_from_sensor;       ///< in relidar's world frame
     std::vector<InstancePose> placed;  ///< [instances] poses and motions
 
-    /// The origin moves with the sensor. The rotation of the LiDAR head does not move it.
+    /// Returns a ray and the speed of its origin. The origin moves with the sensor. The
+    /// rotation of the LiDAR head does not move it.
     RayMotion motion_of_ray(const RenderedScan& scan, std::size_t ray) const;
-    /// In m/s. Ignores the limbs of a walking actor. 0 if the index is -1.
+    /// Returns the velocity of a point of an instance in m/s; 0 if the index is -1.
+    /// Ignores the limbs of a walking actor.
     /// @param after_s time after the reference time of the scan
     glm::dvec3 object_velocity(std::int32_t instance, double after_s, const glm::dvec3& point_m) const;
 };

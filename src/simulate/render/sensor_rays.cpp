@@ -104,8 +104,6 @@ bool DeviceSensorRays::is_uploaded(const RayTable& rays, const std::string& name
            are_bytes_equal(rays.channel, table_.channel);
 }
 
-/// Uploads the rays unless the device already stores them. Allocates only if the table
-/// has grown.
 void DeviceSensorRays::upload(const RayTable& rays, const std::string& name, const RayFunction& drop) {
     if (is_uploaded(rays, name)) return;
     std::vector<shared::SensorRay> all(rays.size());

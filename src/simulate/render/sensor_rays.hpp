@@ -28,24 +28,30 @@ class DeviceSensorRays {
 public:
     explicit DeviceSensorRays(Device& device);
 
-    /// Pending GPU commands must not use the old rays.
+    /// Uploads the rays of a sensor unless they are already on the device. Pending GPU
+    /// commands must not use the old rays.
     /// @param name another name forces an upload
-    /// @param drop_probability probability that the sensor never gets a return
-    /// along a ray
+    /// @param drop_probability probability that the sensor never gets a return along a
+    /// ray, for example because the vehicle blocks it
     void upload(const RayTable& rays, const std::string& name, const RayFunction& drop_probability);
-    /// Then world_batch() returns the rays at their firing times.
+    /// Records GPU commands that transform the rays to the world frame, each with the
+    /// sensor's pose at its firing time. Then world_batch() returns them.
     /// @param world_from_sensor a single pose if the sensor does not move
     void place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);
     RayBatch world_batch() const;
+    /// Records GPU commands that convert rendering results to measurements, such as range
+    /// and intensity.
     void record_measure(Stream& stream, const RenderedBatch& batch, const RayMeasurementOptions& options);
-    /// Then drop_address() has the result.
-    /// @param sensor_m relative to the first vehicle position of the
-    /// log
+    /// Records GPU commands that run a ray-drop network on the measured rays. Then
+    /// drop_address() has the result.
+    /// @param sensor_m relative to the first vehicle position of the log
     /// @throws DataError if the image or the channels do not match the network
     void record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m);
+    /// Copies the measurements to the host and waits for them.
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait_measured(Stream& stream);
-    /// Call wait_measured() first. Valid until the next call of that function.
+    /// Returns the drop probability that the network computed for each ray. Call
+    /// wait_measured() first. The result is valid until the next call of that function.
     std::span<const float> wait_drop(Stream& stream);
 
     bool is_uploaded(const RayTable& rays, const std::string& sensor_name) const;
@@ -79,7 +85,8 @@ private:
 /// @throws DataError for an unknown input
 std::vector<std::uint32_t> channel_numbers(const std::vector<std::string>& channels);
 
-/// Also has one pose before the first ray and one after the last ray.
+/// Returns the poses of a sensor during a sweep in the format of the kernels. Also has
+/// one pose before the first ray and one after the last ray.
 /// @param first_s firing times, relative to `time_s`
 SensorPoses poses_between(const PoseTrack& world_from_sensor, double time_s, double first_s, double last_s);
 PoseTrack to_frame(PoseTrack track, const Pose& world_from_frame);

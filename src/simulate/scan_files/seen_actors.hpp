@@ -20,13 +20,15 @@ struct ActorInScan {
     std::optional<double> visible_share;
 };
 
+/// Returns the actors of the log that are present during a scan.
 /// @param format has the actors; must outlive the result
 std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// In the world frame of the dataset.
+/// Returns the pose of the sensor at a time of the log, in the world frame of the
+/// dataset.
 Pose sensor_pose_at(const RenderedScan& scan, double time_s);
 
-/// Central differences of the poses.
+/// Returns the velocity of an object by central differences of its poses.
 Velocity object_velocity(const std::function<Pose(double)>& get_world_from_object, double time_s);
 
 }  // namespace relidar::scan_files
