@@ -23,8 +23,7 @@ void require_folder(const std::filesystem::path& path, const std::string& expect
 
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
-/// Returns the number in a file name of digits, or nullopt. It is below 10^8 to fit an
-/// int.
+/// Returns the number (below 10^8) in a file name of digits, or nullopt.
 std::optional<int> parse_stem(const std::string& file_stem);
 
 /// Shortens a text to 80 characters for a message, and replaces control characters.

@@ -20,8 +20,7 @@ bool is_same_letter(char first, char second) {
            std::tolower(static_cast<unsigned char>(second));
 }
 
-/// Returns the edit distance of two texts. Keeps only the last two rows of the table d(i,
-/// j).
+/// Returns the edit distance. Keeps only the last rows of the table d(i, j).
 std::size_t edit_distance(std::string_view first, std::string_view second) {
     std::vector<std::size_t> before, row(second.size() + 1), next(second.size() + 1);
     std::iota(row.begin(), row.end(), std::size_t{0});

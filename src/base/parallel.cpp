@@ -22,9 +22,8 @@ void parallel_for(int n_tasks, const std::function<void(int)>& task) {
     std::exception_ptr failure;
     int failed = n_tasks;
     std::atomic<int> next{0};
-    // Gets the next index from a shared counter, so that tasks start in ascending order.
-    // The loops of oneTBB do not guarantee this, because they split the range in the
-    // middle.
+    // Uses a shared counter, so that tasks start in ascending order. The loops of oneTBB
+    // do not guarantee this, because they split the range in the middle.
     const auto run_tasks = [&] {
         for (int i = next++; i < n_tasks; i = next++) {
             try {

@@ -25,8 +25,7 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
          description);
 }
 
-/// Copies a flatbuffer to aligned memory, because its position in the file may be
-/// unaligned.
+/// Copies a flatbuffer to aligned memory, because it may be unaligned in the file.
 struct AlignedFlatbuffer {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;

@@ -34,8 +34,7 @@ T read_at(std::string_view bytes, std::size_t byte_offset) {
     return value;
 }
 
-/// Returns the `n_bytes` bytes that start at an offset. Throws an error if they are not
-/// inside `bytes`.
+/// Returns the `n_bytes` bytes at an offset. Throws an error if the data ends before.
 std::string_view checked_range(std::string_view bytes, std::int64_t offset, std::int64_t n_bytes,
                                const char* where) {
     if (offset < 0 || n_bytes < 0 || std::uint64_t(offset) > bytes.size() ||
@@ -45,8 +44,7 @@ std::string_view checked_range(std::string_view bytes, std::int64_t offset, std:
     return bytes.substr(std::size_t(offset), std::size_t(n_bytes));
 }
 
-/// Returns the flatbuffer of the footer. Its length is stored before the magic at the end
-/// of the file.
+/// Returns the footer. Its length is stored before the magic at the end of the file.
 std::string_view find_footer(std::string_view bytes) {
     constexpr std::size_t kHeaderBytes = 8, kTrailerBytes = 4 + kArrowMagic.size();
     if (bytes.size() < kHeaderBytes + kTrailerBytes || !bytes.starts_with(kArrowMagic))
@@ -97,7 +95,6 @@ std::string decompress(const Batch& batch, std::size_t buffer_index, std::size_t
 
 /// Returns the number of rows of a column in a record batch. Throws an error if the
 /// column has missing values.
-/// @param node index of the column in the list of nodes, which has one entry per column
 std::size_t rows_without_nulls(const Batch& batch, std::size_t node, std::size_t last_buffer_index) {
     if (node >= batch.layout.nodes.size() || last_buffer_index >= batch.layout.buffers.size())
         fail("a record batch has {} columns and {} buffers, which is fewer than the schema requires",
@@ -147,8 +144,7 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
                                         [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Appends the texts of a column to `values`. Text i is stored between the offsets i and
-/// i + 1.
+/// Appends the texts of a column. Text i is stored between the offsets i and i + 1.
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node, std::size_t buffer,
                   std::size_t max_bytes) {
     const std::size_t n = rows_without_nulls(batch, node, buffer + 2);
@@ -269,7 +265,7 @@ std::vector<std::string> Feather::read_texts(const std::string& column_name) con
             for (const Batch& batch : batches_) append_texts(values, batch, column.node, column.buffer, most);
             return values;
         }
-        // Dictionary-encoded: a separate batch has the words, and the rows have their
+        // A separate batch has the words of the dictionary, and the rows have their
         // indices.
         std::vector<std::string> words;
         for (const Batch& batch : dictionaries_)

@@ -119,8 +119,7 @@ std::string parse_dtype(const std::string& numpy_type_with_byte_order) {
     return std::string(type);
 }
 
-/// Reorders the values of an array in Fortran order, in which the first index varies
-/// fastest.
+/// Reorders an array in Fortran order, in which the first index varies fastest.
 void make_row_major(NamedArray& array) {
     const std::size_t size = element_bytes(array.dtype), n_dimensions = array.shape.size();
     const std::vector<std::byte> column_major = array.bytes;

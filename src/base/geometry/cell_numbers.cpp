@@ -19,8 +19,7 @@ constexpr std::size_t kItemsPerBlock = 1 << 16;
 
 using ItemIndicesByPart = std::array<std::vector<std::uint32_t>, kHashParts>;
 
-/// Divides the items of each block into parts by the hash of their keys, so that equal
-/// keys are in the same part.
+/// Divides the items by the hash of their keys, so that equal keys are in the same part.
 std::vector<ItemIndicesByPart> partition_by_hash(std::span<const std::uint64_t> cell_key_per_item) {
     std::vector<ItemIndicesByPart> blocks((cell_key_per_item.size() + kItemsPerBlock - 1) / kItemsPerBlock);
     parallel_for(static_cast<int>(blocks.size()), [&](int s) {

@@ -37,8 +37,7 @@ bool is_useful(const Surfels& surfels, std::size_t i, const SurfelModel& model, 
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Returns the frames of a log in which an actor is present, without their scans and
-/// without other actors.
+/// Returns the frames of a log in which an actor is present, without their scans.
 Log log_of_actor(const Log& full, const BoxTrack& actor_box) {
     Log log = strip_frames(full);
     log.boxes = {actor_box};

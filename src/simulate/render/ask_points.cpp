@@ -12,8 +12,7 @@
 namespace relidar {
 namespace {
 
-/// Copies the points that the device computed to `points`. Rounds their intensities to
-/// the steps of the sensor.
+/// Copies points from the device. Rounds their intensities to the steps of the sensor.
 void copy_points(std::span<const shared::ReturnedPoint> returned, const IntensityScatterModel& scatter,
                  LidarPoints& points) {
     constexpr std::size_t kPointsPerTask = 1 << 13;
@@ -73,7 +72,6 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
 }
 
 /// Waits for the points of a requested scan.
-/// @param memory points of an earlier scan, whose allocated memory is reused
 RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoints memory) {
     if (scan.ready) return std::move(*scan.ready);
     lanes->submit_batch();

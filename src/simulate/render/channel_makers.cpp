@@ -7,8 +7,7 @@
 namespace relidar {
 namespace {
 
-/// Returns the unit normal of the surface that each ray hit, in the sensor's frame at the
-/// firing time of the ray.
+/// Returns the unit normal of each surface, in the sensor's frame at the firing time.
 ChannelValues make_normals(const RenderedRayValues& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoseInterpolator firing(scan);

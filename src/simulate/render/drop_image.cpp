@@ -9,8 +9,7 @@
 namespace relidar {
 namespace {
 
-// Probabilities are clamped to this distance from 0 and 1, so that logits are in -9.2 ...
-// 9.2.
+// Limits probabilities to 1e-4 ... 1 - 1e-4, and so the logits to -9.2 ... 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
 /// Returns a function that computes one input value of the ray-drop network for a ray.

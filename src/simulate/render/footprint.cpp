@@ -85,8 +85,7 @@ std::vector<SubRayReturn> group_sub_rays(const RenderedScan& scan, std::size_t f
     return groups;
 }
 
-/// Returns the mean of `values` over the sub-rays of a group, weighted by their
-/// intensities.
+/// Returns the mean of `values` over a group, weighted by the intensities.
 float weighted_mean(const SubRayReturn& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
@@ -138,8 +137,7 @@ public:
         const std::size_t first = beam * std::size_t(n);
         const std::vector<SubRayReturn> groups =
             group_sub_rays(parts_, first, offsets_, static_cast<float>(config_.return_separation_m));
-        // Without a group, no sub-ray returns. The beam then gets the values of its
-        // central sub-ray.
+        // If no sub-ray returns, the beam gets the values of its central sub-ray.
         const SubRayReturn middle{{first}, std::max(parts_.image.intensity[first], kMinIntensity)};
         const SubRayReturn& strongest =
             groups.empty() ? middle : *std::ranges::max_element(groups, {}, &SubRayReturn::light);
@@ -157,9 +155,8 @@ public:
                                                                   : sum_over_group(strongest, of_parts) /
                                                                         static_cast<float>(n));
                              }
-                             // Copies the value of the sub-ray nearest to the centre.
-                             // This sub-ray has the smallest index, because sub-rays are
-                             // ordered from the centre outwards.
+                             // Sub-rays are ordered from the centre outwards, so the
+                             // smallest index is the nearest.
                              of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                          });
         if (scan_.second_returns.empty()) return;

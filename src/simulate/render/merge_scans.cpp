@@ -82,8 +82,7 @@ private:
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& rig, std::size_t first) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        // Copies the reference, because clang 14 cannot capture structured bindings in
-        // lambdas.
+        // clang 14 cannot capture structured bindings in lambdas.
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* scan_values = find_values<T>(scan.channels, info.name);

@@ -96,8 +96,7 @@ LidarPoints place_points(const RenderedScan& scan, const Config& config,
         for (const auto& [ray, number] : returns)
             append_return(points.channels[k], scan.channels[k], ray, number);
         auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
-        // Vectors that turn with the sensor, such as normals, go to the frame of the
-        // points.
+        // Rotates normals and similar vectors into the frame of the points.
         if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
         for (std::size_t i = 0; i < n; ++i)
             (*vectors)[i] = shared::to_world(find_pose(poses, points.time_offset_s[i]),

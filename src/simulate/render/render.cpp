@@ -30,9 +30,8 @@ constexpr double kNearReflectivity = 0.0025;
 // the constants of bloom, which were fitted to KITTI's intensities.
 constexpr double kNoisePower = 0.5 / 255.0 / (80.0 * 80.0), kStrayPower = 0.005 / (80.0 * 80.0);
 
-/// Checks that the primitives of the scene can provide a channel. 3D Gaussians have no
-/// normals.
-/// @throws UsageError for a channel that needs normals which the scene does not have
+/// Checks that the primitives of the scene can provide a channel.
+/// @throws UsageError for a channel that needs normals in a scene of 3D Gaussians
 void check_channel(const Config& config, const ChannelInfo& channel, const char* error_prefix) {
     if (!channel.needs_normals || properties_of(config.image.primitive).has_normals) return;
     fail<UsageError>("{}: the channel {} needs normals, which image.primitive={} has not; expected surfel",
@@ -137,8 +136,7 @@ LogObservedSpace ScanRenderer::Impl::observed_space_of(const SimulatedSensor& se
             std::min(sensor.limits.max_m, double(config.dataset.max_range_m))};
 }
 
-/// Returns the data from which the channels of a scan are computed. Looks up classes only
-/// if the channel "class" is requested.
+/// Returns the data for all channels. Looks up classes only for the channel "class".
 ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
     ChannelInputs context{observed_space_of(sweep.sensor),
                           {sweeps.sequence().lidar_track(sweep.sensor.lidar), sweep.instances}};
@@ -151,8 +149,7 @@ ChannelInputs ScanRenderer::Impl::channel_inputs(const SimulatedSweep& sweep) {
 
 /// Loads the part of the scene around the sensor, and moves the instances to their poses.
 void ScanRenderer::Impl::prepare_scene(const ParallelScanResources& resources, const SimulatedSweep& sweep) {
-    // Waits for pending scans, because loading blocks of the scene can replace the
-    // renderer that these scans use.
+    // Loading blocks can replace the renderer that pending scans use.
     if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.load_near(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
@@ -273,15 +270,13 @@ void ScanRenderer::Impl::apply_noise(RenderedScan& scan, const SimulatedSweep& s
             .trace = [this](const WorldRays& rays) { return scene.renderer().render_rays(rays); },
             .seed = seed.value_or(0),
             .motion = &motion};
-        // A ray that is always dropped is blocked near the sensor, so it cannot hit rain
-        // or fog.
+        // A ray that is always dropped is blocked near the sensor, so it hits no rain.
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
             input.blind.push_back(sweeps.permanent_drop(sensor, scan.ring[i], scan.image.direction[i]) >=
                                   kDropThreshold);
         add_weather(scan, input);
     }
-    // Sampled intensities already have the steps of the sensor unless weather changed
-    // them.
+    // Sampled intensities already have the steps, unless weather changed them.
     if (!seed || !settings.weather.is_clear())
         for (float& intensity : scan.image.intensity) intensity = scatter.quantise(intensity);
     for (AdditionalReturns& echo : scan.second_returns)
@@ -308,8 +303,7 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drop(scan, drops);
     else if (plan.network != Network::none) correct_drop(scan);
-    // count_unoccluded() traces more rays, which invalidates the probabilities in
-    // `drops`. So it runs after they have been used.
+    // Runs after the probabilities in `drops` were used, because it invalidates them.
     if (settings.has_views) count_unoccluded(sweep, plan, views);
     // trace_rays() adds this channel for the network, although nobody requested it.
     if (!has_channel(kIncidenceChannel))
@@ -336,8 +330,7 @@ void ScanRenderer::show_instances(const std::vector<bool>& visible_flags) {
 }
 
 void ScanRenderer::use_network(const RayDropNetwork& network) {
-    // Called only because it throws an error if the network has inputs that cannot be
-    // rendered.
+    // Only throws an error if the network has inputs that cannot be rendered.
     channel_numbers(network.inputs);
     impl_->finish_pending();
     impl_->lanes->use_network(network);

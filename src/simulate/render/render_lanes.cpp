@@ -14,8 +14,7 @@ ParallelScanResourcePool::ParallelScanResourcePool(Device& device, ResidentScene
 
 ParallelScanResources& ParallelScanResourcePool::next_lane() {
     if (!batch_) {
-        // If the device memory is too small for another copy of the scene, uses fewer
-        // copies.
+        // Uses fewer copies of the scene if the device memory is too small.
         while (1 + std::ssize(others_) < most_) {
             const std::size_t n_before = others_.size();
             try {

@@ -36,8 +36,7 @@ public:
     ParallelScanResourcePool(Device& device, ResidentScene& scene);
 
     ParallelScanResources& single_lane() { return first_; }
-    /// Returns the device resources for the next scan of a batch. Begins a batch if there
-    /// is none.
+    /// Returns a lane for the next scan of a batch. Begins a batch if there is none.
     ParallelScanResources& next_lane();
     bool has_open_batch() const { return batch_.has_value(); }
     void submit_batch();

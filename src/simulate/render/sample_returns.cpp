@@ -36,8 +36,7 @@ RenderedIntensityImage make_noise_image(const RenderedScan& scan) {
 
 void sample_returns(RenderedScan& scan, const RangeNoiseTable& noise, const IntensityScatterModel& scatter,
                     std::uint64_t seed, const RangeLimits& limits) {
-    // Each ray has a separate generator, so the result does not depend on the number of
-    // threads.
+    // Each ray has its own generator, so the number of threads does not matter.
     const std::uint64_t of_scan = hash_pair(seed, std::bit_cast<std::uint64_t>(scan.time_s));
     const RenderedIntensityImage likely = make_noise_image(scan);
     const std::vector<float>& likely_m = likely.range_m;

@@ -10,8 +10,7 @@ namespace {
 constexpr const char* kNativeGrid = "native";
 
 /// Checks that the beams of a sensor can be split into sub-rays.
-/// @throws UsageError for a beam without divergence, or for settings that exclude each
-/// other
+/// @throws UsageError for a beam without divergence, or for conflicting settings
 void check_sub_rays(const RayTable& rays, const SensorConfig& config, const SimulatedSensor& sensor) {
     if (sensor.grid && config.returns > 1)
         fail<UsageError>(
@@ -32,8 +31,7 @@ void check_sub_rays(const RayTable& rays, const SensorConfig& config, const Simu
                          config.sub_rays, rays.size(), kMaxRays);
 }
 
-/// Returns true if there is a network and it can correct an image with this name and
-/// size.
+/// Returns true if the network can correct an image with this name and size.
 bool fits_network(const RayDropNetwork* network, const std::string& image_name, int rows, int columns) {
     if (!network || network->image != image_name) return false;
     // A network with 1 x 1 convolutions processes each ray separately, so an image of one
@@ -67,8 +65,7 @@ ScanRenderPlan plan_scan(const SimulatedSensor& sensor, const RayTable& rays, co
             "cannot render {}: this sensor does not spin and defines no rays; use another sensor",
             sensor.name);
     plan.network = choose_drop_stage(network, sensor, rays, plan.has_sub_rays());
-    // The device computes only the points of a plain scan. All other steps need the scan
-    // on the host.
+    // The device computes only the points of plain scans. Other steps need the host.
     plan.points_on_device = !sampled && settings.weather.is_clear() && settings.channels.empty() &&
                             !sensor.grid && !plan.has_sub_rays() && sensor.rays.size() > 0;
     return plan;

@@ -19,8 +19,7 @@ struct RayWithSurfaceRange {
     float met_m;                     ///< range of the surface that the ray hits; 0 if the ray hits nothing
 };
 using RaySource = std::function<RayWithSurfaceRange(std::size_t)>;
-/// Returns the share of rays that count as unobserved: the log observed less than half of
-/// their path.
+/// Returns the share of rays of whose path the log observed less than half.
 double unobserved_share(std::size_t n_rays, const RaySource& get_ray, const LogObservedSpace& space);
 
 /// [rays] 0..1. A path ends at the surface that the ray hits, or at the maximum range.

@@ -159,8 +159,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeImageGrid& grid) 
                      [n]<class T>(const ChannelInfo& channel, const std::vector<T>&,
                                   std::vector<T>& of_cells) { of_cells.assign(n, empty_value<T>(channel)); });
     result.time_offset_s.assign(n, 0.0f);
-    // [cells] drop probability of the ray that each pixel shows; 2 for pixels without a
-    // ray
+    // [cells] drop probability of the ray that each pixel shows; 2 without a ray
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;

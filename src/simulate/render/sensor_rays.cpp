@@ -32,7 +32,6 @@ std::uint32_t range_kind_number(const std::string& name) {
     return name == "median" ? RELIDAR_RANGE_MEDIAN : RELIDAR_RANGE_NORMALISED;
 }
 
-/// Returns the number of a network input in the kernel drop_channels (RELIDAR_DROP_*).
 std::uint32_t channel_number(const std::string& name) {
     constexpr std::pair<const char*, std::uint32_t> kOfRays[] = {
         {"log_range", RELIDAR_DROP_LOG_RANGE}, {"intensity", RELIDAR_DROP_INTENSITY},
@@ -153,9 +152,6 @@ RayBatch DeviceSensorRays::world_batch() const {
             .columns = table_.rows > 1 ? std::uint32_t(table_.columns) : 0};
 }
 
-/// Records the kernel that converts rendering results to measurements. Beams have
-/// calibrated range offsets and intensity gains. `response` is the intensity factor by
-/// range.
 void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch,
                                       const RayMeasurementOptions& options) {
     std::vector<shared::SensorBeam> beams;
@@ -186,8 +182,6 @@ void DeviceSensorRays::record_measure(Stream& stream, const RenderedBatch& batch
     refined_ = nullptr;
 }
 
-/// Records the kernel that fills the input channels of the ray-drop network, then the
-/// network.
 void DeviceSensorRays::record_drop(Stream& stream, RayDropInference& network, const glm::vec3& sensor_m) {
     const std::vector<std::uint32_t> channels = channel_numbers(network.network().inputs);
     if (channels.size() * table_.size() > samples_.size()) {
@@ -212,8 +206,6 @@ std::span<const float> DeviceSensorRays::wait_drop(Stream& stream) {
     return {static_cast<const float*>(refined_readback_->wait_for_bytes(stream)), table_.size()};
 }
 
-/// Copies the measurements, and the drop probabilities if a network ran, to the host.
-/// Buffers have room for all allocated rays, so that they are reused for larger tables.
 std::span<const shared::MeasuredRay> DeviceSensorRays::wait_measured(Stream& stream) {
     const auto read_back = [&](std::optional<ReadbackBuffer>& readback, const Buffer& source,
                                std::size_t n_bytes, const char* text) {

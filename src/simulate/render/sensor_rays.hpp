@@ -39,8 +39,7 @@ public:
     /// @param world_from_sensor a single pose if the sensor does not move
     void place(Stream& stream, const PoseTrack& world_from_sensor, double sweep_time_s);
     RayBatch world_batch() const;
-    /// Records GPU commands that convert rendering results to measurements, such as range
-    /// and intensity.
+    /// Records GPU commands that convert rendering results to ranges and intensities.
     void record_measure(Stream& stream, const RenderedBatch& batch, const RayMeasurementOptions& options);
     /// Records GPU commands that run a ray-drop network on the measured rays. Then
     /// drop_address() has the result.

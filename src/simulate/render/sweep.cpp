@@ -124,8 +124,7 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
 SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& sensor, double time_s,
                                                        const Pose& offset) {
     log_.world_from_vehicle = log_world_from_vehicle_;
-    // A mounted sensor away from the LiDAR moves on an arc while the vehicle turns, so
-    // the track needs more poses.
+    // Away from the LiDAR, a sensor moves on an arc in turns, which needs more poses.
     const bool is_elsewhere = offset.translation != glm::dvec3(0.0) || offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.lidar_track(sensor.lidar);
     return along_track(sensor, time_s, is_elsewhere ? mount_track(subdivide_turns(track), offset) : track,

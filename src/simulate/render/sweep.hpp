@@ -25,11 +25,9 @@ public:
     SimulatedSweepBuilder(const Config& config, const Scene& scene, const Log& sequence);
     /// @throws UsageError if the number of instances is wrong
     void show_instances(const std::vector<bool>& shown);
-    /// Returns a copy of the sensor with the azimuths that the LiDAR of the log measured
-    /// in the sweep at `time_s`.
+    /// Copies a sensor with the azimuths that the log's LiDAR measured at `time_s`.
     SimulatedSensor follow_log(const SimulatedSensor& sensor, double time_s) const;
-    /// Returns the sweep of a sensor on the vehicle of the log, which drives along its
-    /// recorded path.
+    /// Returns a sweep of a sensor on the vehicle, which drives along its recorded path.
     /// @param sensor must outlive the sweep
     /// @param sensor_offset relative to the recorded mounting
     SimulatedSweep on_recorded_path(const SimulatedSensor& sensor, double time_s, const Pose& sensor_offset);
@@ -42,8 +40,7 @@ public:
     bool is_background_shown() const {
         return shown_.front() && (layout_.models.front().count > 0 || !layout_.blocks.empty());
     }
-    /// Returns the probability that a ray never returns, for example because the vehicle
-    /// blocks it.
+    /// Returns the probability that a ray is blocked, for example by the vehicle.
     float permanent_drop(const SimulatedSensor& sensor, std::uint16_t channel,
                          const glm::vec3& direction) const;
     RangeLimits limits_of(const SimulatedSensor& sensor) const;

@@ -12,9 +12,8 @@ namespace {
 // With fewer rays, the side is not reported.
 constexpr std::size_t kFewestRays = 5;
 
-/// Returns the range at which a ray enters a box, and the axis of the side through which
-/// it enters (slab method). The range is infinite if the ray misses the box or starts
-/// inside.
+/// Returns the range at which a ray enters a box, and the axis of that side (slab
+/// method). The range is infinite if the ray misses the box or starts inside.
 std::pair<double, int> enter_box(const glm::dvec3& from, const glm::dvec3& along, const glm::dvec3& half_m) {
     double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
     int axis = -1;
@@ -43,8 +42,7 @@ struct PartlyObservedActor {
     double radius_m = 0.0;
     std::array<std::size_t, kBoxSides> n_through{}, n_completed{};
 
-    /// Returns true if the ray passes through the bounding sphere of the box. This fast
-    /// test avoids most of the exact tests.
+    /// Returns true if the ray passes through the bounding sphere of the box.
     bool is_ray_near_box(const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to_centre = centre_m - origin;
         const double along_m = glm::dot(to_centre, direction);
@@ -71,8 +69,7 @@ struct PartlyObservedActor {
     }
 };
 
-/// Lists the actors that are present during the scan and have an unobserved side or
-/// mirrored surfels.
+/// Lists the present actors that have an unobserved side or mirrored surfels.
 std::vector<PartlyObservedActor> partly_seen(const RenderedScan& scan, const Scene& scene, const Log& log) {
     std::vector<PartlyObservedActor> boxes;
     if (scan.time_offset_s.empty()) return boxes;

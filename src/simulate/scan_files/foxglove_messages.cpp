@@ -128,8 +128,7 @@ std::string encode(const Write& write) {
     return bytes;
 }
 
-/// Returns a DescriptorProto of a message type. The numbers are the field numbers of
-/// descriptor.proto.
+/// Returns a DescriptorProto. The numbers are field numbers of descriptor.proto.
 std::string describe_message(const ProtobufMessageType& message) {
     return encode([&](pbf_writer& writer) {
         writer.add_string(1, message.name);
@@ -282,9 +281,8 @@ std::string format_vector(const glm::dvec3& vector) {
     return fmt::format("{:.6g} {:.6g} {:.6g}", vector.x, vector.y, vector.z);
 }
 
-/// Returns a foxglove.SceneUpdate message with the boxes of the actors, each with its own
-/// time stamp. The new boxes replace all earlier boxes. Velocities are in the world
-/// frame.
+/// Returns a foxglove.SceneUpdate with the boxes of the actors, which replace all earlier
+/// boxes. Velocities are in the world frame.
 std::string encode_scene_update(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
     // Value ALL of SceneEntityDeletionType. It deletes all earlier boxes, so that no
     // boxes of absent actors remain.

@@ -105,8 +105,7 @@ RecordedSweep SweepRecorder::record(std::span<const RenderedScan> scans) {
     return moment;
 }
 
-/// Returns the poses of the vehicle at the given times, from the path of the first
-/// sensor.
+/// Returns the poses of the vehicle at the given times.
 /// @param scan scan of the first sensor
 std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan, std::vector<double> at_s) {
     std::ranges::sort(at_s);
@@ -117,8 +116,7 @@ std::vector<RecordedPose> SweepRecorder::vehicle_poses(const RenderedScan& scan,
     std::vector<RecordedPose> poses;
     for (const double t_s : at_s) {
         const std::uint64_t time_ns = to_stamp_ns(t_s);
-        // Skips times for which a pose was already written, because sweeps can overlap in
-        // time.
+        // Skips times that were already written, because sweeps can overlap in time.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), object_velocity(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;

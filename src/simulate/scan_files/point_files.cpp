@@ -25,9 +25,8 @@ struct PointFileField {
     char pcd_type;
 };
 
-/// Lists the fields of a file in the order of pack_records(). Leaves out unknown values,
-/// but a file without points lists them, so that all files of a folder have the same
-/// fields.
+/// Lists the fields of a file. Leaves out unknown values, except in a file without
+/// points, so that all files of a folder have the same fields.
 std::vector<PointFileField> list_fields(const LidarPoints& points) {
     const bool is_empty = points.size() == 0;
     std::vector<PointFileField> fields;

@@ -18,8 +18,7 @@ std::string encode_detections(std::uint64_t stamp_ns, const Actors& actors) {
     cdr.add_number(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
-        // Each detection has one class with a score of 1, because the class is known
-        // exactly.
+        // one class with a score of 1, because the class is known exactly
         cdr.add_number(std::uint32_t(1)).append_string(actor.category).add_number(1.0);
         add_pose(cdr, actor.faced.world_from_box);
         add_covariance(cdr);

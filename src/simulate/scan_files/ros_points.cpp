@@ -71,8 +71,7 @@ struct RosPointType {
 const RosPointType kPlainType{kPlainFields, 24, pack_velodyne, true},
     kAutowareType{kAutowareFields, 32, pack_autoware, false};
 
-/// Returns a PointCloud2 message with the points in one row (height 1, little-endian,
-/// dense).
+/// Returns a PointCloud2 message with the points in one row (height 1).
 std::string encode_cloud2(const RecordedCloud& recorded, const std::string& frame, const RosPointType& type) {
     const LidarPoints& cloud = recorded.points;
     const std::string points = type.points(cloud);

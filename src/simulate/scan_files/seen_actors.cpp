@@ -19,8 +19,7 @@ public:
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
     /// Returns the firing time of the ray that passes closest to a moving point.
-    /// @param get_position_m returns the position at a given time, in the world frame of
-    /// the dataset
+    /// @param get_position_m position at a time, in the world frame of the dataset
     template <class PositionFunction>
     double time_towards(const PositionFunction& get_position_m) const {
         // Number of fixed-point iterations. Each computes the direction from the sensor

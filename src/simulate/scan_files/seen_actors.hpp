@@ -24,8 +24,7 @@ struct ActorInScan {
 /// @param format has the actors; must outlive the result
 std::vector<ActorInScan> find_actors(const RenderedScan& scan, const ScanOutputOptions& format);
 
-/// Returns the pose of the sensor at a time of the log, in the world frame of the
-/// dataset.
+/// Returns the pose of the sensor at `time_s`, in the world frame of the dataset.
 Pose sensor_pose_at(const RenderedScan& scan, double time_s);
 
 /// Returns the velocity of an object by central differences of its poses.

@@ -41,8 +41,7 @@ ScanChannel* prepare_velocity(RenderedScan& scan) {
     return nullptr;
 }
 
-/// Removes the surface that a ray hit. Sets the instance to -1, and resets all channels
-/// that describe surfaces.
+/// Removes the surface of a ray: its instance and all channels that describe surfaces.
 void clear_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -60,8 +59,7 @@ public:
           channel_(prepare_causes(scan)),
           velocity_(input.motion && !input.weather.is_clear() ? prepare_velocity(scan) : nullptr) {}
 
-    /// Computes the returns of a ray in the weather and writes them to the scan. In clear
-    /// air, writes only the causes.
+    /// Computes the returns of a ray in the weather. In clear air, sets only the causes.
     void apply_to_ray(std::size_t ray_index, std::uint64_t seed) {
         const bool has_second = !scan_.second_returns.empty();
         RayWeatherState ray{.index = ray_index};
@@ -104,9 +102,8 @@ private:
         return std::min(static_cast<float>(echo.reflectivity * input_.response.range_factor(echo.range_m)),
                         1.0f);
     }
-    /// Returns the distance that the light of a ray travels through the air: to the first
-    /// opaque surface, or to the maximum range. A surface without a return also stops the
-    /// light.
+    /// Returns the distance that light travels through the air: to the first opaque
+    /// surface, with or without a return, or to the maximum range.
     double free_path_m(const RayWeatherState& ray) const {
         const float median_m = scan_.median_range_m[ray.index];
         const bool is_blocked =

@@ -63,8 +63,7 @@ WeatherRaySimulator::WeatherRaySimulator(const Weather& weather, const WeatherSe
     : sensor_(sensor), alpha_(extinction_per_m(weather)), effects_(std::move(effects)) {}
 
 /// Returns the reflectivity of a surface. If the log has a lower intensity than the
-/// sensor could detect, the intensity is not exact: returns a random value above the
-/// limit.
+/// sensor could detect, it is not exact: returns a random value above the limit.
 double WeatherRaySimulator::sample_albedo(const LidarEcho& surface, Random& random) const {
     const double lowest = sensor_.min_power_at(surface.range_m) * surface.range_m * surface.range_m;
     if (surface.reflectivity >= lowest) return surface.reflectivity;

@@ -57,8 +57,7 @@ public:
     /// Changes the return of the surface that a ray hits. Called before the air
     /// attenuates the light.
     virtual void modify_surface(RayWeatherState& /*ray*/) const {}
-    /// Adds the possible returns that the effect causes on a ray, for example from
-    /// raindrops.
+    /// Adds returns that the effect causes on a ray, for example from raindrops.
     virtual void append_returns(EchoCandidates&, const RayWeatherState&, Random&) const {}
 };
 

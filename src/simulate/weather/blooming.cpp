@@ -87,8 +87,7 @@ LidarEcho stray_echo(const std::vector<RetroReflector>& reflectors, const glm::d
 
 /// Computes the stray-light return of each ray of a scan. Surfaces with an intensity of
 /// at least kMinReflectorIntensity are reflectors.
-/// @return [rays] returns, empty for a ray without stray light; an empty list if there
-/// are no reflectors
+/// @return [rays] empty returns for rays without stray light; no list without reflectors
 std::vector<LidarEcho> stray_echoes(const WeatherInput& input) {
     const RenderedScan& scan = input.scan;
     const std::vector<RetroReflector> reflectors = find_reflectors(scan);

@@ -24,8 +24,7 @@ double fog_extinction(const Weather& weather) { return std::log(20.0) / weather.
 
 class FogEffect : public RayWeatherEffect {
 public:
-    /// Tabulates the mean power by range. The table ends where even rare dense fog is too
-    /// weak to be detected.
+    /// Tabulates the mean power by range, up to where rare dense fog is too weak.
     explicit FogEffect(const WeatherInput& input)
         : sensor_(input.sensor),
           alpha_(extinction_per_m(input.weather)),

@@ -23,9 +23,8 @@ struct ParticleDistribution {
     double (*fall_speed)(double melted_mm);
 };
 
-/// Returns the size distribution of raindrops (Marshall and Palmer 1948). A drop reflects
-/// as water at normal incidence, ((n - 1) / (n + 1))^2. Speed: Atlas, Srivastava and
-/// Sekhon 1973.
+/// Returns the sizes of raindrops (Marshall and Palmer 1948). A drop reflects as water,
+/// ((n - 1) / (n + 1))^2. Speed: Atlas, Srivastava and Sekhon 1973.
 ParticleDistribution rain_drops(const Weather& weather) {
     return {ReturnCause::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02, [](double mm) {
                 return std::max(9.65 - 10.3 * std::exp(-0.6 * mm), 0.0);
@@ -52,8 +51,7 @@ double particle_extinction(const Weather& weather) {
 
 class PrecipitationEffect : public RayWeatherEffect {
 public:
-    /// Tabulates the expected number of detectable particles by range, with the
-    /// trapezoidal rule.
+    /// Tabulates the expected number of detectable particles (trapezoidal rule).
     PrecipitationEffect(const WeatherInput& input, const ParticleDistribution& particles)
         : sensor_(input.sensor), alpha_(extinction_per_m(input.weather)), falling_(particles) {
         double expected = 0.0, before = 0.0;
@@ -97,9 +95,9 @@ private:
     // kParticleStep_m beyond it
     std::vector<double> expected_;
 
-    /// Returns the diameter in millimetres of the smallest particle that the sensor
-    /// detects at a range; for snow, of the melted flake. Returns infinity if even a
-    /// particle as wide as the beam is not detected.
+    /// Returns the diameter of the smallest particle that the sensor detects at a range;
+    /// for snow, of the melted flake. Infinity if even a particle as wide as the beam is
+    /// too dark.
     double min_diameter_mm(double range_m) const {
         const double share = sensor_.min_power_at(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;

@@ -122,11 +122,9 @@ GroundPlane fit_plane_near(const GroundGrid& cells, const glm::dvec3& point) {
     return fit_ground_plane(together);
 }
 
-/// Finds the rays that hit level ground below the sensor. A cell is ground if the
-/// candidates of the 3 x 3 cells around it fit a plane. Ignores the material of the
-/// ground.
-/// @return [rays] unit normal in the world frame of the dataset, or 0 for rays without a
-/// return from ground
+/// Finds the rays that hit level ground below the sensor, of any material. A cell is
+/// ground if the candidates of the 3 x 3 cells around it fit a plane.
+/// @return [rays] unit normal in the world frame of the dataset, or 0 without ground
 std::vector<glm::dvec3> ground_normals_of(const RenderedScan& scan) {
     const std::vector<glm::dvec3> points = points_below_sensor(scan);
     const GroundGrid cells = ground_cells(points);
@@ -195,8 +193,7 @@ MirroredRays mirror_rays(const WeatherInput& input, const std::vector<glm::dvec3
         wet_rays[i].through_water = 1.0 - share + share * wet_ratio(cosine, albedo);
         wet_rays[i].mirrors = share * std::pow(water_reflectance(cosine), 2);
         // A sensor with one return reports the brighter of the wet ground
-        // (`through_water` * albedo) and the mirrored object (at most `mirrors`). Skips
-        // the mirrored ray if the object cannot be brighter.
+        // (`through_water` * albedo) and the mirrored object (at most `mirrors`).
         if (scan.second_returns.empty() && wet_rays[i].mirrors <= wet_rays[i].through_water * albedo)
             continue;
         wet_rays[i].mirrored.range_m = range_m;
@@ -261,8 +258,6 @@ constexpr WeatherParameter kWetNumbers[] = {
 
 }  // namespace
 
-/// Averages the Fresnel equations for light polarised across and along the plane of
-/// incidence.
 double water_reflectance(double cosine) {
     // Snell's law
     const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWaterIndex * kWaterIndex));
