@@ -88,7 +88,7 @@ std::int64_t time_shift_of(const Run& run, const SimulatedSensor& sensor,
 /// frame, at the poses of the log's sensor.
 ScanOutputOptions default_options(const Run& run, const SimulatedSensor& sensor);
 /// Returns true if all points of a written scan share one coordinate frame: in the world
-/// frame, with `deskew` and without a rolling shutter. Otherwise each point is in the
+/// frame, with `deskew`, or without a rolling shutter. Otherwise each point is in the
 /// sensor frame at its firing time.
 bool has_common_frame(const ScanOutputOptions& options);
 /// Sets the topic and the frame id of a sensor to /lidar/NAME/points, with
