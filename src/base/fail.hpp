@@ -10,6 +10,7 @@
 
 namespace relidar {
 
+/// Throws the error E with the formatted message.
 template <class E = DataError, class... T>
 [[noreturn]] void fail(fmt::format_string<T...> message, T&&... values) {
     throw E(fmt::format(message, std::forward<T>(values)...));

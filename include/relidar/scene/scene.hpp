@@ -309,11 +309,12 @@ struct InstancePose {
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
-/// Finds moving objects without a label. Selects the returns of training frames within 40
-/// m that lie where rays of other frames pass through, links groups of them over time and
-/// fits upright boxes of constant size, with x along a smooth path. Keeps a box if it is
-/// seen in 6 frames, moves 0.6 m and 0.9 of its size, and is not part of the sensor's
-/// vehicle. If only one side was seen, the box size is a guess (BoxTrack::size_guess).
+/// Finds moving objects without a label. Selects returns of training frames up to 40 m at
+/// places through which rays of other frames pass. Groups these returns, and connects the
+/// groups over time. Fits upright boxes of constant size whose x axis follows a smooth
+/// path. Keeps a box if it is seen in 6 frames, moves 0.6 m and 0.9 of its size, and is
+/// not part of the sensor's vehicle. If only one side was seen, the box size is a guess
+/// (BoxTrack::size_guess).
 ///
 /// An object with a label for part of the time keeps the id, class and size of the label,
 /// gets poses before and after the labels (n_before, n_after), and replaces the labelled

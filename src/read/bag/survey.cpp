@@ -224,9 +224,9 @@ void add_ouster_frames(const BagRecording& bag, BagIndex& bag_index) {
     }
 }
 
-/// Joins the entries of a topic, unless they belong to several LiDARs, which take turns.
-/// Clouds whose frame only changes once, and a few clouds with another frame, come from
-/// one LiDAR.
+/// Joins the entries of a topic if they belong to one LiDAR. The clouds of several LiDARs
+/// alternate. If the frame changes only once, or only a few clouds have another frame,
+/// all clouds are from one LiDAR.
 void join_entries(std::vector<CloudTopic>& all, std::size_t topic) {
     constexpr double kLeastShare = 0.25;  // of the clouds of the LiDAR with the most clouds
     std::vector<CloudTopic*> entries;
