@@ -1,0 +1,116 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
+"""Renders a data set of varied scenes from one run (docs/guide.md):
+  tools/examples/fleet/variations.py run --out set --scenes 40 --sensor VLP-16 --layout kitti
+
+Each scene removes, delays and copies actors, draws a weather and shifts the sensor. What was
+drawn depends only on the seed and the scene; set/scenes.csv lists it. Unknown options go to
+`relidar render`. The same command continues an interrupted data set.
+"""
+import argparse
+import csv
+import json
+import math
+import os
+import pathlib
+import random
+import shutil
+import subprocess
+import sys
+import time
+
+
+def call(*words):
+    """Runs relidar, and ends this program with its exit code if it fails."""
+    done = subprocess.run([options.relidar, *map(str, words)], stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        sys.exit(done.returncode)
+    return done.stdout
+
+
+def draw_place(generator, path):
+    """Returns a place on the ground, 3 to 9 m beside the path of the vehicle, for --copy."""
+    at = generator.choice(path)
+    side_m, yaw = generator.choice([-1, 1]) * generator.uniform(3, 9), math.radians(float(at["yaw_deg"]))
+    x, y = float(at["x"]) - side_m * math.sin(yaw), float(at["y"]) + side_m * math.cos(yaw)
+    # An actor on the left comes towards the vehicle, as in right-hand traffic.
+    yaw_deg = float(at["yaw_deg"]) + (180 if side_m > 0 else 0)
+    return f"{x:.2f},{y:.2f},ground,{yaw_deg:.1f}"
+
+
+def draw_weather(generator):
+    """Half of the scenes are clear. Fog: visibility in metres; rain and snow: mm per hour."""
+    if generator.random() < 0.5:
+        return ""
+    kind, least, most = generator.choice([("fog", 40, 300), ("rain", 2, 30), ("snow", 0.5, 5)])
+    return f"{kind}={generator.uniform(least, most):.1f}"
+
+
+def draw_scene(scene, actors, path):
+    """Returns the columns of scenes.csv for a scene. A list is separated by spaces."""
+    generator = random.Random(f"{options.seed}/{scene}")
+    removed = [a for a in actors if generator.random() < 0.3]
+    delays = [f"{a}:{generator.uniform(-1.5, 1.5):.2f}" for a in actors
+              if a not in removed and generator.random() < 0.5]
+    copies = [f"{generator.choice(actors)}@{draw_place(generator, path)}:{generator.uniform(0, 8):.1f}"
+              for _ in range(generator.randint(0, 3) if actors else 0)]
+    offset = [generator.gauss(0, sigma) for sigma in (0.3, 0.5, 0.1, 2.0)]
+    return {"scene": scene, "seed": generator.randrange(2**31), "remove": " ".join(removed), "retime": " ".join(delays),
+            "copy": " ".join(copies), "weather": draw_weather(generator), "offset": ",".join(f"{v:.3f}" for v in offset)}
+
+
+def render_scene(row, out):
+    """Edits the run and renders the scene. A half-written scene of an earlier call is replaced."""
+    edited = out / "edited"
+    # A copy comes before the removal of its model.
+    words = [w for edit in ("copy", "retime", "remove") for value in row[edit].split() for w in (f"--{edit}", value)]
+    run = options.run
+    if words:
+        call("edit", options.run, "--out", edited, *words, "--force", "--quiet")
+        run = edited
+    weather = ["--weather", row["weather"]] if row["weather"] else []
+    # With --layout, all scenes are sequences of one data set.
+    folder = out / ("data" if "--layout" in render_options else f"{row['scene']:04d}")
+    call("render", run, "--out", folder, "--sensor", options.sensor, "--frames", options.frames,
+         "--sample", row["seed"], f"--offset={row['offset']}", *weather, "--boxes", "--force", "--quiet", *render_options)
+    shutil.rmtree(edited, ignore_errors=True)
+
+
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
+                                 allow_abbrev=False)
+parser.add_argument("run")
+parser.add_argument("--out", required=True, type=pathlib.Path)
+parser.add_argument("--scenes", type=int, default=10)
+parser.add_argument("--seed", type=int, default=1)
+parser.add_argument("--sensor", default="native")
+parser.add_argument("--frames", default="all")
+parser.add_argument("--relidar", default=shutil.which("relidar") or "relidar")
+options, render_options = parser.parse_known_args()
+
+info = json.loads(call("info", options.run, "--json"))
+actors = [box["id"] for box in info["log"]["boxes"] if box["surfels"]]
+options.out.mkdir(parents=True, exist_ok=True)
+call("export", options.run, "--out", options.out / "path.csv", "--quiet")
+path = list(csv.DictReader((options.out / "path.csv").open()))
+rows = [draw_scene(scene, actors, path) for scene in range(options.scenes)]
+
+# Another seed or run would mix two data sets, so the table must not change.
+table = options.out / "scenes.csv"
+if table.exists():
+    earlier = list(csv.DictReader(table.open()))
+    if earlier != [{k: str(v) for k, v in row.items()} for row in rows][:len(earlier)]:
+        sys.exit(f"variations.py: {table} has other scenes; found another run or seed, expected the same or a new --out")
+with open(f"{table}.part", "w", newline="") as file:
+    writer = csv.DictWriter(file, rows[0].keys())
+    writer.writeheader()
+    writer.writerows(rows)
+os.replace(f"{table}.part", table)
+
+done = options.out / "done"
+done.mkdir(exist_ok=True)
+left, begin_s = [row for row in rows if not (done / f"{row['scene']:04d}").exists()], time.monotonic()
+for count, row in enumerate(left, 1):
+    render_scene(row, options.out)
+    (done / f"{row['scene']:04d}").touch()
+    spent_s = time.monotonic() - begin_s
+    print(f"scene {row['scene'] + 1} of {len(rows)}, {spent_s:.0f} s, {spent_s / count * (len(left) - count):.0f} s left", flush=True)
