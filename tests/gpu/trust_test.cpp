@@ -114,7 +114,7 @@ TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
     const Device opened(options);
     EXPECT_FALSE(opened.info().float_atomics);
     EXPECT_EQ(atomic_variant(opened).suffix, "@_swap");
-    EXPECT_THAT(notes, ElementsAre(test::Names("atomic additions ... gradients")));
+    EXPECT_THAT(notes, ElementsAre(test::Names("gradients")));
 }
 
 TEST_F(TrustTest, WrongSumsAllowNoTraining) {
@@ -138,7 +138,7 @@ TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
     options.traversal = RayTracingBackend::ray_query;
     const Device opened(options);
     EXPECT_EQ(opened.backend(), RayTracingBackend::software);
-    EXPECT_THAT(notes, ElementsAre(test::Names("search ... software")));
+    EXPECT_THAT(notes, ElementsAre(test::Names("software")));
 }
 
 }  // namespace

@@ -91,20 +91,19 @@ TEST(Feather, SaysWhatIsWrong) {
     };
     const auto only_open = [](const Feather&) {};
     const std::string good = make_feather_bytes(Table().columns());
-    expect("", "0 bytes ... begin ... ARROW1", only_open);
-    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes ... begin ... ARROW1", only_open);
+    expect("", "0 ... begin ... ARROW1", only_open);
+    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 ... begin ... ARROW1", only_open);
     expect(good.substr(0, good.size() - 1), "end ... ARROW1", only_open);
     std::string bad = good;
     bad[bad.size() - 7] = '\x7f';  // length of the footer
-    expect(bad, "footer ... byte -", only_open);
-    expect(good, "column 'wider' ... column ... 'wide, narrow",
-           [](const Feather& t) { t.read_numbers("wider"); });
+    expect(bad, "footer", only_open);
+    expect(good, "'wider' ... 'wide, narrow", [](const Feather& t) { t.read_numbers("wider"); });
     expect(good, "column 'text' ... text", [](const Feather& t) { t.read_numbers("text"); });
-    expect(good, "column 'f64': found numbers", [](const Feather& t) { t.read_texts("f64"); });
+    expect(good, "column 'f64' ... numbers", [](const Feather& t) { t.read_texts("f64"); });
     expect(good, "column 'f64' ... integers", [](const Feather& t) { t.read_integers("f64"); });
     const std::string nan =
         make_feather_bytes({test::make_numbers("x", std::vector<double>{1.0, std::nan("")})});
-    expect(nan, "column 'x': row 1 is nan ... finite", [](const Feather& t) { t.read_numbers("x"); });
+    expect(nan, "column 'x': row 1 ... nan", [](const Feather& t) { t.read_numbers("x"); });
     const std::string large =
         make_feather_bytes({test::make_numbers("x", std::vector<std::uint64_t>{1, 1ull << 63})});
     expect(large, "column 'x' ... 9223372036854775808", [](const Feather& t) { t.read_integers("x"); });

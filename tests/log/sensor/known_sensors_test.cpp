@@ -118,7 +118,7 @@ TEST(KnownSensors, CsvTableHoldsRangeLimits) {
     EXPECT_DOUBLE_EQ(limited.min_range_m, 0.5);
     EXPECT_DOUBLE_EQ(limited.max_range_m, 30.0);
     EXPECT_DOUBLE_EQ(spinning(write("plain.csv", "elevation_deg\n5\n")).max_range_m, 80.0);
-    expect_message("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n", "line 3 ... 0 to 40 m ... 0 to 30 m");
+    expect_message("g.csv", "elevation_deg,max_range_m\n5,30\n-5,40\n", "line 3 ... 40 m ... 30 m");
     expect_message("h.csv", "elevation_deg,min_range_m,max_range_m\n5,30,30\n",
                    "min_range_m below max_range_m");
     expect_message("i.csv", "elevation_deg,max_range_m\n5,-1\n", "max_range_m ... '-1' ... [0, 10000]");
@@ -132,8 +132,7 @@ TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
 
 TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
     const std::string path = write("l.csv", "elevation_deg\n1\n");
-    EXPECT_THAT(message(path + ":99999999x10"),
-                Names("99999999 columns at 10 Hz, expected 1 to 1000000 columns"));
+    EXPECT_THAT(message(path + ":99999999x10"), Names("99999999 ... 10 Hz ... 1000000"));
     std::string many = "elevation_deg\n";
     for (int i = 0; i < 17; ++i) many += "1\n";
     const SpinningSensor large = spinning(write("m.csv", many) + ":1000000x10");
@@ -141,14 +140,14 @@ TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {
 }
 
 TEST(KnownSensors, WrongTablesAreNamed) {
-    EXPECT_THAT(message("/nowhere/beams.csv"), Names("/nowhere/beams.csv: no such file"));
+    EXPECT_THAT(message("/nowhere/beams.csv"), Names("/nowhere/beams.csv"));
     expect_message("a.csv", "channel\n1\n", "a.csv ... column 'elevation_deg'");
     expect_message("b.csv", "elevation_deg\n1\nabc\n", "b.csv line 3: elevation_deg is 'abc'");
     expect_message("c.csv", "elevation_deg\nnan\n", "'nan'");
-    expect_message("d.csv", "elevation_deg\n1\n2\n", "highest ... lowest");
-    expect_message("e.csv", "elevation_deg,channel\n1\n", "1 values, expected 2");
+    expect_message("d.csv", "elevation_deg\n1\n2\n", "lowest");
+    expect_message("e.csv", "elevation_deg,channel\n1\n", "1 ... 2");
     expect_message("f.csv", "elevation_deg\n", "beams");
-    EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), Names("1 to 1000000 columns"));
+    EXPECT_THAT(message(write("f.csv", "elevation_deg\n1\n") + ":0"), Names("1000000 columns"));
 }
 
 }  // namespace
