@@ -201,7 +201,7 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     const auto damaged = packets::find_angle_files({recording});
     ASSERT_EQ(damaged.size(), 1u) << "poses.csv has no angles";
     EXPECT_TRUE(damaged[0].lasers.empty());
-    EXPECT_NE(damaged[0].problem.find("damaged.csv: found the line '1,2,north'"), std::string::npos);
+    EXPECT_NE(damaged[0].problem.find("'1,2,north'"), std::string::npos);
     write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
     const auto any = packets::find_angle_files({recording});
     ASSERT_EQ(any.size(), 2u);

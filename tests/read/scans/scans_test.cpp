@@ -190,16 +190,16 @@ TEST(SpinningScan, SaysWhichArrayIsWrong) {
     };
     points.position_m = {{3, 4, 0}, {6, 8, 0}};
     points.intensity = {0.1f, 0.2f};
-    expect_error("scan: found 0 values ... points ... 2");
+    expect_error("0 ... points ... 2");
     points.ring = {0, 12};
-    expect_error("scan: point 1 has ring 12 ... 12 beams");
+    expect_error("point 1 ... ring 12 ... 12");
     points.ring = {0, 11};
     points.return_number = {1, 200};
-    expect_error("scan: point 1 has return number 200, expected 1 to 8");
+    expect_error("point 1 ... 200 ... 1 ... 8");
     points.return_number = {0, 1};
-    expect_error("scan: point 0 has return number 0, expected 1 to 8");
+    expect_error("point 0 ... 0 ... 1 ... 8");
     points.return_number = {1};
-    expect_error("scan: found 1 values of return_number ... points ... 2");
+    expect_error("1 ... return_number ... 2");
 }
 
 TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {

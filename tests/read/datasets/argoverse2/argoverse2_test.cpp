@@ -205,7 +205,7 @@ TEST(Argoverse2, ASweepMayLackALidar) {
     const Log sequence = log.load();
     ASSERT_EQ(sequence.frames.size(), 5u);
     EXPECT_EQ(sequence.frames[2].lidar, 1);
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames ... skipped")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("1 frames")));
 }
 
 TEST(Argoverse2, SaysWhichFileIsWrong) {
@@ -220,20 +220,19 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
                    boxes = log.file("annotations.feather"), sweep = log.sweep(1);
     const std::vector<Pose> two(2);
     refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "ring"})}, two),
-           "column 'sensor_name': the sensor down_lidar ... missing");
+           "'sensor_name' ... down_lidar");
     std::vector<Pose> bad = two;
     bad[1].rotation = glm::dquat(0.5, 0, 0, 0);
     refuse(sensors, test::set_poses({test::make_texts("sensor_name", {"up_lidar", "down_lidar"})}, bad),
-           "columns 'qw' to 'qz' ... row 1 has length 0.5, expected 1");
+           "'qw' ... 'qz' ... row 1 ... 0.5 ... 1");
     const auto times = [](std::vector<std::int64_t> t) { return test::make_numbers("timestamp_ns", t); };
     const std::int64_t first = Argoverse2Log::sweep_ns(0), second = Argoverse2Log::sweep_ns(1);
     refuse(vehicle_poses, test::set_poses({times({first, first})}, two),
-           "column 'timestamp_ns': row 1 is 315966265259836000 after 315966265259836000");
+           "column 'timestamp_ns': row 1 ... 315966265259836000 ... 315966265259836000");
     refuse(vehicle_poses, test::set_poses({times({first, first + 1})}, two), "pose ... 315966265360088000");
     bad = two;
     bad[0].translation.y = NAN;
-    refuse(vehicle_poses, test::set_poses({times({first, second})}, bad),
-           "column 'ty_m': row 0 is nan ... finite");
+    refuse(vehicle_poses, test::set_poses({times({first, second})}, bad), "column 'ty_m': row 0 ... nan");
     const auto label = [&](double length_m) {
         const std::vector<double> one{1.0};
         return test::set_poses(
@@ -242,17 +241,17 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
              test::make_numbers("width_m", one), test::make_numbers("height_m", one)},
             {Pose{}});
     };
-    refuse(boxes, label(-1.0), "columns 'length_m' to 'height_m': row 0 is -1 x 1 x 1 ... 0");
+    refuse(boxes, label(-1.0), "'length_m' ... 'height_m' ... row 0 ... -1 x 1 x 1");
     const auto refuse_point = [&](float x, std::uint8_t laser, std::int32_t offset_ns,
                                   const std::string& part) {
         log.expect_error_with(sweep, make_point_bytes(x, laser, offset_ns),
                               sweep.filename().string() + " ... " + part);
     };
-    refuse_point(2e4f, 1, 0, "point 0 is (20000, 1, 1) ... coordinates ... 10000");
+    refuse_point(2e4f, 1, 0, "point 0 ... (20000, 1, 1) ... 10000");
     refuse_point(NAN, 1, 0, "column 'x': row 0 is nan");
-    refuse_point(1.0f, 64, 0, "column 'laser_number': row 0 is 64, expected 0 to 63");
+    refuse_point(1.0f, 64, 0, "column 'laser_number': row 0 ... 64 ... 0 ... 63");
     refuse_point(1.0f, 1, 300000000, "column 'offset_ns': row 0 is 300000000");
-    refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "points ... sweep");
+    refuse(sweep, {test::make_numbers("x", std::vector<float>())}, "sweep");
     refuse(sweep, {test::make_numbers("x", std::vector<float>{1.0f})}, "column 'y' ... column");
     const std::string original = test::read_text(sweep);
     log.expect_error_with(sweep, original.substr(0, original.size() / 2), "truncated");
@@ -266,9 +265,9 @@ TEST(Argoverse2, SaysWhatIsMissing) {
     log.expect_error("sweep_1.feather ... sweep");
     fs::remove(log.sweep(0).parent_path() / "sweep_1.feather");
     fs::remove(log.file("calibration/egovehicle_SE3_sensor.feather"));
-    log.expect_error("calibration/egovehicle_SE3_sensor.feather: no such file");
+    log.expect_error("calibration/egovehicle_SE3_sensor.feather");
     fs::remove(log.file("city_SE3_egovehicle.feather"));
-    log.expect_error("city_SE3_egovehicle.feather: no such file");
+    log.expect_error("city_SE3_egovehicle.feather");
     fs::remove(log.sweep(0));
     log.expect_error("sensors/lidar ... sweeps");
     fs::remove_all(log.file("sensors"));

@@ -21,8 +21,7 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
     EXPECT_THAT(sequence.conventions, test::Names("-42.60 degrees"));
     EXPECT_EQ(sequence.start_unix_ns, 1000 * BoreasFolder::stamp(0));
-    EXPECT_THAT(sequence.notes, testing::ElementsAre(test::Names("labels"),
-                                                     test::Names("128 beams and 360 columns ... fitted"),
+    EXPECT_THAT(sequence.notes, testing::ElementsAre(test::Names("labels"), test::Names("128 beams ... 360"),
                                                      test::Names("intensities ... 0.2")));
     ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
@@ -47,7 +46,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
             if (!calibrated) fs::remove(data.calibration());
             const Log sequence = data.load();
             EXPECT_THAT(sequence.notes,
-                        testing::Contains(test::Names(std::string("angles ... poses ... ") + names[angles])));
+                        testing::Contains(test::Names(std::string("angles ... ") + names[angles])));
             test::expect_truth(data.drive, sequence, kBoreasTolerance);
         }
     }
@@ -91,10 +90,9 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
     const Log sequence = data.load();
     ASSERT_EQ(sequence.frames.size(), 4u);
     EXPECT_EQ(sequence.frames[0].index, 2);
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names(
-                                    "2 of 6 scans ... skipped ... frame 0 ... frame 1 ... lidar_poses.csv")));
-    data.expect_error("lidar_poses.csv ... 0.200 to 39.900 s ... frames 0 to 1 ... 0.000 to 0.100 s",
-                      {.frames = {0, 2}});
+    EXPECT_THAT(sequence.notes,
+                testing::Contains(test::Names("2 of 6 scans ... frame 0 ... frame 1 ... lidar_poses.csv")));
+    data.expect_error("lidar_poses.csv ... 0.200 ... 39.900 s ... 0.000 ... 0.100 s", {.frames = {0, 2}});
     without(2, 3);  // 0.3 s between two poses
     EXPECT_EQ(data.load().frames.size(), 6u);
 }
@@ -109,8 +107,7 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
         data.expect_error_with(file, text.substr(0, at) + test::replace_first(text.substr(at), from, to),
                                parts);
     };
-    with(data.poses(), 3, ",0.0,0.0\n", "\n",
-         "lidar_poses.csv line 3: found 11 cells ... time ... 12 numbers");
+    with(data.poses(), 3, ",0.0,0.0\n", "\n", "lidar_poses.csv line 3 ... 11 ... 12");
     with(data.poses(), 4, ",0.3,", ",x,", "lidar_poses.csv line 4: cell 11 is 'x' ... 1e+08");
     with(data.poses(), 4, ",0.3,", ",nan,", "lidar_poses.csv line 4: cell 11 is 'nan'");
     with(data.poses(), 4, "16064", "t6064", "lidar_poses.csv line 4: found 't606417097728152'");
@@ -118,19 +115,19 @@ TEST(Boreas, SaysWhichFileAndLineIsWrong) {
          "lidar_poses.csv line 5 ... time 1606317097828152 ... 1606417097728152");
     const std::string poses = test::read_text(data.poses()), scan = test::read_text(data.scan(3));
     data.expect_error_with(data.poses(), poses.substr(0, poses.find('\n') + 1), "lidar_poses.csv ... pose");
-    with(data.calibration(), 1, " ", " x", "T_applanix_lidar.txt ... 4 lines of 4 numbers");
-    with(data.calibration(), 4, "0 0 0 1", "", "T_applanix_lidar.txt: found 12 numbers, expected");
+    with(data.calibration(), 1, " ", " x", "T_applanix_lidar.txt ... 4 ... 4");
+    with(data.calibration(), 4, "0 0 0 1", "", "T_applanix_lidar.txt ... 12");
     with(data.calibration(), 1, "0.", "3.", "T_applanix_lidar.txt ... rotation");
     data.expect_error_with(data.scan(3), scan.substr(0, scan.size() - 5), ".bin: ");
-    data.expect_error_with(data.scan(3), "", "0 points, expected 1 to");
+    data.expect_error_with(data.scan(3), "", "0 points");
     test::write_text(data.scan(3), "cut");
     EXPECT_EQ(data.load({.skip_broken = true}).frames.size(), 5u);
-    data.expect_error("1606417097828152.bin: found 3 bytes ... multiple ... 24 bytes");
+    data.expect_error("1606417097828152.bin ... 3 ... 24");
     fs::remove(data.poses());
-    data.expect_error("lidar_poses.csv: no such file ... dataset.poses=FILE");
+    data.expect_error("lidar_poses.csv ... dataset.poses=FILE");
     fs::remove_all(data.folder / "lidar");
     fs::create_directory(data.folder / "lidar");
-    data.expect_error("lidar ... scan");
+    data.expect_error("scan");
 }
 
 }  // namespace

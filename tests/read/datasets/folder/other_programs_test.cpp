@@ -129,7 +129,7 @@ TEST(OtherPrograms, ReadsPosesOfOtherConventions) {
             EXPECT_LT(glm::length(off.translation), 1e-6) << note;
             EXPECT_GT(std::abs(off.rotation.w), 1.0 - 1e-9) << note;
         }
-        const auto named = testing::Contains(test::Names("poses ... read ... " + note));
+        const auto named = testing::Contains(test::Names("poses ... " + note));
         EXPECT_EQ(testing::Value(sequence.notes, named), !note.empty()) << note;
     };
     using Numbers = std::vector<double>;
@@ -307,7 +307,7 @@ TEST(OtherPrograms, TwoReturnsWithoutNumbers) {
                            k == 1 ? R"(, "point_times": "absolute")" : kStamped);
         expect_street(log, 1e-6);
         const Log sequence = log.load();
-        EXPECT_THAT(sequence.notes, testing::Contains(test::Names("two returns ... without numbers")));
+        EXPECT_THAT(sequence.notes, testing::Contains(test::Names("two returns")));
         for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
             const Scan &scan = sequence.frames[f].scan, &truth = log.street.frames[f].scan;
             ASSERT_EQ(scan.second_returns.size(), 1u) << k;
@@ -339,14 +339,14 @@ TEST(OtherPrograms, NpzWithPoints) {
     const float number = 1.0f;
     for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
         write_npz(file, {make_array("depth", {1}, &number, 1)});
-    EXPECT_THAT(test::find_load_error(log.folder.string()),
-                testing::AllOf(test::Names("found the arrays depth; expected ... 'points'"),
-                               testing::Not(testing::HasSubstr("skip_broken"))));
+    EXPECT_THAT(
+        test::find_load_error(log.folder.string()),
+        testing::AllOf(test::Names("depth ... 'points'"), testing::Not(testing::HasSubstr("skip_broken"))));
     const std::vector<float> six(60, 1.0f);
     for (const fs::path& file : fs::directory_iterator(log.folder / "scans"))
         write_npz(file, {make_array("points", {10, 6}, six.data(), six.size())});
     EXPECT_THAT(test::find_load_error(log.folder.string()),
-                testing::AllOf(test::Names("last dimension is 6 ... set \"columns\" in sequence.json"),
+                testing::AllOf(test::Names("dimension ... 6 ... \"columns\" ... sequence.json"),
                                testing::Not(testing::HasSubstr("skip_broken"))));
 }
 
@@ -363,7 +363,7 @@ TEST(OtherPrograms, Float32TimesAndNegativeIntensities) {
                        R"(, "columns": ["x", "y", "z", "intensity", "ring", "time"], "intensity_max": 1,
                            "point_times": "absolute")");
     const Log sequence = log.load();
-    for (const char* note : {"lost their precision", "no times ... azimuths", "negative, down to -0.25"})
+    for (const char* note : {"precision", "azimuths", "-0.25"})
         EXPECT_THAT(sequence.notes, testing::Contains(test::Names(note)));
 }
 
@@ -374,7 +374,7 @@ TEST(OtherPrograms, PointsOfWrongTimeAreSkipped) {
     };
     const PointLog log("late_points", "pcd", late, kStamped);
     const Log sequence = log.load();
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("80 points of 4 scans ... times")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("80 points ... 4")));
     for (const Frame& frame : sequence.frames)
         for (const float t_s : frame.scan.rays.time_offset_s) EXPECT_LT(std::abs(t_s), 0.06f);
 }

@@ -123,14 +123,14 @@ TEST_F(FolderDamage, OfListedFrames) {
                 "relidar_folder_damage ... 1 scans ... missing");
     expect_head(frames(R"({"number": 0, "time_s": 0, "scan": "scans/x.pcd"})"),
                 "x.pcd: no such file ... frame 0", {.allow_missing_scans = false});
-    EXPECT_THAT(complaint("notes.txt", "", {.frames = {7, 9}}), test::Names("frames 7:9 select no"));
+    EXPECT_THAT(complaint("notes.txt", "", {.frames = {7, 9}}), test::Names("frames 7:9"));
 }
 
 TEST_F(FolderDamage, OfPosesAndBoxes) {
-    expect("poses.txt", kMissing, "poses.txt: no such file ... dataset.poses=FILE");
+    expect("poses.txt", kMissing, "poses.txt ... dataset.poses=FILE");
     expect("poses.txt", "", "poses.txt ... pose");
-    expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt: found 1 lines, but frame 1 needs line 2");
-    expect("poses.txt", "1 2 3\n", "poses.txt line 1: found '1 2 3', expected 8 numbers");
+    expect("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "poses.txt ... 1 ... frame 1 ... line 2");
+    expect("poses.txt", "1 2 3\n", "poses.txt line 1 ... '1 2 3' ... 8");
     expect("poses.txt", "0 0 0 0 1 0 0 0\n0 0 0 0 1 0 0 0\n",
            "poses.txt line 2 ... 0 s ... 0 s ... increasing");
     expect("poses.txt", "0 0 0 nan 1 0 0 0\n", "finite");
@@ -140,8 +140,8 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
            "poses.txt line 1: column 'yaw' ... unknown");
     // seconds since 1970 for a folder with "rate_hz", and two wrong units
     expect("poses.txt", "1700000005 0 0 0 1 0 0 0\n1700000006 0 0 0 1 0 0 0\n",
-           "frame 0 is at 0 s ... same clock ... \"frames\" ... \"rate_hz\"");
-    expect("poses.txt", "1700000005000000000 0 0 0 1 0 0 0\n", "time in seconds");
+           "frame 0 ... 0 s ... \"frames\" ... \"rate_hz\"");
+    expect("poses.txt", "1700000005000000000 0 0 0 1 0 0 0\n", "line 1 ... seconds");
     put("poses.txt", "0 0 0 0 1 0 0 0\n0.1 0 0 0 1 0 0 0\n");
     expect_head(replace_first(head, "10", "0.01"), "frames seem to be in milliseconds");
     put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
@@ -149,12 +149,12 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json ... JSON");
     expect("boxes.json", replace_first(good, "\"yaw_deg\": 0", "\"yaw\": 0"),
-           "boxes[0] ... 'yaw' ... track, category, time_s");
+           "boxes[0] ... 'yaw' ... time_s");
     expect("boxes.json",
            replace_first(good, "\"yaw_deg\": 0", "\"yaw_deg\": 0, \"quaternion\": [1, 0, 0, 0]"),
-           "boxes[0] ... both \"yaw_deg\" and \"quaternion\"");
+           "boxes[0] ... \"yaw_deg\" ... \"quaternion\"");
     expect("boxes.json", replace_first(good, "[4, 2, 1]", "[4, 2, 0]"), "box 'a' ... size 4 x 2 x 0 m");
-    expect("boxes.json", replace_first(good, "\"time_s\": 0", "\"frame\": 9"), "frame ... 9 ... frame");
+    expect("boxes.json", replace_first(good, "\"time_s\": 0", "\"frame\": 9"), "9 ... frame");
 }
 
 TEST_F(FolderDamage, OfPointFiles) {
@@ -162,14 +162,14 @@ TEST_F(FolderDamage, OfPointFiles) {
     expect("scans/a.pcd", "", "a.pcd ... DATA ... missing");
     expect("scans/a.pcd", good.substr(0, good.size() - 1), "a.pcd ... truncated");
     expect("scans/a.pcd", replace_first(good, "POINTS 1440", "POINTS 999999999"),
-           "a.pcd: found 999999999 points, expected 1 to");
-    expect("scans/a.pcd", replace_first(good, "POINTS 1440", "POINTS 0"), "a.pcd: found 0 points");
+           "a.pcd ... 999999999 ... 1");
+    expect("scans/a.pcd", replace_first(good, "POINTS 1440", "POINTS 0"), "a.pcd ... 0 points");
     expect("scans/a.pcd", replace_first(good, "POINTS 1440", "POINTS -3"), "POINTS '-3' ... whole");
     expect("scans/a.pcd", replace_first(good, "SIZE 4 4 4", "SIZE 4 4"), "7 FIELDS, 6 SIZE");
     expect("scans/a.pcd", replace_first(good, "SIZE 4 4 4", "SIZE 3 4 4"), "'x' ... F3");
     expect("scans/a.pcd", replace_first(good, "COUNT 1", "COUNT 0"), "COUNT ... 'x' ... 0");
     expect("scans/a.pcd", replace_first(good, "FIELDS x y z", "FIELDS x y y"), "field 'y' ... twice");
-    expect("scans/a.pcd", replace_first(good, "FIELDS x y z", "FIELDS x y w"), "field z ... missing");
+    expect("scans/a.pcd", replace_first(good, "FIELDS x y z", "FIELDS x y w"), "field z");
     expect("scans/a.pcd", replace_first(good, "DATA binary", "DATA packed"), "DATA 'packed'");
     const std::string packed = test::make_pcd_compressed(points);
     expect("scans/b.pcd", packed.substr(0, packed.size() - 5), "compressed");
@@ -177,7 +177,7 @@ TEST_F(FolderDamage, OfPointFiles) {
     for (std::size_t at = other.size() - 40; at < other.size(); ++at) other[at] = char(0xFF);
     expect("scans/b.pcd", other, "damaged");
     const std::string text = test::make_pcd_text(points);
-    expect("scans/a.pcd", text.substr(0, text.size() / 2), "a.pcd: point ... expected 9");
+    expect("scans/a.pcd", text.substr(0, text.size() / 2), "a.pcd ... point ... 9");
     const std::string ply = test::make_ply_binary(points);
     fs::remove(folder / "scans/a.pcd");
     expect("scans/a.ply", ply.substr(0, ply.size() - 1), "a.ply ... truncated");
@@ -187,8 +187,8 @@ TEST_F(FolderDamage, OfPointFiles) {
            "'element vertex N' ... first");
     expect("scans/a.ply", replace_first(ply, "property ushort", "property list ushort"),
            "'ushort' ... 'list'");
-    expect("scans/a.bin", std::string(15, 'x'), "a.bin: found 15 bytes ... multiple ... 16");
-    expect("scans/a.bin", "", "a.bin: found 0 points");
+    expect("scans/a.bin", std::string(15, 'x'), "a.bin ... 15 ... 16");
+    expect("scans/a.bin", "", "a.bin ... 0 points");
     expect("scans/a.npy", test::npy(points), "a.npy ... 2 ... 6 ... [points, 4]");
     expect("scans/a.npy", "x", "a.npy");
     expect("scans/a.npz", "x", "a.npz");
@@ -223,15 +223,15 @@ TEST_F(FolderDamage, TimesInWrongUnitAreNoted) {
         }
         return load_notes();
     };
-    EXPECT_THAT(notes_of(1.0), testing::Not(test::Names("times of the points are probably wrong")));
-    EXPECT_THAT(notes_of(1000.0), test::Names("times of the points are probably wrong ... 0.1 s"));
+    EXPECT_THAT(notes_of(1.0), testing::Not(test::Names("span")));
+    EXPECT_THAT(notes_of(1000.0), test::Names("span ... 0.1 s"));
     EXPECT_THAT(notes_of(1e60), test::Names("span 0 s")) << "all times are equal";
     // The times have the right unit, but a different zero than the scans.
     notes_of(1.0);
     for (test::FilePoint& point : points) point.time_s += 5.0;
     put("scans/a.pcd", test::make_pcd_binary(points));
     put("scans/b.pcd", test::make_pcd_binary(points));
-    EXPECT_THAT(load_notes(), test::Names("times of the points are probably wrong ... differ by up to 5"));
+    EXPECT_THAT(load_notes(), test::Names("times ... 5"));
 }
 
 TEST_F(FolderDamage, PosesMayBeSeparatedByCommas) {
@@ -257,23 +257,22 @@ TEST_F(FolderDamage, PoseTimesInWrongUnitAreNoted) {
                                               2.0 * step_s));
         return load_notes();
     };
-    EXPECT_THAT(notes_of(0.1), testing::Not(test::Names("poses are ... apart")));
+    EXPECT_THAT(notes_of(0.1), testing::Not(test::Names("apart")));
     for (const char* header : {"", "# time_s x y z qw qx qy qz\n"})
-        EXPECT_THAT(notes_of(100.0, header), test::Names("poses are 100 s apart, but scans are 0.1 s apart"));
+        EXPECT_THAT(notes_of(100.0, header), test::Names("100 s apart ... 0.1 s"));
 }
 
 TEST_F(FolderDamage, DamagedPosesThatAreNotUsedAreNoError) {
     put("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n");
     const Log log = load({.poses_file = kNoPoses});
     EXPECT_EQ(log.frames.size(), 2u);
-    EXPECT_THAT(test::join_lines(log.notes),
-                test::Names("poses.txt: found 1 lines ... boxes ... wrong places"));
+    EXPECT_THAT(test::join_lines(log.notes), test::Names("poses.txt ... 1 ... boxes"));
 }
 
 TEST_F(FolderDamage, FilesBesideTheScans) {
     put("scans/._a.pcd", "a file of another operating system");
     EXPECT_EQ(load().frames.size(), 2u);
-    expect("scans/a.ply", test::make_ply_binary(points), "a.ply: the scan a.pcd has the same name");
+    expect("scans/a.ply", test::make_ply_binary(points), "a.ply ... a.pcd");
 }
 
 TEST_F(FolderDamage, MissingScansAreNoted) {
@@ -288,10 +287,10 @@ TEST_F(FolderDamage, MissingScansAreNoted) {
         put("poses.txt", poses);
         return load_notes();
     };
-    EXPECT_THAT(notes_of({0, 1, 3}), test::Names("no scan was found between 000001 and 000003"));
-    EXPECT_THAT(notes_of({0, 2, 3}), test::Names("no scan was found between 000000 and 000002"));
-    EXPECT_THAT(notes_of({0, 5, 10}), testing::Not(test::Names("no scan was found")));
-    EXPECT_THAT(notes_of({100, 199, 301}), testing::Not(test::Names("no scan was found")));
+    EXPECT_THAT(notes_of({0, 1, 3}), test::Names("between 000001 ... 000003"));
+    EXPECT_THAT(notes_of({0, 2, 3}), test::Names("between 000000 ... 000002"));
+    EXPECT_THAT(notes_of({0, 5, 10}), testing::Not(test::Names("between")));
+    EXPECT_THAT(notes_of({100, 199, 301}), testing::Not(test::Names("between")));
 }
 
 TEST_F(FolderDamage, OfValues) {
@@ -303,18 +302,18 @@ TEST_F(FolderDamage, OfValues) {
     expect("scans/a.pcd", changed([](auto& p) { p.point_m.y = 1e7f; }), "a.pcd: point 7 is (");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = NAN; }), "a.pcd: point 7 ... time nan");
     expect("scans/a.pcd", changed([](auto& p) { p.time_s = 1e9; }),
-           "\"time_unit\" and \"point_times\" in sequence.json");
+           "\"time_unit\" ... \"point_times\" ... sequence.json");
     expect("scans/a.pcd", changed([](auto& p) { p.ring = 65535; }), "a.pcd: point 7 ... ring ... 65535");
     expect_head(replace_first(head, "\"intensity_max\": 255, ", ""),
                 "intensity ... 51 ... 0 to 1 ... \"intensity_max\"");
     expect("sequence.json",
            with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}], \"columns\": 8}}]"),
-           "number ... 1 beams");
+           "1 beams");
     for (test::FilePoint& p : points) {
         p.ring = 0;
         p.point_m = {5.0f, 0.0f, 0.0f};
     }
-    expect("scans/a.pcd", test::make_pcd_binary(points), "use \"spins\": false in sequence.json");
+    expect("scans/a.pcd", test::make_pcd_binary(points), "\"spins\" ... sequence.json");
 }
 
 }  // namespace

@@ -123,14 +123,14 @@ TEST(Kitti360, FramesWithoutAPose) {
     kitti.write_poses({2345, 2351});  // six frames apart; half a second is five frames
     log = kitti.load();
     ASSERT_EQ(log.frames.size(), 1u);
-    EXPECT_THAT(log.notes, Contains(Names("skipped ... pose ... 2350, 2352")));
+    EXPECT_THAT(log.notes, Contains(Names("pose ... 2350, 2352")));
     // Makes a long gap between poses during which the car does not move.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
     write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
     EXPECT_EQ(kitti.load().frames.size(), 3u);
     kitti.write_poses({100, 200});
-    kitti.expect_error("frames 2350 to 2352 ... pose ... 100 and 200");
+    kitti.expect_error("frames 2350 ... 2352 ... pose ... 100 ... 200");
 }
 
 TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
@@ -149,7 +149,7 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_EQ(mine.world_offset_m, glm::dvec3(2351, 0, 0));
     EXPECT_LT(glm::distance(mine.boxes[0].world_from_box.pose[2].translation, glm::dvec3(10.5, 0, 0)), 1e-6);
     fs::remove_all(kitti.folder / "data_poses");
-    EXPECT_THAT(kitti.load(options).notes, Contains(Names("data_poses ... missing ... boxes")));
+    EXPECT_THAT(kitti.load(options).notes, Contains(Names("data_poses ... boxes")));
     EXPECT_TRUE(kitti.load(options).boxes.empty());
 }
 
@@ -180,7 +180,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_EQ(log.boxes[1].category, "person");
     EXPECT_EQ(log.boxes[1].world_from_box.pose.size(), 2u);
     fs::remove_all(kitti.folder / "data_3d_bboxes");
-    EXPECT_THAT(kitti.load().notes, Contains(Names("data_3d_bboxes ... missing ... labels")));
+    EXPECT_THAT(kitti.load().notes, Contains(Names("data_3d_bboxes ... labels")));
 }
 
 TEST(Kitti360, SaysWhichFileIsWrong) {
@@ -189,18 +189,17 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
     const auto expect = [&](const fs::path& file, const std::string& text, const std::string& parts) {
         kitti.expect_error_with(file, text, parts);
     };
-    expect(kitti.poses(), "", "poses.txt ... empty ... 12 numbers");
+    expect(kitti.poses(), "", "poses.txt ... empty");
     expect(kitti.poses(), line.substr(0, line.size() / 2), "poses.txt line 1: ");
-    expect(kitti.poses(), line + line, "poses.txt line 2 ... frame '2350' after 2350 ... increasing");
+    expect(kitti.poses(), line + line, "poses.txt line 2 ... frame '2350' ... 2350");
     expect(kitti.poses(), "x" + line, "poses.txt line 1 ... frame 'x2350'");
     expect(kitti.poses(), "2350 1 0 0 nan 0 1 0 0 0 0 1 0\n", "poses.txt line 1: number 4 is nan");
     expect(kitti.poses(), "2350 1 0 0 0 0 1 0 0 0 0 2 0\n", "poses.txt line 1 ... rotation");
     expect(kitti.calibration("calib_cam_to_pose.txt"), "image_01: 1\n",
-           "calib_cam_to_pose.txt: the line 'image_00:' ... missing");
+           "calib_cam_to_pose.txt ... line 'image_00:'");
     expect(kitti.calibration("calib_cam_to_velo.txt"), "1 0 0 0\n",
-           "calib_cam_to_velo.txt line 1: found 4 numbers, expected 12");
-    expect(kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n",
-           "timestamps.txt ... consecutive ... one line with a time for each sweep");
+           "calib_cam_to_velo.txt line 1 ... 4 ... 12");
+    expect(kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n", "timestamps.txt ... sweep");
     expect(kitti.raw() / "timestamps.txt", "2013-05-28 08:46:02.9\n2013-05-28 08:47:02.9\n",
            "sweep ... 60 s");
     expect(kitti.scan(2351), "", "0000002351.bin ... empty");
@@ -219,22 +218,22 @@ TEST(Kitti360, SaysWhichBoxIsWrong) {
     expect("</opencv_storage>", "", ".xml ... malformed");
     expect("<semanticId>13</semanticId>", "<semanticId>x</semanticId>", "object0: semanticId is 'x'");
     expect("<instanceId>5</instanceId>", "<instanceId>5e9</instanceId>", "object0: instanceId is '5e9'");
-    expect("<timestamp>-1</timestamp>", "<timestamp>1.5</timestamp>", "object3: timestamp is '1.5'");
+    expect("<timestamp>-1</timestamp>", "<timestamp>1.5</timestamp>", "object3: timestamp ... '1.5'");
     expect("<start_frame>2351</start_frame>", "", "object3: start_frame is ''");
-    expect("<rows>4</rows>", "<rows>400000000</rows>", "object0: transform: rows is '400000000'");
-    expect("<cols>4</cols>", "<cols>3</cols>", "object0 ... 4 rows ... 3 columns ... 16 numbers");
-    expect("e+00 ", "e+00 nan ", "object0 ... 4 rows ... 4 columns ... 17 numbers");
+    expect("<rows>4</rows>", "<rows>400000000</rows>", "object0 ... rows ... '400000000'");
+    expect("<cols>4</cols>", "<cols>3</cols>", "object0 ... 4 ... 3 ... 16");
+    expect("e+00 ", "e+00 nan ", "object0 ... 4 ... 4 ... 17");
     expect("e+00 ", "e+99 ", "object0: number 1 ... transform ... ");
     expect("<semanticId>13</semanticId>\n  <instanceId>7", "<semanticId>14</semanticId>\n  <instanceId>-995",
-           "object3 ... truck ... 13005 ... car");
+           "object3 ... truck ... 13005");
     write_text(kitti.boxes(), "<html/>");
-    kitti.expect_error_with(kitti.boxes(), "<html/>", ".xml: the element opencv_storage ... missing");
+    kitti.expect_error_with(kitti.boxes(), "<html/>", "opencv_storage");
     const glm::dmat4 sheared{{2, 0, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}};
     const auto one = [](const glm::dmat4& matrix) {
         return test::make_boxes_xml(
             test::make_object_xml(0, test::make_object_fields("bus", 34, 1, 2351, 0, 0), matrix));
     };
-    kitti.expect_error_with(kitti.boxes(), one(sheared), "object0: transform ... rotation");
+    kitti.expect_error_with(kitti.boxes(), one(sheared), "object0 ... rotation");
     kitti.expect_error_with(kitti.boxes(), one(glm::dmat4(0.0)), "object0: ... transform ... 0 x 0 x 0 m");
 }
 

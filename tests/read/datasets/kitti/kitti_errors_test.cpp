@@ -22,15 +22,15 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     EXPECT_THROW(load_sequence("/nowhere/drive", {}), DataError);
     EXPECT_THROW(load_sequence("kitti_raw:/nowhere/drive", {}), DataError);
     fs::remove(drive.file("oxts/data/0000000001.txt"));
-    drive.expect_error("oxts/data/0000000001.txt: no such file");
+    drive.expect_error("oxts/data/0000000001.txt");
     fs::remove_all(drive.file("oxts"));
-    drive.expect_error("oxts/data: the OXTS files ... dataset.poses=FILE ... dataset.poses=none");
+    drive.expect_error("oxts/data ... OXTS ... dataset.poses=FILE ... dataset.poses=none");
     write_text(drive.file("oxts/data/nan.txt"), "");  // belongs to no frame
-    drive.expect_error("oxts/data: the OXTS files");
+    drive.expect_error("oxts/data ... OXTS");
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
-    drive.expect_error("timestamps_end.txt: no such file ... copy the file");
+    drive.expect_error("timestamps_end.txt");
     fs::remove_all(drive.file("velodyne_points/data"));
-    drive.expect_error("velodyne_points/data: no such folder ... expected KITTI raw scans");
+    drive.expect_error("velodyne_points/data ... KITTI");
     fs::create_directories(drive.file("velodyne_points/data"));
     drive.expect_error("velodyne_points/data ... scans");
 }
@@ -38,21 +38,20 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
 TEST(KittiErrors, MissingCalibration) {
     const KittiDrive drive("uncalibrated");
     fs::remove(drive.calibration());
-    drive.expect_error("calib_imu_to_velo.txt: no such file ... 2011_12_31_calib ... dataset.poses");
+    drive.expect_error("calib_imu_to_velo.txt ... 2011_12_31_calib ... dataset.poses");
 }
 
 TEST(KittiErrors, NumbersOfScans) {
     const KittiDrive drive("numbers");
     write_text(drive.file("velodyne_points/data/2147483646.bin"), "");
-    drive.expect_error("2147483646.bin ... number ... below 100000000");
+    drive.expect_error("2147483646.bin ... 100000000");
     fs::rename(drive.file("velodyne_points/data/2147483646.bin"),
                drive.file("velodyne_points/data/9999999999.bin"));
     drive.expect_error("9999999999.bin ... number");
     fs::rename(drive.file("velodyne_points/data/9999999999.bin"),
                drive.file("velodyne_points/data/0099999999.bin"));
-    drive.expect_error("timestamps.txt: found 3 lines, but frame 99999999 needs line 100000000");
-    drive.expect_error("99999996 ... 0 to 99999999 ... missing (3, 4, 5, 6, 7, ...)",
-                       {.allow_missing_scans = false});
+    drive.expect_error("timestamps.txt ... 3 ... frame 99999999 ... line 100000000");
+    drive.expect_error("99999996 ... 99999999 ... (3, 4, 5, 6, 7, ...)", {.allow_missing_scans = false});
 }
 
 TEST(KittiErrors, FoldersThatAreNoDrive) {
@@ -67,7 +66,7 @@ TEST(KittiErrors, FoldersThatAreNoDrive) {
     const fs::path odometry = drive.folder.parent_path().parent_path() / "dataset/sequences/00";
     write_text(odometry / "velodyne/000000.bin", "");
     write_text(odometry / "times.txt", "0\n");
-    expect(odometry, "sequences/00 ... KITTI odometry ... motion-compensated ... KITTI raw");
+    expect(odometry, "sequences/00 ... KITTI ... motion-compensated ... KITTI");
     expect(odometry.parent_path().parent_path(), "KITTI odometry");
     for (int frame = 0; frame < 3; ++frame)
         fs::rename(drive.scan(frame), drive.scan(frame).replace_extension("txt"));
@@ -84,15 +83,14 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
     drive.expect_error("poses.txt ... frames 0 and 1 ... 200000 m", options);
     const fs::path oxts = drive.file("oxts/data/0000000002.txt");
     write_text(oxts, read_text(oxts).replace(read_text(oxts).find("100.5"), 5, "1e308"));
-    drive.expect_error("oxts/data ... pose of frame 2 ... (");
+    drive.expect_error("oxts/data ... frame 2 ... (");
 }
 
 TEST(KittiErrors, ScanErrorCollector) {
     const KittiDrive drive("scans");
     const std::string original = read_text(drive.scan(1));
     write_text(drive.scan(1), original.substr(0, 100));
-    drive.expect_error(
-        "0000000001.bin ... truncated ... 100 bytes ... 6 points of 16 bytes ... 4 more bytes");
+    drive.expect_error("0000000001.bin ... 100 ... 6 ... 16 ... 4");
     write_text(drive.scan(1), "");
     drive.expect_error("0000000001.bin ... empty");
     std::string bad = original;
@@ -126,7 +124,7 @@ std::string make_even_scan(double step_rad, int n_a_ring) {
 TEST(KittiErrors, AzimuthStepsOfNoSensor) {
     const KittiDrive drive("steps");
     for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), make_even_scan(2e-5, 1000));
-    drive.expect_error("velodyne_points/data ... azimuths ... degrees ... 8192 firings");
+    drive.expect_error("velodyne_points/data ... azimuths ... 8192");
 }
 
 TEST(KittiErrors, Timestamps) {
@@ -134,7 +132,7 @@ TEST(KittiErrors, Timestamps) {
     const auto file = drive.file("velodyne_points/timestamps.txt");
     const std::string original = read_text(file);
     write_text(file, original.substr(0, original.find('\n') + 1));
-    drive.expect_error("timestamps.txt: found 1 lines, but frame 1 needs line 2");
+    drive.expect_error("timestamps.txt ... 1 ... frame 1 ... line 2");
     write_text(file, "2011-13-31 23:59:10.0\n");
     drive.expect_error("timestamps.txt line 1 ... 2011-13-31 ... expected YYYY-MM-DD");
     write_text(file, "9999-01-01 00:00:00.0\n");  // nanoseconds overflow 64 bits
@@ -158,8 +156,8 @@ TEST(KittiErrors, Calibration) {
         drive.expect_error_with(drive.calibration(), text, parts);
     };
     expect("T: 0 0 0\n", "calib_imu_to_velo.txt ... 'R:' ... missing");
-    expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", "calib_imu_to_velo.txt key R: found 8 numbers, expected 9");
-    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", "calib_imu_to_velo.txt ... rotation ... orthonormal");
+    expect("R: 1 0 0 0 1 0 0 0\nT: 0 0 0\n", "calib_imu_to_velo.txt key R ... 8 ... 9");
+    expect("R: 1 0 0 0 1 0 0 0 1.01\nT: 0 0 0\n", "calib_imu_to_velo.txt ... rotation");
     expect("R: 1 0 0 0 1 0 0 0 -1\nT: 0 0 0\n", "rotation");
     expect("R: 1 0 0 0 1 0 0 0 1\nT: 0 nan 0\n", "key T: number 2 is nan");
 }
@@ -171,8 +169,8 @@ TEST(KittiErrors, PosesFile) {
         write_text(drive.file("poses.txt"), text);
         drive.expect_error(parts, {.poses_file = drive.file("poses.txt")});
     };
-    expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, "poses.txt line 2: found 11 numbers, expected 12");
-    expect(good + good, "poses.txt: found 2 lines, but frame 2 needs line 3");
+    expect(good + "1 0 0 0 0 1 0 0 0 0 1\n" + good, "poses.txt line 2 ... 11 ... 12");
+    expect(good + good, "poses.txt ... 2 ... frame 2 ... line 3");
     expect(good + good + "1 0.1 0 0 0 1 0 0 0 0 1 0\n", "poses.txt line 3 ... rotation");
     expect("1 0 0 x 0 1 0 0 0 0 1 0\n", "poses.txt line 1 ... number");
 }
@@ -194,13 +192,12 @@ TEST(KittiErrors, Tracklets) {
     expect("</tracklets>", "", "tracklet_labels.xml ... malformed");
     expect("<h>2</h>", "<h>0</h>", "tracklet_labels.xml: track 0 ... lengths ... 0");
     expect("<l>4.4</l>", "<l>nan</l>", "tracklet_labels.xml: track 0: l ... 'nan'");
-    expect("<tx>11</tx>", "<tx>inf</tx>", "track 0 frame 2: tx is 'inf'");
+    expect("<tx>11</tx>", "<tx>inf</tx>", "track 0 frame 2: tx ... 'inf'");
     expect("<w>1.8</w>", "", "track 0: w ... ''");
     expect("<first_frame>1</first_frame>", "<first_frame>1e300</first_frame>",
            "track 0: first_frame is '1e300'");
     expect("<tx>11</tx>", "<tx>" + std::string(1 << 16, '1') + "</tx>", "track 0 frame 2: tx ... ...'");
-    drive.expect_error_with(file, "<html/>",
-                            "tracklet_labels.xml: the element boost_serialization/tracklets ... missing");
+    drive.expect_error_with(file, "<html/>", "tracklet_labels.xml ... boost_serialization/tracklets");
 }
 
 TEST(Registry, KindsAreRecognisedAndNamed) {

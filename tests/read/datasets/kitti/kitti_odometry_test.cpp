@@ -113,7 +113,7 @@ TEST(KittiOdometry, ReadsTheClassesOfSemanticKitti) {
 TEST(KittiOdometry, RefusesAnotherNumberOfLabels) {
     const Odometry odometry("odometry_short_labels");
     test::write_text(odometry.folder / "labels/000001.label", "12345678");
-    EXPECT_THAT(test::find_load_error(odometry.folder.string()), test::Names("000001.label has 8 bytes"));
+    EXPECT_THAT(test::find_load_error(odometry.folder.string()), test::Names("000001.label ... 8"));
 }
 
 TEST(KittiOdometry, SaysWhichFileIsWrong) {
@@ -121,14 +121,15 @@ TEST(KittiOdometry, SaysWhichFileIsWrong) {
     const auto expect = [&](const fs::path& file, const std::string& text, const std::string& part) {
         odometry.expect_error_with(file, text, part);
     };
-    expect(odometry.folder / "times.txt", "0\n0.1\n", "times.txt: found 2 lines, but frame 2 needs line 3");
-    expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2: found 'x' ... time");
+    expect(odometry.folder / "times.txt", "0\n0.1\n", "times.txt ... 2 ... frame 2 ... 3");
+    expect(odometry.folder / "times.txt", "0\nx\n0.2\n", "times.txt line 2 ... 'x' ... time");
     expect(odometry.folder / "times.txt", "0\n0.2\n0.1\n", "frame 2 ... 0.1 s ... 0.2 s");
     expect(odometry.folder / "calib.txt", "P0: 1\n", "calib.txt ... 'Tr:' ... missing");
-    expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt key Tr: found 3 numbers, expected 12");
-    expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt ... Tr ... rotation");
+    expect(odometry.folder / "calib.txt", "Tr: 1 0 0\n", "calib.txt ... Tr ... 3 ... 12");
+    expect(odometry.folder / "calib.txt", "Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "calib.txt ... rotation");
     fs::remove(odometry.poses());
-    expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"), "exists ... poses");
+    expect(odometry.folder / "times.txt", test::read_text(odometry.folder / "times.txt"),
+           "dataset.poses=FILE");
 }
 
 }  // namespace

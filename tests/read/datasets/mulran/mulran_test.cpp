@@ -24,9 +24,9 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(sequence.start_unix_ns, MulranFolder::stamp(0)) << "of the skipped scan";
     ASSERT_EQ(sequence.frames.size(), 3u);
     EXPECT_EQ(sequence.frames[0].index, 1);
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names(
-                                    "1 of 4 scans ... skipped ... frame 0 ... frame 0 ... global_pose.csv")));
-    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("64 beams and 1024 columns ... fitted")));
+    EXPECT_THAT(sequence.notes,
+                testing::Contains(test::Names("1 of 4 scans ... frame 0 ... frame 0 ... global_pose.csv")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("64 beams ... 1024")));
     const Lidar& lidar = sequence.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
@@ -51,7 +51,7 @@ TEST(Mulran, FramesAndOtherPoses) {
     const Log one = data.load({.frames = {2, 3}});
     ASSERT_EQ(one.frames.size(), 1u);
     EXPECT_NEAR(one.frames[0].time_s, 0.2, 1e-9) << "after the log's first scan";
-    data.expect_error("global_pose.csv ... 0.046 to 0.356 s ... frames 0 to 0", {.frames = {0, 1}});
+    data.expect_error("global_pose.csv ... 0.046 ... 0.356 s", {.frames = {0, 1}});
     EXPECT_EQ(data.load({.poses_file = kNoPoses}).frames.size(), 4u);
     test::write_text(data.folder / "mine.txt",
                      "1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n1 0 0 7 0 1 0 0 0 0 1 0\n"
@@ -80,8 +80,7 @@ TEST(Mulran, BrightPointsAreCut) {
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
     const Log sequence = data.load();
-    EXPECT_THAT(sequence.notes,
-                testing::Contains(test::Names("intensities ... 6000 ... 200 ... 99.5th percentile")));
+    EXPECT_THAT(sequence.notes, testing::Contains(test::Names("6000 ... 200 ... 99.5th")));
 }
 
 TEST(Mulran, SaysWhichFileAndLineIsWrong) {
@@ -93,24 +92,24 @@ TEST(Mulran, SaysWhichFileAndLineIsWrong) {
         data.expect_error_with(data.poses(), std::string(good).replace(at, good.find('\n', at) - at, text),
                                parts);
     };
-    with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2: found 4 cells ... time ... 12 numbers");
+    with(2, "1561000444446857630,1,0,0", "global_pose.csv line 2 ... 4 ... 12");
     with(2, "1561000444446857631,1,0,0,0,0,1,0,0,0,0,x,0", "global_pose.csv line 2: cell 12 is 'x'");
     with(3, "1561000444456857631,2,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... rotation");
     with(3, "5,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... time 5 ... 1561000444446857630");
-    with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3: found 'x' ... time");
+    with(3, "x,1,0,0,0,0,1,0,0,0,0,1,0", "global_pose.csv line 3 ... 'x'");
     const std::string bytes = test::read_text(data.scan(2)), first = test::read_text(data.scan(1));
     data.expect_error_with(data.scan(1),
                            std::string(first).erase(16 * 30000, 160) + first.substr(16 * 30000, 160),
-                           "degrees ... 1 ... sorted");
+                           "degrees ... 1");
     data.expect_error_with(data.scan(2), bytes.substr(0, 1600),
                            fmt::format("{}.bin has 100 points, expected 64 x 1024", MulranFolder::stamp(2)));
     test::write_text(data.scan(2), bytes.substr(0, 1601));
-    data.expect_error("1601 bytes ... multiple ... 16");
+    data.expect_error("1601 ... 16");
     EXPECT_EQ(data.load({.skip_broken = true}).frames.size(), 2u);
     fs::remove(data.poses());
-    data.expect_error("global_pose.csv: no such file");
+    data.expect_error("global_pose.csv");
     fs::remove_all(data.folder / "Ouster");
-    data.expect_error("neither Ouster/ nor sensor_data/Ouster/");
+    data.expect_error("Ouster/ ... sensor_data/Ouster/");
 }
 
 }  // namespace

@@ -113,7 +113,7 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     const NuscenesFolder data("bad_lidarseg", 40);
     write_categories(data);
     const fs::path file = data.folder / "lidarseg/v1.0-mini/10_lidarseg.bin";
-    data.expect_error_with(file, "123", "10_lidarseg.bin has 3 bytes ... 1280 points", kScene);
+    data.expect_error_with(file, "123", "10_lidarseg.bin ... 3 bytes ... 1280", kScene);
     fs::remove(file);
     const Log log = load(data);
     EXPECT_THAT(log.notes,
@@ -122,7 +122,7 @@ TEST(Nuscenes, RefusesDamagedLabelsOfPoints) {
     EXPECT_FALSE(log.frames[0].scan.classes.empty());
     test::write_text(data.table("category"),
                      R"([{"token": "vehicle", "name": "vehicle.car", "index": 256}])");
-    data.expect_error("key 'index': found 256 for the category 'vehicle.car', expected 0 to 255", kScene);
+    data.expect_error("key 'index' ... 256 ... 'vehicle.car' ... 0 ... 255", kScene);
 }
 
 TEST(Nuscenes, TablesOfT4) {
@@ -177,7 +177,7 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
         inverse(NuscenesFolder::compute_vehicle_pose(0.2)) * NuscenesFolder::box_at(0.2).translation;
     EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, box_in_vehicle_m), 1e-8);
     test::write_text(data.table("sample_annotation"), "[]");
-    EXPECT_THAT(load(data).notes, testing::Contains(test::Names("annotations ... labels")));
+    EXPECT_THAT(load(data).notes, testing::Contains(test::Names("annotations")));
 }
 
 TEST(Nuscenes, KeyframesAlone) {
@@ -218,25 +218,22 @@ TEST(Nuscenes, SaysWhichRecordIsWrong) {
         data.expect_error_with(file, test::replace_first(test::read_text(file), from, to),
                                table + ".json ... " + part, kScene);
     };
-    expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name': expected text");
+    expect("scene", "\"name\"", "\"nome\"", "record 0, key 'name'");
     expect("sample_data", "\"timestamp\": 1533", "\"timestamp\": true, \"was\": 1533",
            "key 'timestamp' ... number");
-    expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1",
-           "key 'is_key_frame': expected true or false");
-    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': found 'd99' after 5 files");
+    expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1", "key 'is_key_frame'");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next' ... 'd99' ... 5");
     expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "increasing");
-    expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': found 'gone' after 11 files");
+    expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next' ... 'gone' ... 11");
     expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel' ... LIDAR_");
     expect("sample_data", "turn_0.pcd.bin", "turn_0.las", "'samples/LIDAR_TOP/turn_0.las'");
     expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733", "0.1 s");
-    expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ",
-           "key 'rotation': expected 4 numbers");
+    expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ", "key 'rotation' ... 4");
     expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7",
            "key 'rotation' ... quaternion ... 1");
     expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"",
            "'e5' ... missing ... sweeps/LIDAR_TOP/turn_5.pcd.bin");
-    expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ",
-           "key 'translation': expected 3 numbers");
+    expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ", "key 'translation' ... 3");
     expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size': found 1.9 x -4.5 x 1.6");
     expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"", "'car' ... category");
     expect("sample", "[\n", "x", "'x' ... objects");
@@ -259,13 +256,13 @@ TEST(Nuscenes, SaysWhichFileIsWrong) {
         std::memcpy(bytes.data() + 20 * point + 4 * field, &value, 4);
         return bytes;
     };
-    expect("", "0 bytes ... 32 points ... 20 bytes");
-    expect(good.substr(0, good.size() - 20), "25580 bytes ... 32 points");
+    expect("", "0 bytes ... 32 ... 20");
+    expect(good.substr(0, good.size() - 20), "25580 bytes ... 32");
     expect(with(7, 1, NAN), "point 7 is (");
     expect(with(7, 2, 2e4f), "point 7 is (");
     expect(with(7, 3, INFINITY), "point 7 is (");
-    expect(with(7, 4, 32.0f), "point 7 has ring 32, expected 0 to 31");
-    expect(with(7, 4, 0.5f), "point 7 has ring 0.5, expected 0 to 31");
+    expect(with(7, 4, 32.0f), "point 7 ... ring 32 ... 31");
+    expect(with(7, 4, 0.5f), "point 7 ... ring 0.5 ... 31");
     expect(std::string(640, '\0'), "points ... 1 m");
     fs::remove(data.sweep(4));
     EXPECT_THROW(load(data), DataError);

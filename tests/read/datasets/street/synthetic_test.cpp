@@ -183,7 +183,7 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
     const fs::path& folder = files.folder;
     fs::create_directories(folder);
     std::ofstream(folder / "street.toml") << "n_frames = 10000\nrows = 256\ncolumns = 8192\n";
-    files.expect_error("street.toml: synthetic street: 10000 frames with 2097152 rays have 2.1e+10 rays");
+    files.expect_error("street.toml ... 10000 ... 2097152 ... 2.1e+10");
     EXPECT_EQ(files.load({.frames = {0, 1}}).frames.size(), 1u);
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
@@ -279,9 +279,9 @@ TEST(SyntheticRig, IsSavedByItsFileAndLidarsAreChosenByName) {
     ASSERT_EQ(two.frames.size(), 8u);
     EXPECT_EQ(two.frames[1].scan.range_m, all.frames[3].scan.range_m);
     EXPECT_EQ(two.world_from_vehicle.time_s, all.world_from_vehicle.time_s);
-    EXPECT_THAT(two.notes, testing::Contains(Names("LiDARs ... read: top, flower")));
+    EXPECT_THAT(two.notes, testing::Contains(Names("top, flower")));
     EXPECT_THAT(test::find_load_error(folder.string(), {.lidars = {"top", "roof"}}),
-                Names("lidar ... \"roof\" ... top, front, flower, wide"));
+                Names("\"roof\" ... top, front, flower, wide"));
     std::ofstream(folder / "street.toml") << "rig = \"street.toml\"\n";
     files.expect_error("rig");
 }
@@ -391,7 +391,7 @@ TEST(Synthetic, WrongFilesAreNamed) {
         return test::find_load_error(folder.string());
     };
     EXPECT_THAT(message("row = 16\n"), Names("street.toml line 1: unknown key 'row' ... 'rows'"));
-    EXPECT_THAT(message("rows = 1\n"), Names("rows is 1, expected 2 to 256"));
+    EXPECT_THAT(message("rows = 1\n"), Names("rows ... 1 ... 2 ... 256"));
     EXPECT_THAT(message("range_noise_m = nan\n"), Names("range_noise_m is nan"));
     EXPECT_THAT(message("speed_mps = \"fast\"\n"), Names("line 1 ... speed_mps ... type"));
     EXPECT_THAT(message("n_frames = 0\n"), Names("n_frames is 0"));
@@ -399,8 +399,7 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THAT(message("rows = \n"), Names("street.toml line 1 ... malformed"));
     // These numbers cannot be converted to an integer. Fuzzing detected the error.
     for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})
-        EXPECT_THAT(message(std::string("rows = ") + real + "\n"),
-                    Names("street.toml line 1 ... rows ... whole"));
+        EXPECT_THAT(message(std::string("rows = ") + real + "\n"), Names("street.toml line 1 ... rows"));
     StreetOptions options;
     options.columns = 0;
     EXPECT_THROW(make_street_log(options), UsageError);

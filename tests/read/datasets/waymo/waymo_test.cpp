@@ -192,13 +192,13 @@ TEST(Waymo, DamagedFilesAreRefused) {
         segment.expect_error_with(segment.file, bytes, parts);
     };
     expect("", ".tfrecord ... empty");
-    expect(original.substr(0, first_size + 5), "record 1 ... truncated ... 5 bytes");
-    expect(original.substr(0, original.size() - 1), "record 2 ... truncated ... length ... ");
+    expect(original.substr(0, first_size + 5), "record 1 ... 5");
+    expect(original.substr(0, original.size() - 1), "record 2 ... length ... ");
     expect(flipped(first_size + 100), "record 1 ... checksum ... data");
     expect(flipped(first_size), "record 1 ... checksum ... length");
-    expect(header + original, "record 0 ... truncated ... 9223372036854775807 bytes");
+    expect(header + original, "record 0 ... 9223372036854775807");
     expect(test::make_tfrecord("not a message"), "record 0: ");
-    expect(test::make_tfrecord(""), "record 0 ... pose ... missing");
+    expect(test::make_tfrecord(""), "record 0 ... pose");
 }
 
 TEST(Waymo, DamagedFramesAreRefused) {
@@ -219,26 +219,25 @@ TEST(Waymo, DamagedFramesAreRefused) {
         return test::make_waymo_matrix(std::vector<float>(std::size_t(rows * columns * channels), value),
                                        {rows, columns, channels});
     };
-    expect_top("record 1: TOP ... zlib ... 33554432 bytes",
+    expect_top("record 1: TOP ... 33554432 bytes",
                test::deflate_bytes(std::string(std::size_t(100) << 20, '\0')));
     expect_top("record 1: TOP ... zlib", image(h, w, 4, 5.0f).substr(0, 40));
     expect_top("record 1: TOP ... malformed", test::deflate_bytes("\x0a\x7f"));
-    expect_top("record 1: TOP ... 4 values ... 3 dimensions ... 1000000 x 1000000 x 4",
+    expect_top("record 1: TOP ... 4 ... 3 ... 1000000 x 1000000 x 4",
                test::make_waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
     expect_top("record 1: TOP ... 32000 values ... 16 x 400 x 5", image(h, w, 5, 1.0f));
-    expect_top("16 x 399 pixels, expected 16 x 400", image(h, w - 1, 4, 1.0f));
+    expect_top("16 x 399 ... 16 x 400", image(h, w - 1, 4, 1.0f));
     expect_top("pixel 0 has range nan m", image(h, w, 4, NAN));
     expect_top("pixel 0 has range inf m", image(h, w, 4, INFINITY));
     expect_top("2 x 2 ... poses ... 16 x 400", image(h, w, 4, 1.0f), image(2, 2, 6, 0.0f));
     expect_top("pixel 200 ... (nan", image(h, w, 4, 1.0f), image(h, w, 6, NAN));
     expect("record 1 ... SIDE_LEFT ... missing",
            [](auto& frame) { frame.lasers.erase(frame.lasers.begin()); });
-    expect("record 1 ... pose ... missing", [](auto& frame) { frame.pose.clear(); });
-    expect("record 1: pose ... 0 numbers ... 16",
-           [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
+    expect("record 1 ... pose", [](auto& frame) { frame.pose.clear(); });
+    expect("record 1: pose ... 0 ... 16", [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
     expect("record 1: pose ... rotation",
            [](auto& frame) { frame.pose = test::make_waymo_transform(glm::dmat4(2.0)); });
-    expect("record 1: pose ... transform ... nan",
+    expect("record 1: pose ... nan",
            [](auto& frame) { frame.pose = test::make_waymo_transform(glm::dmat4(NAN)); });
     expect("timestamp_micros", [](auto& frame) { frame.timestamp_us += 5000000; });
     expect("laser_labels ... 'v' ... 0 x 1 x 1 m", [](auto& frame) {
@@ -292,7 +291,7 @@ TEST(Waymo, DamagedCalibrationsAreRefused) {
            {side, test::make_waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
     expect("record 0 ... inclination ... nan ... laser 1",
            {side, test::make_waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
-    expect("record 0: laser_calibrations, extrinsic ... rotation",
+    expect("record 0: laser_calibrations ... rotation",
            {side, test::make_waymo_calibration(1, {}, 0, 0.1, glm::dmat4(0.5))});
 }
 
