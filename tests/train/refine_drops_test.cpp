@@ -217,8 +217,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     };
     relidar::Run other = run;
     other.config.refine.rate = 0.5;
-    EXPECT_THAT(message(other),
-                test::Names("2 ... step 2 ... setting refine.rate: found 0.5, expected 0.01"));
+    EXPECT_THAT(message(other), test::Names("2 ... step 2 ... refine.rate ... 0.5 ... 0.01"));
     read_drop_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7;
@@ -260,7 +259,7 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
         frame.scan.rays.rows = 1;
         frame.scan.rays.columns = int(frame.scan.rays.size());
     }
-    EXPECT_THAT(message(), test::Names("rows and columns"));
+    EXPECT_THAT(message(), test::Names("rows"));
     run.sequence = make_weak_street();
     for (Frame& frame : run.sequence.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);

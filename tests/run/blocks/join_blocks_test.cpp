@@ -169,11 +169,11 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
     EXPECT_THAT(get_data_error_message([&] { with_all_blocks(load_run(run.folder).scene); }),
-                Names("blocks/002/model.safetensors: this file of a block"));
+                Names("blocks/002/model.safetensors ... block"));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
     save_model(run.folder / kModelFile, scene);
-    EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }), Names("folder ... model"));
+    EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }), Names("model"));
 }
 
 }  // namespace

@@ -94,7 +94,7 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
     EXPECT_THAT(get_data_error_message([&] {
                     plan_blocks(log, split, {100.0, 40.0});
                 }),
-                Names("40 m ... 300 to 400 ... training"));
+                Names("40 m ... 300 ... 400"));
 }
 
 TEST(BlockLog, MovesAsTheLogDoes) {

@@ -133,7 +133,7 @@ TEST_F(CheckpointFile, OtherVersionsAndFormatsAreRefused) {
         write_safetensors(folder / "a", arrays, texts);
         return get_data_error_message([&] { read_checkpoint(folder / "a"); });
     };
-    EXPECT_THAT(message("version", "2"), test::Names("metadata version: found \"2\", expected \"1\""));
+    EXPECT_THAT(message("version", "2"), test::Names("version ... \"2\" ... \"1\""));
     EXPECT_THAT(message("format", "relidar model"), test::Names("expected \"relidar checkpoint\""));
     EXPECT_THAT(message("crc32", ""), test::Names("\"crc32\" ... missing"));
     EXPECT_THAT(message("setting/loss.depth", "0.2"), test::Names("checksum"));
@@ -179,7 +179,7 @@ TEST_F(CheckpointFile, NoneIsNothingAndOnlyDamagedOnesAreAnError) {
     EXPECT_FALSE(load(folder).checkpoint);
     save_checkpoint(folder, example(10), 2);
     put(list_checkpoints(folder).back(), "damaged");
-    EXPECT_THAT(get_data_error_message([&] { load(folder); }), test::Names("contains 1 checkpoints"));
+    EXPECT_THAT(get_data_error_message([&] { load(folder); }), test::Names("1 checkpoints"));
 }
 
 TEST_F(CheckpointFile, AFullDiskLosesNothing) {

