@@ -103,7 +103,7 @@ TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
     Occupant one(*calls), two(*calls);
     const grpc::Status status = call(*calls);
     EXPECT_EQ(status.error_code(), Code::RESOURCE_EXHAUSTED);
-    EXPECT_THAT(status.error_message(), test::Names("queue ... 2 slots"));
+    EXPECT_THAT(status.error_message(), test::Names("queue ... 2"));
     EXPECT_EQ(one.leave().error_code(), Code::CANCELLED);
     EXPECT_EQ(two.leave().error_code(), Code::CANCELLED);
     grpc::Status after = call(*calls);

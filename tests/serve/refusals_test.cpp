@@ -46,7 +46,7 @@ v1::SpinningSensor& set_spinning(v1::RenderLidarRequest& request, double period_
 }
 
 const std::vector<Case> kPoseCases = {
-    {[](auto& r) { r.clear_path(); }, "path ... 0 poses"},
+    {[](auto& r) { r.clear_path(); }, "path ... 0"},
     {[](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, "path[0].pose.translation.y ... nan"},
     {[](auto& r) { pose(r).mutable_translation()->set_x(1e300); }, "found 1e+300"},
     {[](auto& r) { pose(r).mutable_rotation()->set_w(kNan); }, "path[0].pose.rotation ... nan"},
@@ -59,11 +59,11 @@ const std::vector<Case> kPoseCases = {
     {[](auto& r) { extend_path(r).set_time_s(2.7); }, "time_s ... 2.7 s ... 0.5 to 0.6 s"},
     {[](auto& r) { extend_path(r).set_points_at_s(-500.0); }, "points_at_s"},
     {[](auto& r) { r.set_scene("smal"); }, "scene ... \"smal\" ... \"small\"", Code::NOT_FOUND},
-    {[](auto& r) { r.set_weather("fog=0"); }, "weather ... fog=0 ... 1 to 1e6 metres"},
+    {[](auto& r) { r.set_weather("fog=0"); }, "weather ... fog=0 ... 1 ... 1e6"},
     {[](auto& r) { r.set_lidar("roof"); }, "lidar ... \"roof\"", Code::NOT_FOUND},
     {[](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, make_pose_at_x(0)); },
      "actors.actors[0].name ... \"cat\" ... \"car\"", Code::NOT_FOUND},
-    {[](auto& r) { actor(r, "car"); }, "actors.actors[0].poses: found 0 poses"},
+    {[](auto& r) { actor(r, "car"); }, "actors.actors[0].poses ... 0"},
     {[](auto& r) {
          r.set_time_s(0.5);
          v1::ActorTrack& car = actor(r, "car");
@@ -74,30 +74,30 @@ const std::vector<Case> kPoseCases = {
     {[](auto& r) {
          for (int i = 0; i < 2; ++i) add_pose(*actor(r, "car").mutable_poses(), 0, make_pose_at_x(0));
      },
-     "each actor"},
+     "actor"},
 };
 
 const std::vector<Case> kSensorCases = {
     {[](auto& r) { r.mutable_sensor()->set_name("VLP-17"); }, "\"VLP-17\" ... ListScenes ... VLP-16"},
     {[](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); }, "\"/etc/passwd\""},
     {[](auto& r) { r.mutable_sensor()->set_name("VLP-16:../../x.csv"); }, "ListScenes"},
-    {[](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); }, "16000000 rays ... 1 to 1048576"},
+    {[](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); }, "16000000 rays ... 1048576"},
     {[](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, "0 columns"},
-    {[](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); }, "of 100000 bytes"},
+    {[](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); }, "100000 bytes"},
     {[](auto& r) { r.mutable_sensor()->set_name("a\nb"); }, "\"a b\""},
     {[](auto& r) { set_rays(r, 1).set_name(std::string(201, 'x')); }, "sensor.spec.name"},
     {[](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, "upload", Code::NOT_FOUND},
-    {[](auto& r) { spec(r); }, "pattern ... rays, spinning, window"},
+    {[](auto& r) { spec(r); }, "rays, spinning, window"},
     {[](auto& r) { spec(r).mutable_rays(); }, "0 rays"},
-    {[](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); }, "7 bytes ... multiple ... 12"},
+    {[](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); }, "7 ... 12"},
     {[](auto& r) {
          spec(r) = make_rays_ahead(3);
          spec(r).mutable_rays()->set_rows(2);
          spec(r).mutable_rays()->set_columns(2);
      },
-     "found 2 rows, 2 columns and 3 directions"},
+     "2 ... 2 ... 3 directions"},
     {[](auto& r) { set_rays(r, 3).mutable_rays()->set_time_s(std::string(8, '\0')); },
-     "rays.time_s: found 8 bytes, expected 12 bytes"},
+     "rays.time_s ... 8 ... 12"},
     {[](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); }, "ray 0 ... 0 ... 1"},
     {[](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\xff')); }, "nan"},
     {[](auto& r) { set_rays(r, 1).mutable_rays()->set_origin_m(std::string(12, '\xff')); },
@@ -132,7 +132,7 @@ const std::vector<Case> kPatternCases = {
          spec(r).mutable_window()->set_rows(4294967295u);
          spec(r).mutable_window()->set_columns(4294967295u);
      },
-     "rays ... 1 to"},
+     "rays ... 1"},
     {[](auto& r) {
          v1::Rosette& s = *spec(r).mutable_rosette();
          s.set_rays(10);
@@ -141,7 +141,7 @@ const std::vector<Case> kPatternCases = {
      },
      "rosette.first_hz: found nan"},
     {[](auto& r) { set_rays(r, 1).set_max_range_m(-1.0); }, "max_range_m"},
-    {[](auto& r) { r.set_returns(3); }, "found 3, expected 0, 1 or 2"},
+    {[](auto& r) { r.set_returns(3); }, "3 ... 0, 1 ... 2"},
     {[](auto& r) {
          set_rays(r, 1);
          r.set_returns(2);
@@ -189,7 +189,7 @@ TEST_F(Refusals, TablesBeyondTheLimits) {
     EXPECT_TRUE(uploaded(kMost).ok());
     const grpc::Status one_more = uploaded(kMost + 1), message_too_large = uploaded(4 * kMost);
     EXPECT_EQ(one_more.error_code(), Code::INVALID_ARGUMENT);
-    EXPECT_THAT(one_more.error_message(), Names("found 1048577 rays ... 1 to 1048576"));
+    EXPECT_THAT(one_more.error_message(), Names("1048577 rays ... 1048576"));
     EXPECT_EQ(message_too_large.error_code(), Code::RESOURCE_EXHAUSTED) << "gRPC's own limit";
     EXPECT_TRUE(uploaded(1).ok());
 }
@@ -231,7 +231,7 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     };
     v1::RenderRigRequest request;
     *request.mutable_rig() = make_standing_request();
-    EXPECT_THAT(status_of(request).error_message(), Names("rig ... 0 sensors, expected 1 to"));
+    EXPECT_THAT(status_of(request).error_message(), Names("rig ... 0 ... 1"));
     request.add_sensors()->set_name("good");
     request.add_sensors()->mutable_sensor()->set_name("no such");
     const grpc::Status status = status_of(request);
@@ -245,8 +245,7 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
         for (v1::RigSensor& sensor : *request.mutable_sensors()) sensor.set_name(name);
         const grpc::Status same_names = status_of(request);
         EXPECT_EQ(same_names.error_code(), Code::INVALID_ARGUMENT) << name;
-        EXPECT_THAT(same_names.error_message(),
-                    Names(fmt::format("sensors[1].name ... \"{}\" a second time", name)));
+        EXPECT_THAT(same_names.error_message(), Names(fmt::format("sensors[1].name ... \"{}\"", name)));
     }
 }
 

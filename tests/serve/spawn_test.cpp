@@ -203,26 +203,25 @@ TEST_F(Spawn, IsListedUntilItIsTakenOut) {
 TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     start();
     spawned({{"mine", "car"}});
-    expect_refused(make_spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS, "spawn \"mine\" ... exists");
+    expect_refused(make_spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS, "\"mine\"");
     expect_refused(make_spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS,
                    "spawn \"mine\"");
     expect_refused(make_spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
                    "spawn \"x\"");
-    expect_refused(make_spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS, "actor ... run");
+    expect_refused(make_spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS, "run");
     expect_refused(make_spawn_request({{"x", "cat"}}), Code::NOT_FOUND, "actors[0].actor ... \"cat\"");
     expect_refused(make_spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
                    "actors[0].asset ... \"van-2\"");
     expect_refused(make_spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
-    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither ... actor ... asset");
+    expect_refused(make_spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "asset");
     expect_refused(make_spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
-    expect_refused(make_spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT,
-                   "of 201 bytes");
-    expect_refused({}, Code::INVALID_ARGUMENT, "actors ... none");
+    expect_refused(make_spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT, "201 bytes");
+    expect_refused({}, Code::INVALID_ARGUMENT, "actors");
     expect_refused(make_spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
     std::vector<std::pair<std::string, std::string>> many;
     for (std::size_t i = 0; i <= SpawnedActorRegistry::kMaxSlots; ++i)
         many.emplace_back(fmt::format("n{}", i), "car");
-    expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "4096 spawned actors");
+    expect_refused(make_spawn_request(many), Code::RESOURCE_EXHAUSTED, "4096 ... actors");
     v1::SpawnActorsRequest elsewhere = make_spawn_request({{"x", "car"}});
     elsewhere.set_scene("nowhere");
     expect_refused(elsewhere, Code::NOT_FOUND, "scene ... \"nowhere\"");

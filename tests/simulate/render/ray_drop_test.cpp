@@ -170,7 +170,7 @@ TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
     network.inputs.back() = "direction_x";
     ScanRenderer renderer(device(), scene, config, log);
     EXPECT_THAT([&] { renderer.use_network(network); },
-                testing::ThrowsMessage<DataError>(test::Names("\"direction_x\" ... relidar refine")));
+                testing::ThrowsMessage<DataError>(test::Names("\"direction_x\" ... refine")));
 }
 
 }  // namespace

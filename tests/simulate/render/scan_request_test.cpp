@@ -115,18 +115,17 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
 }
 
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
-    EXPECT_THAT(refusal({0.0, {}}), test::Names("sensor ... 0 poses and 0 times"));
-    EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {make_pose_at_x(0)}}}).find("found 1 poses and 2 times"),
-              std::string::npos);
+    EXPECT_THAT(refusal({0.0, {}}), test::Names("sensor ... 0 ... 0"));
+    EXPECT_THAT(refusal({0.0, {{0.0, 1.0}, {make_pose_at_x(0)}}}), test::Names("sensor ... 1 ... 2"));
     EXPECT_THAT(refusal({0.0, {{1.0, 1.0}, {make_pose_at_x(0), make_pose_at_x(1)}}}),
-                test::Names("time 1 s ... time 1 s"));
+                test::Names("time 1 s ... 1 s"));
     EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(kNan)}}}), test::Names("pose ... entry 0"));
     EXPECT_NE(refusal({0.0, {{0.0}, {make_pose_at_x(1e300)}}}).find("entry 0"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{kNan}, {make_pose_at_x(0)}}}).find("entry 0"), std::string::npos);
     EXPECT_THAT(refusal({0.0, {{0.0}, {Pose{{2, 0, 0, 0}, {}}}}}), test::Names("quaternion"));
     EXPECT_NE(refusal({kNan, {{0.0}, {make_pose_at_x(0)}}}).find("time_s: found nan"), std::string::npos);
     EXPECT_THAT(refusal({0.0, {{0.0}, {make_pose_at_x(0)}}, ActorTracksByName{{"car", {}}}}),
-                test::Names("actor car ... 0 poses"));
+                test::Names("car ... 0"));
     SimulatedSensor slow = sensor;  // a sweep of 1000 s on a path of 1.2 s
     for (std::size_t i = 0; i < slow.rays.size(); ++i) slow.rays.time_offset_s[i] *= 10000.0f;
     EXPECT_THROW(renderer->render(slow, {0.5, {{0.0, 1.2}, {make_pose_at_x(0), make_pose_at_x(1)}}}),

@@ -252,7 +252,7 @@ TEST_F(Recordings, OfARigAreOne) {
     const std::vector<RenderedScan> scans{make_two_rays(1.0), make_two_rays(1.0)};
     recordings.write_scans(scans);
     EXPECT_THAT(error_message<UsageError>([&] { recordings.write_scans(std::span(scans).first(1)); }),
-                Names("found 1 scans, expected 2"));
+                Names("1 scans ... 2"));
     recordings.finish();
     EXPECT_THAT(recordings.list_file_names(), ElementsAre("scans.mcap", "rosbag.mcap"));
     EXPECT_THAT(files(), UnorderedElementsAre("scans.mcap", "rosbag.mcap", "scans.json"));
