@@ -82,7 +82,7 @@ def test_said():
     bag = WORK / "said.mcap"
     bags.write_mcap(bag, halves)
     said = run("info", bag, code=3)
-    expect("part of a revolution, about 180 degrees" in said and "no usable times" in said, f"halves without times: {said}")
+    expect("180 degrees" in said and "no usable times" in said, f"halves without times: {said}")
     for frame in ("map", "base_link"):
         turns = [message(*firings(k * COLUMNS, (k + 1) * COLUMNS), frame=frame) for k in range(N)]
         bags.write_mcap(bag, turns)
@@ -94,7 +94,7 @@ def test_said():
         merged.append(message(np.concatenate([a, b], 1), np.concatenate([t, t])))
     bags.write_mcap(bag, merged)
     said = run("info", bag)
-    expect(names(said, "merged") and names(said, "dropped rays"), f"a merged cloud: {said}")
+    expect(names(said, "merged"), f"a merged cloud: {said}")
 
 
 def test_left_alone():

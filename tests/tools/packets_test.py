@@ -198,10 +198,10 @@ def test_ousters():
         write(bag, out) if form == "ros1" else write(bag, out, form=form)
         if when is None:
             text = run("info", bag, code=3)
-            expect(names(text, "3328 bytes ... /ouster/lidar_packets ... Ouster ... metadata"), f"{name}: {text}")
+            expect(names(text, "3328 bytes ... /ouster/lidar_packets ... metadata"), f"{name}: {text}")
             bag.with_suffix(".json").write_text(metadata)
         folder, head, notes = convert(bag)
-        expect(names(notes, "32 packets ... 16-beam Ouster, OS-1-16") and "4 full revolutions: used" in notes, f"{name}: {notes}")
+        expect(names(notes, "32 packets ... 16-beam Ouster, OS-1-16") and "4 full revolutions" in notes, f"{name}: {notes}")
         expect(len(head["frames"]) == 4 and len(head["lidars"]) == 1 and "missing" not in notes, f"{name}: {head['frames']}, {notes}")
         for frame in head["frames"]:
             scan = np.load(folder / frame["scan"])
@@ -294,7 +294,7 @@ def test_clock_of_gps():
     captures.write(capture, [(T0 + ns, captures.frame(data)) for ns, data in packets])
     poses.write_text("".join(f"{T0 / 1e9 - 37 + s:.3f} {10 * s:.3f} 0 0 1 0 0 0\n" for s in np.arange(-0.2, 1.6, 0.05)))
     folder, head, notes = convert(capture, f"dataset.poses={poses}")
-    expect(names(notes, "37.000 s ahead of the sensor"), f"{notes}")
+    expect(names(notes, "37.000 s ahead"), f"{notes}")
     _, _, zero_s = returns_of(folder, head, False)
     apart = np.loadtxt(folder / "poses.txt")[:, 1] - 10 * (np.array([f["time_s"] for f in head["frames"]]) + zero_s)
     expect(len(apart) > 5 and np.abs(apart).max() < 1e-3, f"poses {apart} m apart")
@@ -385,9 +385,9 @@ def check_unused_angle_files(capture):
     folder = WORK / "angles"
     folder.mkdir()
     shutil.copy(capture, folder / "turn.pcap")
-    for lines, reason in (("1,15,0\n2,abc,0\n", "XT.csv: found the line '2,abc,0'"), ("1,15,0\n2,14,0\n", "XT.csv has angles of 2 lasers, expected 32")):
+    for lines, reason in (("1,15,0\n2,abc,0\n", "XT.csv ... '2,abc,0'"), ("1,15,0\n2,14,0\n", "XT.csv ... 2 lasers ... 32")):
         (folder / "XT.csv").write_text("Laser id,Elevation,Azimuth\n" + lines)
-        expect(names(run("info", folder / "turn.pcap"), "data sheet, because " + reason), reason)
+        expect(names(run("info", folder / "turn.pcap"), reason), reason)
 
 
 def test_written_again():
@@ -435,11 +435,11 @@ def test_network():
     late.insert(405, (spaced[405][0] + 1000, spaced[400][1]))
     doubled = [p for k, p in enumerate(spaced) for _ in range(2 if k == 250 else 1)]
     twice = [(ns + 20_000 * again, data) for ns, data in spaced for again in (0, 1)]
-    for name, datagrams, note in (("swapped", swapped, "packets were received out of order"), ("late", late, "1 packets were received out of order"),
-                                  ("doubled", doubled, "1 packets were received twice"), ("all twice", twice, "900 packets were received twice")):
+    for name, datagrams, note in (("swapped", swapped, "packets ... order"), ("late", late, "1 packets ... order"),
+                                  ("doubled", doubled, "1 packets ... twice"), ("all twice", twice, "900 packets ... twice")):
         log = convert(capture(name, datagrams))
         same_scans(name, plain, log, 2e-6)
-        expect(note in log[2], f"{name}: {log[2]}")
+        expect(names(log[2], note), f"{name}: {log[2]}")
     # Uses fragments. Each first fragment arrives twice, and the fragments of two
     # datagrams alternate.
     frames = []
@@ -469,7 +469,7 @@ def test_network():
     same_scans("gzip", plain, convert(packed), 2e-6)
     cut = WORK / "network_cut.pcap.gz"
     cut.write_bytes(packed.read_bytes()[:-5000])
-    expect(names(run("info", cut), "network_cut.pcap.gz ... gzip ... truncated"), "a truncated gzip file")
+    expect(names(run("info", cut), "network_cut.pcap.gz ... gzip"), "a truncated gzip file")
     # The packets of two identical sensors must not be combined into a single sensor.
     mixed = sorted(spaced + [(T0 + ns + 130_000, d) for ns, d in lidars.packets(product, 900, zero_us=3_599_950_130)[0]])
     text = run("info", capture("two sensors", mixed), code=3)
@@ -608,14 +608,14 @@ def test_others():
         return
     for name, turns, share, note in (("derived/dead-sector/xt32_rear_blanked.pcap", 3, 0.712, ""),
                                      ("derived/dead-sector/xt32_front_blanked.pcap", 3, 0.716, ""),
-                                     ("derived/packet-order/xt32_swap_middle.pcap", 3, 0.95, "1 packets were received out of order"),
-                                     ("derived/packet-order/xt32_dup_middle.pcap", 3, 0.95, "1 packets were received twice"),
-                                     ("derived/packet-order/xt32_all_dup.pcap", 3, 0.95, "2000 packets were received twice"),
-                                     ("derived/packet-order/os1_all_dup.pcap", 3, None, "192 packets were received twice"),
-                                     ("derived/vlp32-fov/raw.pcap", 4, None, "the sensor fires in 181 degrees"),
-                                     ("nebula-velodyne-vlp32/1713492677464078412", 4, None, "the sensor fires in 181 degrees")):
+                                     ("derived/packet-order/xt32_swap_middle.pcap", 3, 0.95, "1 packets ... order"),
+                                     ("derived/packet-order/xt32_dup_middle.pcap", 3, 0.95, "1 packets ... twice"),
+                                     ("derived/packet-order/xt32_all_dup.pcap", 3, 0.95, "2000 packets ... twice"),
+                                     ("derived/packet-order/os1_all_dup.pcap", 3, None, "192 packets ... twice"),
+                                     ("derived/vlp32-fov/raw.pcap", 4, None, "181 degrees"),
+                                     ("nebula-velodyne-vlp32/1713492677464078412", 4, None, "181 degrees")):
         log, head, notes = convert(data / name)
-        expect(len(head["frames"]) == turns and note in notes, f"{name}: {len(head['frames'])} turns, {notes}")
+        expect(len(head["frames"]) == turns and names(notes, note), f"{name}: {len(head['frames'])} turns, {notes}")
         for frame in head["frames"]:
             scan = np.load(log / frame["scan"])
             if "vlp32" in name:
@@ -623,13 +623,13 @@ def test_others():
             if share:
                 expect(abs((scan["range"] > 0).mean() - share) < 0.0015, f"{name}: {(scan['range'] > 0).mean()} returns")
     test_recorded_again(data)
-    for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "1 packets of a 128-beam Ouster, OS-2-128"),
-                         ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets of a 128-beam Ouster, OS-1-128"),
-                         ("ouster-same_ports/legacy/same_ports_legacy.pcap", "1 packets of a 64-beam Ouster, OS-1-64-AH"),
-                         ("ouster-shot_limiting/shot_limiting_test.pcap", "the packets cover only 5 degrees of a revolution"),
-                         ("gadomski-vlp16/position.pcap", "1 datagrams that relidar cannot decode as LiDAR packets")):
+    for name, reason in (("ouster-duplicate_id/duplicate_id.pcap", "128-beam Ouster, OS-2-128"),
+                         ("ouster-OS-1-128_fusa/OS-1-128_767798045_1024x10_20230712_120049.pcap", "8 packets ... 128-beam Ouster, OS-1-128"),
+                         ("ouster-same_ports/legacy/same_ports_legacy.pcap", "1 packets ... 64-beam Ouster, OS-1-64-AH"),
+                         ("ouster-shot_limiting/shot_limiting_test.pcap", "5 degrees"),
+                         ("gadomski-vlp16/position.pcap", "1 datagrams")):
         text = run("info", data / name, code=3)
-        expect(reason in text, f"{name}: {text}")
+        expect(names(text, reason), f"{name}: {text}")
 
 
 run_tests(test_bags, test_alternating, test_strangers, test_ousters, test_sectors,
