@@ -44,7 +44,7 @@ class Logs(TestCase):
         np.testing.assert_array_equal(part.frame_numbers, [2, 3, 4])
 
     def test_bad_input(self):
-        self.assert_fails(relidar.DataError, "nowhere ... folder", relidar.load_sequence, "nowhere")
+        self.assert_fails(relidar.DataError, "nowhere", relidar.load_sequence, "nowhere")
         self.assert_fails(relidar.UsageError, "'kity'", relidar.load_sequence, "kity:street")
         for position in (8, -1):
             with self.assertRaises(IndexError):
@@ -53,15 +53,15 @@ class Logs(TestCase):
     def test_wrong_integers(self):
         """Names the argument and the accepted numbers, instead of printing all signatures."""
         for sample in (-1, np.int64(-1), 2**64):
-            self.assert_fails(relidar.UsageError, f"sample: found {sample} ... whole number", run().render, sample=sample)
-        self.assert_fails(TypeError, "sample: found 1.5 ... whole number", run().render, sample=1.5)
-        self.assert_fails(relidar.UsageError, f"position: found {2**40} ... whole number", log().scan, 2**40)
+            self.assert_fails(relidar.UsageError, f"sample ... {sample}", run().render, sample=sample)
+        self.assert_fails(TypeError, "sample ... 1.5", run().render, sample=1.5)
+        self.assert_fails(relidar.UsageError, f"position ... {2**40}", log().scan, 2**40)
         for name in ("seed", "n_frames", "rows", "columns"):
-            self.assert_fails(relidar.UsageError, f"{name}: found {2**70} ... whole number", relidar.save_street, FOLDER / "none", **{name: 2**70})
-        self.assert_fails(relidar.UsageError, "seed: found -1", relidar.save_street, FOLDER / "none", seed=-1)
-        self.assert_fails(relidar.UsageError, "memory_limit_bytes: found -1", relidar.Device, memory_limit_bytes=-1)
+            self.assert_fails(relidar.UsageError, f"{name} ... {2**70}", relidar.save_street, FOLDER / "none", **{name: 2**70})
+        self.assert_fails(relidar.UsageError, "seed ... -1", relidar.save_street, FOLDER / "none", seed=-1)
+        self.assert_fails(relidar.UsageError, "memory_limit_bytes ... -1", relidar.Device, memory_limit_bytes=-1)
         model = {"name": "background", "first": -1, "count": 1}
-        self.assert_fails(relidar.UsageError, "models: first: found -1", relidar.Scene, run().surfels, models=[model])
+        self.assert_fails(relidar.UsageError, "first ... -1", relidar.Scene, run().surfels, models=[model])
         self.assert_same(run().render(sample=np.uint64(3))["range"], run().render(sample=3)["range"])
 
 
@@ -80,7 +80,7 @@ class Settings(TestCase):
     def test_bad_input(self):
         self.assert_fails(relidar.UsageError, "loss.dpth ... loss.depth", relidar.Config, "quick", {"loss.dpth": 1})
         self.assert_fails(relidar.UsageError, "loss.depth ... \"abc\" ... number", relidar.Config, "quick", {"loss.depth": "abc"})
-        self.assert_fails(relidar.UsageError, "type list", relidar.Config, "quick", {"loss.depth": [1]})
+        self.assert_fails(relidar.UsageError, "list", relidar.Config, "quick", {"loss.depth": [1]})
         self.assert_fails(relidar.UsageError, "'quick'", relidar.Config, "quik")
         self.assert_fails(relidar.DataError, "missing.toml", relidar.Config.load, "missing.toml")
 
@@ -105,7 +105,7 @@ class Runs(TestCase):
         self.assert_fails(relidar.UsageError, '"mean"', run().with_surfels, dict(surfels, maen=surfels["mean"]))
         self.assert_fails(relidar.DataError, '"sh" ... missing', run().with_surfels, {k: v for k, v in surfels.items() if k != "sh"})
         doubles = dict(surfels, mean=surfels["mean"].astype(float))
-        self.assert_fails(relidar.DataError, "surfels: mean: found float64", run().with_surfels, doubles)
+        self.assert_fails(relidar.DataError, "mean ... float64", run().with_surfels, doubles)
         self.assert_fails(relidar.DataError, "C order", run().with_surfels, dict(surfels, mean=np.asfortranarray(surfels["mean"])))
 
     def test_settings_of_a_run(self):
@@ -117,12 +117,12 @@ class Runs(TestCase):
         self.assert_fails(relidar.UsageError, "render.rnge ... render.range", relidar.Run.load, run().folder, settings=wrong)
 
     def test_bad_files(self):
-        self.assert_fails(relidar.DataError, "nowhere ... folder", relidar.Run.load, "nowhere")
+        self.assert_fails(relidar.DataError, "nowhere", relidar.Run.load, "nowhere")
         newer = FOLDER / "newer"
         shutil.copytree(run().folder, newer)
         scene = json.loads((newer / "scene.json").read_text())
         (newer / "scene.json").write_text(json.dumps(dict(scene, version=scene["version"] + 1)))
-        self.assert_fails(relidar.DataError, f"found {scene['version'] + 1}, relidar", relidar.Run.load, newer)
+        self.assert_fails(relidar.DataError, str(scene["version"] + 1), relidar.Run.load, newer)
         cut = FOLDER / "cut"
         shutil.copytree(run().folder, cut)
         (cut / "model.safetensors").write_bytes((cut / "model.safetensors").read_bytes()[:1000])
@@ -133,7 +133,7 @@ class Runs(TestCase):
         for error, (built_in, code) in errors.items():
             self.assertEqual((error.__bases__, error.code), ((relidar.Error, built_in), code))
         self.assert_fails(relidar.DeviceError, "99", relidar.Device, 99)
-        self.assert_fails(relidar.UsageError, "\"fast\" ... auto, ray_query or software", relidar.Device, traversal="fast")
+        self.assert_fails(relidar.UsageError, "\"fast\" ... auto, ray_query", relidar.Device, traversal="fast")
 
 
 class Edits(TestCase):
@@ -166,7 +166,7 @@ class Edits(TestCase):
     def test_a_refused_edit_changes_nothing(self):
         edit = run().edit()
         self.assert_fails(relidar.UsageError, "nobody", edit.remove, "nobody")
-        self.assert_fails(relidar.UsageError, "\"everything\" ... background or actors", edit.keep, "everything")
+        self.assert_fails(relidar.UsageError, "\"everything\" ... background ... actors", edit.keep, "everything")
         self.assertEqual(edit.run().edits, [])
 
 

@@ -16,7 +16,7 @@ class Import(unittest.TestCase):
                                  capture_output=True, text=True)
         self.assertEqual(process.returncode, 1)
         message = process.stderr.strip().splitlines()[-1]
-        self.assertRegex(message, r"^ModuleNotFoundError: relidar: .*tools/python/relidar has no compiled module for Python 3\.\d+")
+        self.assertRegex(message, r"^ModuleNotFoundError: relidar: .*tools/python/relidar .*Python 3\.\d+")
         self.assertIn("RELIDAR_PYTHON=ON", message)
 
 

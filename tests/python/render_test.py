@@ -165,13 +165,13 @@ class Render(TestCase):
 
     def test_times_outside_are_refused(self):
         render, times = run().render, run().times
-        self.assert_fails(relidar.UsageError, "log: found 1000 s", render, time=1000.0)
-        self.assert_fails(relidar.UsageError, "log: found -0.2 s", render, time=times[0] - 0.2)
+        self.assert_fails(relidar.UsageError, "1000 s", render, time=1000.0)
+        self.assert_fails(relidar.UsageError, "-0.2 s", render, time=times[0] - 0.2)
         poses = np.stack([np.eye(4)] * 2)
-        self.assert_fails(relidar.UsageError, "poses: found 2.5 s ... 1 to 2 s", render, time=2.5,
+        self.assert_fails(relidar.UsageError, "poses ... 2.5 s ... 1 ... 2 s", render, time=2.5,
                           pose=(np.array([1.0, 2.0]), poses))
         name = next(iter(run().actors))
-        self.assert_fails(relidar.UsageError, f'actors["{name}"]: found', render, time=times[3],
+        self.assert_fails(relidar.UsageError, f'actors["{name}"]', render, time=times[3],
                           actors={name: (np.array([times[3] + 5.0, times[3] + 6.0]), poses)})
         render(time=1000.0, pose=np.eye(4))   # the sensor is static, so any time is allowed
 
@@ -252,7 +252,7 @@ class Render(TestCase):
         self.assert_same(run().render(time=time, sample=1, weather="clear")["range"], clear["range"])
         sunny = run().render(time=time, sample=1, weather="sun=0:5,bloom")
         self.assertIn(5, np.unique(sunny["source"]))
-        self.assertRaisesRegex(relidar.UsageError, "weather: found snow=-1, expected a snowfall rate of 0 to 100", run().render, time=time, weather="snow=-1")
+        self.assertRaisesRegex(relidar.UsageError, "weather.*snow=-1.*100", run().render, time=time, weather="snow=-1")
 
     def test_world_frame(self):
         time = run().times[3]
@@ -280,27 +280,27 @@ class Render(TestCase):
         single = np.eye(4, dtype=np.float32)
         expected = "pose: found float32 [4,4] ... float64 [4,4]"
         self.assert_fails(relidar.DataError, expected, render, time=time, pose=single)
-        self.assert_fails(relidar.DataError, "pose: found float64 [3,4]", render, time=time, pose=np.eye(4)[:3])
-        self.assert_fails(relidar.DataError, "pose ... type list", render, time=time, pose=np.eye(4).tolist())
+        self.assert_fails(relidar.DataError, "pose ... float64 [3,4]", render, time=time, pose=np.eye(4)[:3])
+        self.assert_fails(relidar.DataError, "pose ... list", render, time=time, pose=np.eye(4).tolist())
         self.assert_fails(relidar.DataError, "C order", render, time=time, pose=np.asfortranarray(relidar.pose(1, 2, 3)))
         self.assert_fails(relidar.DataError, "rigid", render, time=time, pose=2 * np.eye(4))
-        self.assert_fails(relidar.DataError, "pose ... mirrored", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
+        self.assert_fails(relidar.DataError, "mirrored", render, time=time, pose=np.diag([1.0, 1.0, -1.0, 1.0]))
         self.assert_fails(relidar.DataError, "finite", render, time=time, pose=np.full((4, 4), np.nan))
-        self.assert_fails(relidar.DataError, "2 times and 1 poses", render, time=time, pose=(np.zeros(2), np.eye(4)[None]))
-        self.assert_fails(relidar.DataError, "found the time 0 s of a pose ... expected times that increase", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
-        self.assert_fails(relidar.DataError, "time_s: found nan", render, time=float("nan"))
+        self.assert_fails(relidar.DataError, "2 times ... 1", render, time=time, pose=(np.zeros(2), np.eye(4)[None]))
+        self.assert_fails(relidar.DataError, "time 0 s", render, time=time, pose=(np.zeros(2), np.stack([np.eye(4)] * 2)))
+        self.assert_fails(relidar.DataError, "time_s ... nan", render, time=float("nan"))
         self.assert_fails(relidar.UsageError, "nobody", render, time=time, actors={"nobody": np.eye(4)})
         self.assert_fails(relidar.UsageError, '"background"', render, time=time, only=["backgrund"])
         self.assert_fails(relidar.UsageError, "VLP-16", render, "VLP16", time=time)
-        self.assert_fails(relidar.UsageError, 'lidar: found "rear"', render, time=time, lidar="rear")
-        self.assert_fails(relidar.UsageError, "sensor or world", render, time=time, frame="map")
+        self.assert_fails(relidar.UsageError, 'lidar ... "rear"', render, time=time, lidar="rear")
+        self.assert_fails(relidar.UsageError, "world", render, time=time, frame="map")
         directions = run().rays()["directions"]
         self.assert_fails(relidar.DataError, '"directions"', render, {}, time=time)
-        self.assert_fails(relidar.DataError, "found float64", render, {"directions": directions.astype(np.float64)}, time=time)
+        self.assert_fails(relidar.DataError, "float64", render, {"directions": directions.astype(np.float64)}, time=time)
         self.assert_fails(relidar.DataError, "C order", render, {"directions": directions[:, ::2]}, time=time)
-        self.assert_fails(relidar.DataError, "found length", render, {"directions": 2 * directions}, time=time)
+        self.assert_fails(relidar.DataError, "length", render, {"directions": 2 * directions}, time=time)
         three_times = {"directions": directions, "time": np.zeros(3, np.float32)}
-        self.assert_fails(relidar.DataError, "sensor: time: found float32 [3]", render, three_times, time=time)
+        self.assert_fails(relidar.DataError, "time ... float32 [3]", render, three_times, time=time)
 
 
 if __name__ == "__main__":
