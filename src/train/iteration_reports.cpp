@@ -57,6 +57,7 @@ std::optional<IterationReports::IterationGroupReport> IterationReports::take_old
                                 .stored_hits_per_ray = report.stored_hits_per_ray};
 }
 
+/// Stops the training at the first loss that is not finite, and names its iteration.
 void IterationReports::add_loss_terms(const ClosedIterationGroup& closed_group, const float* loss_terms) {
     for (const auto& [step, frame] : closed_group.iterations) {
         for (std::size_t k = 0; k < kLossTerms; ++k) {

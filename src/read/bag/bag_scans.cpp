@@ -115,6 +115,7 @@ LidarPoints BagScans::read_points(std::size_t frame, const CloudEntry& cloud, do
     return points;
 }
 
+/// Decodes the packets of a revolution. Shifts their times like the time of the frame.
 Scan BagScans::read_rays(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;

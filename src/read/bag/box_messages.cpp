@@ -110,6 +110,7 @@ BoxListMessage read_detections(const MessageReader& reader) {
 constexpr const char* kAutowareLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
                                            "motorcycle", "bicycle", "pedestrian", "animal"};
 
+/// Returns the most probable class of an object. A message may list several classes.
 std::string read_best_label(MessageReader& reader) {
     std::uint8_t best = 0;
     float best_probability = -1.0f;

@@ -89,6 +89,7 @@ void check_identity(pbf_reader reader) {
     }
 }
 
+/// Reads foxglove.PointCloud. It has no width, so the cloud becomes one row of points.
 CloudMessage parse_cloud(pbf_reader reader) {
     CloudMessage cloud;
     while (reader.next()) {
@@ -110,6 +111,7 @@ CloudMessage parse_cloud(pbf_reader reader) {
     return cloud;
 }
 
+/// Reads foxglove.FrameTransform. A missing field is the identity.
 void add_transform(TransformListMessage& list, pbf_reader reader) {
     TransformMessage transform;
     glm::dvec4 translation(0.0), rotation(0.0, 0.0, 0.0, 1.0);

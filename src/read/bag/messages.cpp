@@ -145,6 +145,7 @@ Pose make_pose(const PoseComponents& position_and_quaternion) {
             {position_and_quaternion[0], position_and_quaternion[1], position_and_quaternion[2]}};
 }
 
+/// Reads the fields of sensor_msgs/PointCloud2 in the order of its definition.
 CloudMessage read_ros_cloud(MessageReader& reader) {
     CloudMessage cloud;
     cloud.header = read_header(reader);

@@ -67,6 +67,8 @@ std::optional<AzimuthArc> find_arc(const std::array<bool, kAzimuthBins>& is_bin_
                       float(extent)};
 }
 
+/// Returns the widest sector of azimuths that no cloud covers. It is near 0 if the clouds
+/// together are a full revolution.
 double widest_gap_rad(const std::vector<RevolutionPart>& partial_clouds) {
     std::array<bool, kAzimuthBins> is_bin_occupied{};
     for (const RevolutionPart& cloud : partial_clouds)

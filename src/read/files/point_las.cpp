@@ -38,6 +38,7 @@ struct LasHeader {
     std::size_t gps_time_offset() const { return is_extended() ? 22 : 20; }
 };
 
+/// Compares the sizes with the file, so that no later read is beyond its end.
 LasHeader parse_header(std::string_view bytes, const std::string& where) {
     if (bytes.size() < kHeaderBytes || !bytes.starts_with("LASF"))
         fail("{}: found {} bytes that do not begin with LASF, expected a LAS file", where, bytes.size());

@@ -25,6 +25,7 @@ struct PcdHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
+/// Limits the numbers to 1e9, so that their conversion to integers is always defined.
 std::vector<double> parse_counts(const std::vector<std::string>& words, const std::string& where) {
     std::vector<double> numbers;
     for (std::size_t i = 1; i < words.size(); ++i) {
@@ -37,6 +38,7 @@ std::vector<double> parse_counts(const std::vector<std::string>& words, const st
     return numbers;
 }
 
+/// POINTS and COUNT may be missing. Their defaults are WIDTH x HEIGHT and 1.
 PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
     PcdHeader header;
     while (header.data.empty()) {
@@ -64,6 +66,7 @@ PcdHeader parse_pcd_header(std::string_view bytes, const std::string& where) {
     return header;
 }
 
+/// A COUNT of 0 is allowed for fields that relidar ignores.
 std::vector<PointField> list_pcd_fields(const PcdHeader& header, const std::string& where) {
     const std::size_t n = header.names.size();
     if (n == 0 || n > kMostPcdFields || header.sizes.size() != n || header.types.size() != n ||

@@ -35,6 +35,7 @@ struct PlyHeader {
     std::size_t length = 0;  ///< bytes of the header
 };
 
+/// Ignores all elements except the first, because their data follow the points.
 void parse_ply_line(const std::string& line, PlyHeader& header, int& n_elements, const std::string& where) {
     std::istringstream words(line);
     std::string keyword, a, b;

@@ -76,6 +76,7 @@ private:
     std::vector<NamedArray> arrays_;
 };
 
+/// Dropped rays of a rendered scan may also have a range, so drop_prob decides.
 std::vector<float> read_ranges(const NpzArrays& arrays, const std::string& array_name) {
     const std::vector<double> file_ranges_m = arrays.ray_values(array_name, 1),
                               drop = arrays.ray_values_or("drop_prob", 0.0);
@@ -171,6 +172,7 @@ void set_ray_fields(const NpzArrays& arrays, const ImageContext& image_context, 
     }
 }
 
+/// Uses the directions of the file instead of a fitted sensor, so that they stay exact.
 RayTable make_stored_rays(const NpzArrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);

@@ -19,6 +19,7 @@ namespace {
 // A larger range means that the file has another number type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 
+/// The lower 16 bits of a label are the class, the upper bits the instance.
 std::vector<SurfaceClass> read_classes(const fs::path& label_file, std::size_t n_points) {
     const std::string bytes = read_file(label_file);
     if (bytes.size() != 4 * n_points)

@@ -31,6 +31,7 @@ T read_number_at(std::string_view bytes, std::size_t offset) {
     return codecs::ByteReader(bytes.substr(offset)).read_number<T>();
 }
 
+/// Point types of Livox: 1 in millimetres, 2 in centimetres, 3 in spherical coordinates.
 glm::vec3 read_position_m(codecs::ByteReader& reader, int point_type) {
     if (point_type == 1) {
         const auto x = reader.read_number<std::int32_t>(), y = reader.read_number<std::int32_t>();

@@ -71,6 +71,7 @@ glm::dquat read_quaternion(const JsonField& field) {
     return rotation;
 }
 
+/// Accepts a 4 x 4 matrix by rows, or a translation and a quaternion.
 Pose read_mounting(const JsonField& field, const std::string& where) {
     if (field.is_array()) {
         const auto m = field.numbers<16>();

@@ -41,6 +41,7 @@ struct SweepFile {
     fs::path path;
 };
 
+/// Numbers the sweeps by time, because the names of the files are times.
 std::vector<SweepFile> list_sweeps(const fs::path& folder) {
     std::vector<SweepFile> sweeps;
     for (const fs::path& path : list_folder(folder)) {
@@ -129,6 +130,7 @@ PoseTrack read_sweep_poses(const fs::path& pose_file, const std::vector<SweepFil
     return at_sweeps;
 }
 
+/// Rejects unknown lasers, because their numbers select the LiDAR and its beam.
 RawSweep read_sweep(const fs::path& file) {
     const Feather table(file);
     if (table.row_count() == 0) throw DataError(table.name() + ": the file has no points, expected a sweep");

@@ -48,6 +48,7 @@ std::string scan_file_name(const Log& sequence, const Frame& frame) {
     return fmt::format("scans/{:06}_{}.npz", frame.index, frame.lidar);
 }
 
+/// Omits notes with an id, because loading the folder finds these faults again.
 std::string sequence_json(const Log& sequence) {
     Notes notes = sequence.notes;
     std::erase_if(notes, [](const Note& note) { return !note.id.empty(); });
@@ -72,6 +73,7 @@ std::string sequence_json(const Log& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+/// Writes poses in the world of the dataset, with all digits of a double.
 std::string poses_text(const Log& sequence) {
     const PoseTrack track = shift_track(sequence.world_from_vehicle, sequence.world_offset_m);
     std::string text = "# time_s x y z qw qx qy qz\n";
@@ -108,6 +110,7 @@ bool is_log_entry(const fs::path& entry) {
            });
 }
 
+/// Protects files of the user: replaces only a log of which relidar wrote all files.
 void require_target(const fs::path& folder, bool overwrite) {
     if (!does_path_exist(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !does_path_exist(folder / read::kHeadFile))

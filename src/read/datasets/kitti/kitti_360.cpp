@@ -45,6 +45,7 @@ std::vector<std::string> list_drives(const fs::path& folder) {
     return names;
 }
 
+/// Selects the drive of dataset.sequence, which may also name a part of the benchmark.
 DriveRequest choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
     const DriveFrames part = find_drive(options, kKitti360Benchmark);

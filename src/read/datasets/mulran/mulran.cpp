@@ -117,6 +117,7 @@ void add_ring_times(read::PointTable& table, MulranPointOrder point_order, const
     table.add_value_field("time", read::ScalarType::f8, std::move(time), place);
 }
 
+/// Adds a note if the vehicle does not drive along x: then the axes are probably wrong.
 PoseTrack read_mulran_poses(const fs::path& pose_file, const read::StampedLog& log, Notes& notes) {
     PoseTrack track;
     for (const read::PoseRow& row : read::read_stamped_rows(pose_file, 12))
@@ -139,6 +140,7 @@ Pose lidar_mount() {
     return base_from_ouster * Pose{make_rotation(kPi, 0.0, 0.0), {}};
 }
 
+/// The files have neither times nor rings. The order of the points gives both.
 read::FileFormat make_point_format(Log& sequence, const std::vector<fs::path>& scan_files) {
     read::FileFormat format;
     const read::IntensityScale brightness = read::estimate_dataset_scale(scan_files, {});

@@ -46,6 +46,7 @@ struct LidarMount {
     Pose ego_from_lidar;
 };
 
+/// Joins two tables. The key is the token that the sweeps refer to.
 TokenMap<LidarMount> read_lidar_mounts(const fs::path& table_folder) {
     TokenMap<std::string> channels;
     for_each_record(table_folder / "sensor.json", [&](const JsonRecord& record) {

@@ -44,6 +44,7 @@ struct OnceFile {
     std::size_t n_boxes = 0, n_labelled = 0;
 };
 
+/// Does not know whether w is the first or the last number. make_lidar_track() decides.
 OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
     const OncePose pose{stamp_ms, pose_field.numbers<7>()};
     const auto& n = pose.numbers;
@@ -59,6 +60,7 @@ OncePose read_once_pose(const JsonField& pose_field, std::int64_t stamp_ms) {
     return pose;
 }
 
+/// Lists the scans that exist. Only labelled frames have boxes, which are just counted.
 OnceFile read_once_json(const fs::path& json_file, const fs::path& scan_folder, bool needs_poses) {
     const std::string where = json_file.string();
     const nlohmann::json json = parse_json(read_text_file(json_file), where);

@@ -30,6 +30,7 @@ constexpr double kMaxRange_m = 80.0;
 // A ray needs 44 bytes, so this limits a log to 9 GB.
 constexpr double kMostRays = 2e8;
 
+/// Limits the size of a street, because a file of a few bytes could request all memory.
 void check_options(const StreetOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
@@ -155,6 +156,7 @@ std::uint64_t seed_of(const StreetOptions& options, const Frame& frame) {
     return frame.lidar == 0 ? seed : hash_pair(seed, std::uint64_t(frame.lidar));
 }
 
+/// Seeds each ray by itself, so that its noise does not depend on other rays.
 void add_range_noise(Scan& scan, std::uint64_t seed, double noise_stddev_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         Random random(hash_pair(seed, i));

@@ -61,6 +61,7 @@ std::vector<fs::path> list_segments(const fs::path& file_or_folder) {
     return files;
 }
 
+/// Selects the file of dataset.sequence, which may also name a part of the benchmark.
 RequestedSegment choose_segment(const fs::path& file_or_folder, const DatasetOptions& options) {
     const std::vector<fs::path> files = list_segments(file_or_folder);
     const DriveFrames part = find_drive(options, kWaymoBenchmark);

@@ -68,6 +68,7 @@ Pose parse_transform(pbf_reader reader, const std::string& where) {
     return make_pose(m, where);
 }
 
+/// Accepts packed and unpacked inclinations, because writers of protobuf may choose.
 LaserCalibration parse_calibration(pbf_reader reader, const std::string& where) {
     LaserCalibration calibration;
     while (reader.next()) {
@@ -103,6 +104,7 @@ void parse_return_images(pbf_reader reader, LaserImages& laser) {
     }
 }
 
+/// Both returns are messages of one type. Only the ranges of the second return are used.
 LaserImages parse_laser(pbf_reader reader) {
     LaserImages laser, second;
     while (reader.next()) {
