@@ -11,6 +11,7 @@
 #include <relidar/gpu/out_of_memory.hpp>
 #include "base/fail.hpp"
 
+#include "gpu/external_memory.hpp"
 #include "gpu/transfers.hpp"
 
 namespace relidar {
@@ -80,6 +81,9 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     if (owner.traversal == RayTracingBackend::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
+    VkExternalMemoryBufferCreateInfo external{VK_STRUCTURE_TYPE_EXTERNAL_MEMORY_BUFFER_CREATE_INFO};
+    external.handleTypes = VK_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD_BIT;
+    if (owner.exports_memory && use == gpu::BufferPurpose::device) info.pNext = &external;
     const std::uint64_t largest = owner.largest_allocation.n_bytes;
     if (owner.binds_sparse && use == gpu::BufferPurpose::device && size > largest)
         info.flags = VK_BUFFER_CREATE_SPARSE_BINDING_BIT;
@@ -106,10 +110,9 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     address_info.buffer = handle;
     address = vkGetBufferDeviceAddress(owner.device, &address_info);
     ++owner.n_buffers;
-    if (use != gpu::BufferPurpose::device) {
+    if (memory.size() == 1 && memory.front().block->mapped)
         mapped = memory.front().block->mapped + memory.front().offset;
-        return;
-    }
+    if (use != gpu::BufferPurpose::device) return;
     for (const gpu::MemorySuballocation& piece : memory) owner.allocated += piece.n_bytes;
     if (owner.allocated > owner.peak) owner.peak = owner.allocated.load();
 }
@@ -190,13 +193,30 @@ void Device::Impl::free_orphans() {
 }
 
 Buffer::Buffer(Device& device, std::size_t n_bytes, const std::string& text)
-    : impl_(std::make_unique<Impl>(device.impl(), n_bytes, gpu::BufferPurpose::device, text)) {}
+    : impl_(std::make_shared<Impl>(device.impl(), n_bytes, gpu::BufferPurpose::device, text)) {}
 Buffer::Buffer() = default;
 Buffer::~Buffer() = default;
 Buffer::Buffer(Buffer&&) noexcept = default;
 Buffer& Buffer::operator=(Buffer&&) noexcept = default;
 std::uint64_t Buffer::device_address() const { return impl_ ? impl_->address : 0; }
 std::size_t Buffer::size_bytes() const { return impl_ ? impl_->n_bytes : 0; }
+
+Buffer Buffer::share() const {
+    Buffer other;
+    other.impl_ = impl_;
+    return other;
+}
+
+MemoryAddress Buffer::address_for_others() const {
+    using enum MemoryAddress::Interface;
+    if (!impl_ || !impl_->device->share_memory || impl_->memory.size() != 1) return {};
+    if (impl_->mapped) return {host, impl_->mapped, 0};
+    const gpu::MemorySuballocation& piece = impl_->memory.front();
+    if (!piece.block->exports) return {};
+    MemoryAddress address = gpu::import_block(*impl_->device, *piece.block);
+    if (address.pointer) address.pointer += piece.offset;
+    return address;
+}
 
 void Buffer::upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes) {
     if (!impl_->device->compile_only) impl_->device->transfers->upload(*impl_, data, n_bytes, offset_bytes);

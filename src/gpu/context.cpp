@@ -13,6 +13,7 @@
 #include <relidar/gpu/out_of_memory.hpp>
 
 #include "base/fail.hpp"
+#include "gpu/external_memory.hpp"
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/transfers.hpp"
 #include "gpu/trust.hpp"
@@ -233,6 +234,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
+    impl_->share_memory = options.share_memory;
     impl_->compile_only = options.compile_only;
     gpu::disable_failed(*impl_, gpu::check_results(*impl_, options));
     impl_->open_device(options.pipeline_cache);
@@ -243,6 +245,10 @@ const DeviceInfo& Device::info() const { return impl_->info; }
 RayTracingBackend Device::backend() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
 std::uint64_t Device::peak_bytes() const { return impl_->peak; }
+TransferCounts Device::transfers() const {
+    return {impl_->n_uploads, impl_->upload_bytes, impl_->n_downloads, impl_->download_bytes,
+            impl_->staged_bytes};
+}
 const std::vector<PipelineStatistics>& Device::statistics() const { return impl_->compiled; }
 
 void Device::Impl::open_device(const std::filesystem::path& pipeline_cache_folder) {
@@ -255,7 +261,8 @@ void Device::Impl::open_device(const std::filesystem::path& pipeline_cache_folde
     create_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, pipeline_cache_folder);
-    memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device);
+    memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device,
+                                                          share_memory && info.type == "CPU", exports_memory);
     transfers = std::make_unique<gpu::BufferTransfers>(*this);
     constexpr std::size_t kNothingBytes = 64 << 10;
     nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::BufferPurpose::parameters,
@@ -353,6 +360,8 @@ void Device::Impl::create_device() {
     if (optional.maximal_reconvergence)
         enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, extension_features.maximal);
 #endif
+    exports_memory = share_memory && info.type != "CPU" && gpu::can_export(physical, binds_sparse);
+    if (exports_memory) extensions.push_back(VK_KHR_EXTERNAL_MEMORY_FD_EXTENSION_NAME);
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
     device_info.pQueueCreateInfos = &queue_info;

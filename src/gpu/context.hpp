@@ -144,6 +144,7 @@ struct Device::Impl {
     /// Zeros. Kernels get this address instead of an array that a launch leaves out.
     std::unique_ptr<Buffer::Impl> nothing;
     std::uint64_t memory_limit_bytes = 0;  ///< Maximum size of all arrays in bytes. 0 means no limit.
+    bool share_memory = false, exports_memory = false;
     bool compile_only = false;
     bool wrong_sums = false;
     bool forced_lanes = false;
@@ -166,6 +167,8 @@ struct Device::Impl {
     std::mutex orphans_mutex;
     /// Number of times that the host waited for all submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
+    std::atomic<std::uint64_t> n_uploads{0}, upload_bytes{0}, n_downloads{0}, download_bytes{0},
+        staged_bytes{0};
 
     Impl();
     ~Impl();

@@ -86,7 +86,9 @@ void FreeRanges::release_range(std::uint64_t offset, std::uint64_t n_bytes) {
     ranges_[offset] = n_bytes;
 }
 
-DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device) : device_(device) {
+DeviceMemoryAllocator::DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device, bool map_arrays,
+                                             bool export_arrays)
+    : device_(device), map_arrays_(map_arrays), export_arrays_(export_arrays) {
     vkGetPhysicalDeviceMemoryProperties(physical, &properties_);
 }
 
@@ -121,10 +123,11 @@ std::vector<std::uint32_t> DeviceMemoryAllocator::find_types(const VkMemoryRequi
 }
 
 std::optional<MemorySuballocation> DeviceMemoryAllocator::place_in_block(
-    const VkMemoryRequirements& requirements, std::uint32_t type) {
+    const VkMemoryRequirements& requirements, std::uint32_t type, bool exports) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])
-        if (const auto offset = block->free.allocate_range(
-                requirements.size, std::max(requirements.alignment, kBufferAlignment)))
+        if (block->exports != exports) continue;
+        else if (const auto offset = block->free.allocate_range(
+                     requirements.size, std::max(requirements.alignment, kBufferAlignment)))
             return MemorySuballocation{block.get(), *offset, requirements.size};
     return std::nullopt;
 }
@@ -136,11 +139,14 @@ VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirem
     const std::lock_guard lock(mutex_);
     VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // Result if no memory type is suitable.
     for (const std::uint32_t type : find_types(requirements, purpose)) {
-        std::optional<MemorySuballocation> free_piece = place_in_block(requirements, type);
-        result = free_piece ? VK_SUCCESS : place_in_new_block(requirements, type, free_piece);
+        const bool is_array = purpose == BufferPurpose::device, exports = is_array && export_arrays_;
+        std::optional<MemorySuballocation> free_piece = place_in_block(requirements, type, exports);
+        result = free_piece ? VK_SUCCESS : place_in_new_block(requirements, type, exports, free_piece);
         if (result != VK_SUCCESS) continue;
         suballocation = *free_piece;
-        if (purpose != BufferPurpose::device) result = map_block(*suballocation.block);
+        const bool visible =
+            (properties_.memoryTypes[type].propertyFlags & VK_MEMORY_PROPERTY_HOST_COHERENT_BIT) != 0;
+        if (!is_array || (map_arrays_ && visible)) result = map_block(*suballocation.block);
         if (result == VK_SUCCESS) break;
         suballocation.block->free.release_range(suballocation.offset, suballocation.n_bytes);
     }
@@ -150,28 +156,32 @@ VkResult DeviceMemoryAllocator::suballocate(const VkMemoryRequirements& requirem
 /// Allocates a block that several buffers can share, or a separate block for an array
 /// larger than half a block. If this fails, tries to allocate only the required size.
 VkResult DeviceMemoryAllocator::place_in_new_block(const VkMemoryRequirements& requirements,
-                                                   std::uint32_t type,
+                                                   std::uint32_t type, bool exports,
                                                    std::optional<MemorySuballocation>& suballocation) {
     const std::uint64_t shared = new_block_bytes(type);
     VkResult result = VK_SUCCESS;
     for (const std::uint64_t n_bytes :
          {requirements.size > shared / 2 ? requirements.size : shared, requirements.size}) {
-        result = allocate_block(type, n_bytes);
-        if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, type))) return VK_SUCCESS;
+        result = allocate_block(type, n_bytes, exports);
+        if (result == VK_SUCCESS && (suballocation = place_in_block(requirements, type, exports)))
+            return VK_SUCCESS;
         // Empty blocks may occupy the memory that the next, smaller attempt needs.
         release_empty(type, 0);
     }
     return result;
 }
 
-VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t type, std::uint64_t n_bytes) {
+VkResult DeviceMemoryAllocator::allocate_block(std::uint32_t type, std::uint64_t n_bytes, bool exports) {
+    VkExportMemoryAllocateInfo exported{VK_STRUCTURE_TYPE_EXPORT_MEMORY_ALLOCATE_INFO};
+    exported.handleTypes = VK_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD_BIT;
     VkMemoryAllocateFlagsInfo flags{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
     flags.flags = VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT;
+    if (exports) flags.pNext = &exported;
     VkMemoryAllocateInfo info{VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO, &flags};
     info.allocationSize = n_bytes;
     info.memoryTypeIndex = type;
     auto block = std::make_unique<MemoryBlock>(
-        MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes)});
+        MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes), exports, nullptr});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
     if (result != VK_SUCCESS) return result;
     set_object_name(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
@@ -204,6 +214,7 @@ void DeviceMemoryAllocator::release_empty(std::uint32_t type, std::size_t n_bloc
             --n_blocks_to_keep;
             return false;
         }
+        block->imported.reset();
         vkFreeMemory(device_, block->memory, nullptr);
         return true;
     });

@@ -57,6 +57,8 @@ struct MemoryBlock {
     std::uint64_t n_bytes = 0;
     std::byte* mapped = nullptr;  ///< Host address of the block. Null if the block is not mapped.
     FreeRanges free;
+    bool exports = false;            ///< Can be exported to CUDA or HIP.
+    std::shared_ptr<void> imported;  ///< The block as CUDA or HIP knows it, after its first import.
 };
 
 struct MemorySuballocation {
@@ -69,7 +71,9 @@ class DeviceMemoryAllocator {
 public:
     static constexpr std::uint64_t kBlockBytes = std::uint64_t(64) << 20;
 
-    DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device);
+    /// @param map_arrays maps memory of arrays too, if the host can address it
+    /// @param export_arrays allocates arrays such that CUDA or HIP can import them
+    DeviceMemoryAllocator(VkPhysicalDevice physical, VkDevice device, bool map_arrays, bool export_arrays);
     ~DeviceMemoryAllocator();
 
     VkResult suballocate(const VkMemoryRequirements& requirements, BufferPurpose purpose,
@@ -81,6 +85,7 @@ private:
     using MemoryBlockList = std::vector<std::unique_ptr<MemoryBlock>>;
 
     VkDevice device_;
+    bool map_arrays_, export_arrays_;
     VkPhysicalDeviceMemoryProperties properties_{};
     mutable std::mutex mutex_;
     std::array<MemoryBlockList, VK_MAX_MEMORY_TYPES> blocks_;  ///< Memory blocks, indexed by memory type.
@@ -89,11 +94,11 @@ private:
                                           BufferPurpose purpose) const;
     std::uint64_t new_block_bytes(std::uint32_t type) const;
     std::optional<MemorySuballocation> place_in_block(const VkMemoryRequirements& requirements,
-                                                      std::uint32_t type);
-    VkResult place_in_new_block(const VkMemoryRequirements& requirements, std::uint32_t type,
+                                                      std::uint32_t type, bool exports);
+    VkResult place_in_new_block(const VkMemoryRequirements& requirements, std::uint32_t type, bool exports,
                                 std::optional<MemorySuballocation>& result);
     VkResult map_block(MemoryBlock& block);
-    VkResult allocate_block(std::uint32_t type, std::uint64_t n_bytes);
+    VkResult allocate_block(std::uint32_t type, std::uint64_t n_bytes, bool exports);
     void release_empty(std::uint32_t type, std::size_t n_blocks_to_keep);
 };
 

@@ -204,6 +204,7 @@ Stream::Impl::StagedValue Stream::Impl::stage_bytes(const void* host_bytes, std:
     const Buffer::Impl& block = *slot.blocks[slot.block];
     const std::size_t offset = slot.block_bytes;
     slot.block_bytes += aligned;
+    device->staged_bytes += n_bytes;
     if (n_bytes != 0) std::memcpy(block.mapped + offset, host_bytes, n_bytes);
     return {block.handle, offset, block.address + offset};
 }
@@ -220,6 +221,8 @@ void Stream::Impl::record_write(const Buffer& buffer, const void* host_bytes, st
 void Stream::Impl::record_copy(const Buffer::Impl& source, const std::shared_ptr<const Buffer::Impl>& target,
                                const VkBufferCopy& region) {
     if (region.size == 0) return;
+    ++device->n_downloads;
+    device->download_bytes += region.size;
     record_command("read back", [this, source = source.handle, target, region](VkCommandBuffer commands) {
         vkCmdCopyBuffer(commands, source, target->handle, 1, &region);
         slots[current].retained_buffers.push_back(target);

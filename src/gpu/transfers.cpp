@@ -47,6 +47,8 @@ Buffer::Impl& BufferTransfers::ensure_staging(std::unique_ptr<Buffer::Impl>& sta
 void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::size_t n_bytes,
                              std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
+    ++device_.n_uploads;
+    device_.upload_bytes += n_bytes;
     const Buffer::Impl& from = ensure_staging(upload_, BufferPurpose::upload, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);
@@ -58,6 +60,8 @@ void BufferTransfers::upload(const Buffer::Impl& target, const void* data, std::
 void BufferTransfers::download(const Buffer::Impl& source, void* data, std::size_t n_bytes,
                                std::size_t offset_bytes) {
     const std::lock_guard lock(mutex_);
+    ++device_.n_downloads;
+    device_.download_bytes += n_bytes;
     const Buffer::Impl& to = ensure_staging(download_, BufferPurpose::readback, n_bytes);
     for (std::size_t done = 0; done < n_bytes; done += kMaxStagingBytes) {
         const std::size_t n = std::min(kMaxStagingBytes, n_bytes - done);

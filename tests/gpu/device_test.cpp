@@ -325,6 +325,40 @@ TEST_F(GpuMemory, WhatNoArrayCanHaveIsRefusedByName) {
                     testing::ThrowsMessage<DeviceError>(test::Names(parts)));
 }
 
+TEST_F(GpuMemory, IsSharedOnRequest) {
+    const Array<std::uint32_t> unshared(device(), 4, "not shared");
+    EXPECT_EQ(unshared.buffer().address_for_others().pointer, nullptr);
+    Device shared({.index = device().info().index, .share_memory = true});
+    auto array =
+        std::make_unique<Array<std::uint32_t>>(shared, std::vector<std::uint32_t>{1, 2, 3, 4}, "shared");
+    const MemoryAddress address = array->buffer().address_for_others();
+    if (shared.info().type != "CPU") GTEST_SKIP() << "only the host can read the address here";
+    ASSERT_EQ(address.interface, MemoryAddress::Interface::host);
+    auto* values = reinterpret_cast<std::uint32_t*>(address.pointer);
+    EXPECT_THAT(std::vector(values, values + 4), testing::ElementsAre(1, 2, 3, 4));
+    values[2] = 7;
+    EXPECT_THAT(array->download(), testing::ElementsAre(1, 2, 7, 4));
+    const Buffer handle = array->buffer().share();
+    array.reset();
+    // Would get the memory of the destroyed array if the handle did not keep it.
+    const Array<std::uint32_t> other(shared, std::vector<std::uint32_t>(4), "other");
+    EXPECT_EQ(values[2], 7u);
+}
+
+TEST_F(GpuMemory, CopiesAreCounted) {
+    Device fresh({.index = device().info().index});
+    Array<std::uint32_t> array(fresh, std::vector<std::uint32_t>(100), "counted");
+    array.download(30);
+    Stream stream(fresh);
+    ReadbackBuffer readback(fresh, 8, "counted");
+    readback.record_copy(stream, array.buffer(), 8);
+    const TransferCounts counts = fresh.transfers();
+    EXPECT_EQ(counts.uploads, 1u);
+    EXPECT_EQ(counts.upload_bytes, 400u);
+    EXPECT_EQ(counts.downloads, 2u);
+    EXPECT_EQ(counts.download_bytes, 128u);
+}
+
 PFN_vkGetPhysicalDeviceMemoryProperties2 real_memory_properties = nullptr;
 /// Reports a budget of 100 MiB for each heap. 40 MiB of it are used.
 VKAPI_ATTR void VKAPI_CALL small_budget(VkPhysicalDevice physical,

@@ -97,6 +97,8 @@ struct DeviceOptions {
     bool validation = false;  ///< Enables the Khronos validation layer.
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
+    /// If true, other libraries of the process can use the arrays (Buffer::address_for_others).
+    bool share_memory = false;
     /// If true, pipelines are compiled but no kernel runs. Use this option to read the
     /// driver's statistics of each pipeline (Device::statistics). The option
     /// also works with a driver that has no hardware.
@@ -118,6 +120,14 @@ struct DeviceOptions {
 /// @throws UsageError if the limit is not a number
 DeviceOptions apply_environment(DeviceOptions options = {});
 
+/// Copies between host and device since a device was opened.
+struct TransferCounts {
+    /// Number and size of the copies of arrays: Buffer, Array, ReadbackBuffer.
+    std::uint64_t uploads = 0, upload_bytes = 0, downloads = 0, download_bytes = 0;
+    /// Values that commands contain, bytes: kernel parameters, poses, frames for training.
+    std::uint64_t staged_bytes = 0;
+};
+
 /// Open Vulkan device. All objects created with a device must be destroyed before the
 /// device.
 class Device {
@@ -136,6 +146,7 @@ public:
     /// returns the maximum since the device was opened.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
+    TransferCounts transfers() const;
     /// Returns statistics of all pipelines compiled so far, in the order of compilation.
     /// Empty if the device was not opened with compile_only.
     const std::vector<PipelineStatistics>& statistics() const;

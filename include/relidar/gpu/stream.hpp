@@ -15,6 +15,15 @@
 
 namespace relidar {
 
+/// Address of device memory for other libraries of this process.
+struct MemoryAddress {
+    /// Interface to which the address belongs: the host, CUDA or HIP. `none`: other
+    /// libraries cannot reach the memory.
+    enum class Interface { none, host, cuda, hip } interface = Interface::none;
+    std::byte* pointer = nullptr;
+    int device_index = 0;  ///< Index of the device in CUDA or HIP.
+};
+
 /// Block of device memory. It can be moved but not copied.
 class Buffer {
 public:
@@ -29,6 +38,14 @@ public:
     Buffer& operator=(Buffer&&) noexcept;
 
     std::size_t size_bytes() const;
+    /// Returns another handle of the same memory. The memory is freed with its last handle.
+    Buffer share() const;
+    /// Returns the address with which other libraries use the memory without a copy: on a
+    /// CPU device a host address, on NVIDIA and AMD cards an address of CUDA or HIP. The
+    /// interface is `none` if DeviceOptions::share_memory is false or the device cannot
+    /// share its memory. Work of the device must be complete before others read or write.
+    /// @throws DeviceError if the library of the card fails
+    MemoryAddress address_for_others() const;
     explicit operator bool() const { return impl_ != nullptr; }
     /// Copies data from the host to the device and waits until the copy is done.
     /// download() copies from the device to the host and also waits.
@@ -46,7 +63,7 @@ public:
 private:
     template <class, class>
     friend class Array;
-    std::unique_ptr<Impl> impl_;
+    std::shared_ptr<Impl> impl_;
 
     std::uint64_t device_address() const;
 };

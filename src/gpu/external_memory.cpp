@@ -1,0 +1,190 @@
+// SPDX-License-Identifier: Apache-2.0
+// Imports blocks of device memory into CUDA or HIP. Both have the same functions and
+// structs with different names.
+#include "gpu/external_memory.hpp"
+
+#include <array>
+#include <cstddef>
+#include <cstring>
+
+#include <dlfcn.h>
+#include <unistd.h>
+
+#include "base/fail.hpp"
+
+namespace relidar::gpu {
+
+namespace {
+
+constexpr VkExternalMemoryHandleTypeFlagBits kHandleType = VK_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD_BIT;
+constexpr int kOpaqueFd = 1;  // CU_EXTERNAL_MEMORY_HANDLE_TYPE_OPAQUE_FD, and the same of HIP
+
+/// Layout of CUDA_EXTERNAL_MEMORY_HANDLE_DESC and hipExternalMemoryHandleDesc.
+struct ImportDescription {
+    int type = kOpaqueFd;
+    union {
+        int fd;
+        void* pointers[2];
+    } handle{};
+    unsigned long long size = 0;
+    unsigned flags = 0, reserved[16]{};
+};
+/// Layout of CUDA_EXTERNAL_MEMORY_BUFFER_DESC and hipExternalMemoryBufferDesc.
+struct MappingDescription {
+    unsigned long long offset = 0, size = 0;
+    unsigned flags = 0, reserved[16]{};
+};
+
+struct LibraryNames {
+    std::uint32_t vendor_id;
+    MemoryAddress::Interface interface;
+    const char* file;
+    /// Functions in the order of the members of ComputeLibrary.
+    std::array<const char*, 11> functions;
+};
+constexpr LibraryNames kLibraries[] = {
+    {0x10de,
+     MemoryAddress::Interface::cuda,
+     "libcuda.so.1",
+     {"cuInit", "cuDeviceGetCount", "cuDeviceGet", "cuDeviceGetUuid", "cuDevicePrimaryCtxRetain",
+      "cuCtxPushCurrent_v2", "cuCtxPopCurrent_v2", "cuImportExternalMemory",
+      "cuExternalMemoryGetMappedBuffer", "cuMemFree_v2", "cuDestroyExternalMemory"}},
+    {0x1002,
+     MemoryAddress::Interface::hip,
+     "libamdhip64.so",
+     {"hipInit", "hipGetDeviceCount", "hipDeviceGet", "hipDeviceGetUuid", "hipDevicePrimaryCtxRetain",
+      "hipCtxPushCurrent", "hipCtxPopCurrent", "hipImportExternalMemory",
+      "hipExternalMemoryGetMappedBuffer", "hipFree", "hipDestroyExternalMemory"}}};
+
+struct ComputeLibrary {
+    int (*init)(unsigned);
+    int (*count_devices)(int* n);
+    int (*get_device)(int* device, int index);
+    int (*get_uuid)(std::uint8_t* uuid, int device);
+    int (*retain_context)(void** context, int device);
+    int (*push_context)(void* context);
+    int (*pop_context)(void** context);
+    int (*import_memory)(void** memory, const ImportDescription* description);
+    int (*map_memory)(std::byte** pointer, void* memory, const MappingDescription* description);
+    int (*free_mapping)(std::byte* pointer);
+    int (*destroy_memory)(void* memory);
+    const LibraryNames* names = nullptr;
+
+    void check(int result, std::size_t function) const {
+        if (result != 0) fail<DeviceError>("{} failed: it returned {}, expected 0", names->functions[function], result);
+    }
+};
+
+/// Loads the functions of a library. They stay loaded until the process ends.
+/// @return the functions, or null if the library or one of its functions is missing
+const ComputeLibrary* load_library(const LibraryNames& names) {
+    static_assert(offsetof(ComputeLibrary, names) == sizeof(LibraryNames::functions));
+    auto loaded = std::make_unique<ComputeLibrary>();
+    loaded->names = &names;
+    void* library = dlopen(names.file, RTLD_NOW | RTLD_LOCAL);
+    for (std::size_t i = 0; i < names.functions.size(); ++i) {
+        void* function = library ? dlsym(library, names.functions[i]) : nullptr;
+        if (!function) return nullptr;
+        std::memcpy(reinterpret_cast<std::byte*>(loaded.get()) + i * sizeof(void*), &function, sizeof(void*));
+    }
+    return loaded->init(0) == 0 ? loaded.release() : nullptr;
+}
+
+const ComputeLibrary* find_library(std::uint32_t vendor_id) {
+    static const ComputeLibrary* const kCuda = load_library(kLibraries[0]);
+    if (vendor_id == kLibraries[0].vendor_id) return kCuda;
+    if (vendor_id != kLibraries[1].vendor_id) return nullptr;
+    static const ComputeLibrary* const kHip = load_library(kLibraries[1]);
+    return kHip;
+}
+
+/// Returns the index of the Vulkan device in the library.
+int find_device(const ComputeLibrary& library, const Device::Impl& device) {
+    VkPhysicalDeviceIDProperties id{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ID_PROPERTIES};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &id};
+    vkGetPhysicalDeviceProperties2(device.physical, &properties);
+    int n = 0;
+    library.check(library.count_devices(&n), 1);
+    for (int index = 0; index < n; ++index) {
+        int handle = 0;
+        std::uint8_t uuid[VK_UUID_SIZE];
+        library.check(library.get_device(&handle, index), 2);
+        library.check(library.get_uuid(uuid, handle), 3);
+        if (std::memcmp(uuid, id.deviceUUID, VK_UUID_SIZE) == 0) return index;
+    }
+    fail<DeviceError>(
+        "cannot share memory of {} with {}: none of its {} devices has the UUID of this card; make the card "
+        "visible to it, or open the device without shared memory",
+        device.info.name, library.names->file, n);
+}
+
+/// Memory that a library has imported, in the context of its device.
+struct ImportedBlock {
+    const ComputeLibrary& library;
+    int device_index, device = 0;
+    void *context = nullptr, *memory = nullptr;
+    std::byte* pointer = nullptr;
+
+    ImportedBlock(const ComputeLibrary& of, const Device::Impl& owner, const MemoryBlock& block)
+        : library(of), device_index(find_device(of, owner)) {
+        library.check(library.get_device(&device, device_index), 2);
+        library.check(library.retain_context(&context, device), 4);
+        library.check(library.push_context(context), 5);
+        ImportDescription import;
+        import.handle.fd = export_block(owner, block);
+        import.size = block.n_bytes;
+        const int imported = library.import_memory(&memory, &import);
+        if (imported != 0) close(import.handle.fd);  // otherwise the library closes it
+        MappingDescription mapping;
+        mapping.size = block.n_bytes;
+        const int mapped = imported ? imported : library.map_memory(&pointer, memory, &mapping);
+        library.pop_context(&context);
+        library.check(imported, 7);
+        library.check(mapped, 8);
+    }
+    ~ImportedBlock() {
+        library.push_context(context);
+        library.free_mapping(pointer);
+        library.destroy_memory(memory);
+        library.pop_context(&context);
+    }
+    ImportedBlock(const ImportedBlock&) = delete;
+    ImportedBlock& operator=(const ImportedBlock&) = delete;
+};
+
+}  // namespace
+
+bool can_export(VkPhysicalDevice physical, bool binds_sparse) {
+    if (!has_extension(physical, VK_KHR_EXTERNAL_MEMORY_FD_EXTENSION_NAME)) return false;
+    VkPhysicalDeviceExternalBufferInfo info{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_EXTERNAL_BUFFER_INFO};
+    info.flags = binds_sparse ? VK_BUFFER_CREATE_SPARSE_BINDING_BIT : 0;
+    info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
+                 VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+    info.handleType = kHandleType;
+    VkExternalBufferProperties properties{VK_STRUCTURE_TYPE_EXTERNAL_BUFFER_PROPERTIES};
+    vkGetPhysicalDeviceExternalBufferProperties(physical, &info, &properties);
+    const VkExternalMemoryFeatureFlags features = properties.externalMemoryProperties.externalMemoryFeatures;
+    // relidar puts several buffers into a block, which is not allowed if each needs a
+    // dedicated allocation.
+    return (features & VK_EXTERNAL_MEMORY_FEATURE_EXPORTABLE_BIT) &&
+           !(features & VK_EXTERNAL_MEMORY_FEATURE_DEDICATED_ONLY_BIT);
+}
+
+int export_block(const Device::Impl& device, const MemoryBlock& block) {
+    VkMemoryGetFdInfoKHR info{VK_STRUCTURE_TYPE_MEMORY_GET_FD_INFO_KHR};
+    info.memory = block.memory;
+    info.handleType = kHandleType;
+    int fd = -1;
+    vk_check(vkGetMemoryFdKHR(device.device, &info, &fd), "vkGetMemoryFdKHR");
+    return fd;
+}
+
+MemoryAddress import_block(const Device::Impl& device, MemoryBlock& block) {
+    const ComputeLibrary* library = find_library(device.info.vendor_id);
+    if (!library) return {};
+    if (!block.imported) block.imported = std::make_shared<ImportedBlock>(*library, device, block);
+    const auto& imported = *static_cast<const ImportedBlock*>(block.imported.get());
+    return {library->names->interface, imported.pointer, imported.device_index};
+}
+
+}  // namespace relidar::gpu
