@@ -48,7 +48,16 @@ py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays) {
     return dict;
 }
 
-void check_array(const py::handle& object, const std::string& where, const py::dtype& dtype,
+py::object to_numpy(const py::handle& object) {
+    const auto same = py::reinterpret_borrow<py::object>(object);
+    if (py::isinstance<py::array>(object) || !py::hasattr(object, "__dlpack_device__")) return same;
+    constexpr int kDlCpu = 1;
+    if (object.attr("__dlpack_device__")().cast<std::pair<int, int>>().first != kDlCpu)
+        throw DataError("cannot read a tensor in the memory of a GPU; copy it to the host");
+    return py::module_::import("numpy").attr("from_dlpack")(same);
+}
+
+void check_dtype(const py::handle& object, const std::string& where, const py::dtype& dtype,
                  const NumpyShape& shape) {
     const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
     if (!py::isinstance<py::array>(object)) {
@@ -62,6 +71,13 @@ void check_array(const py::handle& object, const std::string& where, const py::d
         throw DataError(fmt::format("{}: found {} {}, expected {}", where, format_dtype(array.dtype()),
                                     format_shape(actual_shape), expected));
     }
+}
+
+void check_array(const py::handle& object, const std::string& where, const py::dtype& dtype,
+                 const NumpyShape& shape) {
+    check_dtype(object, where, dtype, shape);
+    const std::string expected = fmt::format("an array of {} {}", format_dtype(dtype), format_shape(shape));
+    const auto array = py::reinterpret_borrow<py::array>(object);
     const bool ordered = (array.flags() & py::array::c_style) != 0,
                aligned = array.attr("flags").attr("aligned").cast<bool>();
     if (!ordered || !aligned)

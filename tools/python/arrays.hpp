@@ -39,6 +39,16 @@ py::array read_only_view(const std::vector<Element>& values, const NumpyShape& s
 py::array to_numpy(NamedArray&& npz_array);
 py::dict to_array_dict(std::vector<NamedArray>&& npz_arrays);
 
+/// Returns a numpy array unchanged, and other objects with __dlpack__ as a numpy array of
+/// the same memory. Returns any other object unchanged.
+/// @throws DataError if the object is a tensor in the memory of a GPU
+py::object to_numpy(const py::handle& object);
+
+/// Checks the dtype and shape of a numpy array.
+/// @throws DataError like check_array()
+void check_dtype(const py::handle& object, const std::string& where, const py::dtype& dtype,
+                 const NumpyShape& shape);
+
 /// Checks the dtype, shape and C order of a numpy array.
 /// @throws DataError if the object is not such an array; the message contains the actual
 /// type and shape
@@ -57,9 +67,11 @@ std::span<const Number> array_values(const py::handle& object, const std::string
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
+/// The same as a vector. Accepts any object of to_numpy().
 template <class Number, class Element>
 std::vector<Element> copy_array(const py::handle& object, const std::string& where, const NumpyShape& shape) {
-    const std::span<const Number> values = array_values<Number>(object, where, shape);
+    const py::object array = to_numpy(object);
+    const std::span<const Number> values = array_values<Number>(array, where, shape);
     const auto* first = reinterpret_cast<const Element*>(values.data());
     return {first, first + values.size() * sizeof(Number) / sizeof(Element)};
 }

@@ -19,7 +19,7 @@ SharedDevice& default_device() {
 
 SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string& traversal,
                          IntegerArgument<std::uint64_t, "memory_limit_bytes"> memory_limit_bytes,
-                         bool enable_validation) {
+                         bool enable_validation, bool share_memory) {
     if (index < -1)
         throw UsageError(fmt::format(
             "cannot open a device: found the index {}, expected an index of relidar.devices(), or -1",
@@ -29,6 +29,7 @@ SharedDevice open_device(IntegerArgument<int, "index"> index, const std::string&
     options.traversal = parse_backend(traversal);
     options.memory_limit_bytes = memory_limit_bytes;
     options.validation = enable_validation;
+    options.share_memory = share_memory;
     const py::gil_scoped_release others_run;
     return std::make_shared<LockableDevice>(apply_environment(options));
 }
@@ -46,7 +47,7 @@ std::string device_repr(const LockableDevice& device) {
 
 SharedDevice device_or_default(SharedDevice device) {
     if (device) return device;
-    if (!default_device()) default_device() = open_device({-1}, "auto", {0}, false);
+    if (!default_device()) default_device() = open_device({-1}, "auto", {0}, false, true);
     return default_device();
 }
 
@@ -89,13 +90,15 @@ void bind_device(py::module_& module) {
         "An open Vulkan device. It stays open as long as objects that were made with it exist. It can be "
         "used by one thread at a time.")
         .def(py::init(&open_device), py::arg("index") = -1, py::arg("traversal") = "auto", py::kw_only(),
-             py::arg("memory_limit_bytes") = 0, py::arg("validation") = false,
+             py::arg("memory_limit_bytes") = 0, py::arg("validation") = false, py::arg("share_memory") = true,
              "Opens a device.\n\n"
              "index: index in devices(); -1: the first GPU with ray query, otherwise the first GPU, "
              "otherwise a CPU device\n"
              "traversal: method to trace rays: \"auto\", \"ray_query\" or \"software\"\n"
              "memory_limit_bytes: maximum device memory to allocate; 0: no limit\n"
              "validation: enable the Khronos validation layer\n"
+             "share_memory: allow tensors of other libraries to use the memory of the device "
+             "(relidar.DeviceArray); False: they are copies\n"
              "These environment variables also have an effect: RELIDAR_VALIDATION, RELIDAR_MEMORY_LIMIT_MIB, "
              "RELIDAR_PIPELINE_CACHE.\n\n"
              "Raises DeviceError that names the missing feature.")
@@ -106,6 +109,18 @@ void bind_device(py::module_& module) {
         .def_property_readonly(
             "peak_bytes", [](const LockableDevice& open) { return open.device.peak_bytes(); },
             "Maximum device memory that was allocated so far, in bytes.")
+        .def_property_readonly(
+            "transfers",
+            [](const LockableDevice& open) {
+                const TransferCounts n = open.device.transfers();
+                return py::dict(py::arg("uploads") = n.uploads, py::arg("upload_bytes") = n.upload_bytes,
+                                py::arg("downloads") = n.downloads,
+                                py::arg("download_bytes") = n.download_bytes,
+                                py::arg("staged_bytes") = n.staged_bytes);
+            },
+            "Dict of the copies so far between host and device: uploads, upload_bytes, downloads, "
+            "download_bytes (of arrays), staged_bytes (kernel parameters, poses and other values in "
+            "commands).")
         .def("__repr__", &device_repr);
     // Closes the default device at exit. The Python interpreter and the Vulkan loader
     // must still exist at this time.

@@ -78,6 +78,7 @@ public:
     Made* operator->() { return made_.get(); }
     explicit operator bool() const { return made_ != nullptr; }
     LockableDevice& opened() { return *device_; }
+    const SharedDevice& device() const { return device_; }
 
 private:
     SharedDevice device_;

@@ -9,7 +9,8 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/run/stage_options.hpp>
-#include "device.hpp"
+#include "device_array.hpp"
+#include "integers.hpp"
 #include "module.hpp"
 #include "poses.hpp"
 #include "scene.hpp"
@@ -21,6 +22,9 @@ struct PythonRenderer {
     DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
+    /// Rays that other libraries write. Destroyed before the renderer, which no longer uses
+    /// them, because every call waits for the device.
+    Array<DeviceRay> rays;
 };
 
 std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
@@ -55,7 +59,7 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
                             found, placed.size()));
     };
     if (!poses.is_none()) {
-        const std::vector<Pose> model_poses = to_poses(poses, "poses");
+        const std::vector<Pose> model_poses = to_poses(to_numpy(poses), "poses");
         check_count(model_poses.size(), "poses");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
@@ -67,7 +71,7 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
     if (view_origin.is_none()) {
         view = renderer.differentiable->renderer().view_origin_m();
     } else {
-        const std::span<const double> v = array_values<double>(view_origin, "view_origin", {3});
+        const std::vector<double> v = copy_array<double, double>(view_origin, "view_origin", {3});
         view = {v[0], v[1], v[2]};
     }
     const DeviceLock use(renderer.differentiable.opened());
@@ -163,6 +167,96 @@ py::dict download_surfels(PythonRenderer& renderer) {
     return to_array_dict(std::move(scene.surfels));
 }
 
+/// Wraps the arrays of all surfel parameters, or of their gradients.
+py::dict wrap_surfels(const SharedDevice& device, const SurfelArrays& arrays) {
+    py::dict dict;
+    for (const SurfelParameterGroup& group : list_groups(arrays.parameters_used())) {
+        const std::vector<std::size_t> shape = group.array_shape(arrays.n);
+        dict[group.name] =
+            wrap_array<float>(device, group.device(arrays), NumpyShape(shape.begin(), shape.end()));
+    }
+    return dict;
+}
+
+py::dict device_parameters(PythonRenderer& renderer) {
+    {
+        const DeviceLock use(renderer.differentiable.opened());
+        renderer.differentiable->renderer().stream().submit_and_wait();
+    }
+    return wrap_surfels(renderer.differentiable.device(),
+                        renderer.differentiable->renderer().scene().surfel_parameters());
+}
+
+DeviceArray device_rays(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
+    if (renderer.rays.size() < n) {
+        const std::vector<DeviceRay> unset(n, DeviceRay{{}, {}, RELIDAR_NO_TIME});
+        const DeviceLock use(renderer.differentiable.opened());
+        renderer.differentiable->renderer().stream().submit_and_wait();
+        renderer.rays = {renderer.differentiable.opened().device, unset, "rays"};
+    }
+    return wrap_array<float>(renderer.differentiable.device(), renderer.rays,
+                             {py::ssize_t(n.value), sizeof(DeviceRay) / 4});
+}
+
+/// Fails if a ray was not traced completely. Copies nothing if the host can read the
+/// counter of such rays.
+void check_truncation(Renderer& renderer) {
+    const MemoryAddress counter = renderer.forward_pass().n_truncated_rays().buffer().address_for_others();
+    const bool visible = counter.interface == MemoryAddress::Interface::host;
+    if (!visible || *reinterpret_cast<const std::uint32_t*>(counter.pointer) != 0)
+        renderer.check_truncation();
+}
+
+py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
+    if (n > renderer.rays.size())
+        throw UsageError(fmt::format("cannot render {} rays: device_rays() has memory for {} rays", n.value,
+                                     renderer.rays.size()));
+    RenderedBatch batch;
+    {
+        const DeviceLock use(renderer.differentiable.opened());
+        renderer.differentiable->renderer().record_forward({&renderer.rays, 0, 1, n});
+        renderer.differentiable->renderer().stream().submit_and_wait();
+        check_truncation(renderer.differentiable->renderer());
+        batch = renderer.differentiable->last_batch();
+    }
+    renderer.n_rays = n;
+    const SharedDevice& device = renderer.differentiable.device();
+    using shared::RenderedRay;
+    py::dict dict;
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
+    dict[#name] = wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, name), n);
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
+    dict["transmittance"] =
+        wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, transmittance), n);
+    dict["median_depth"] =
+        wrap_member<float>(device, *batch.rendered, offsetof(RenderedRay, median_depth), n);
+    dict["hits"] = wrap_member<std::int32_t>(device, *batch.rendered, offsetof(RenderedRay, n_hits), n);
+    dict["instance"] = wrap_member<std::int32_t>(device, *batch.rendered, offsetof(RenderedRay, instance), n);
+    dict["d_rendered"] =
+        wrap_array<float>(device, *batch.upstream, {py::ssize_t(n.value), sizeof(shared::RayGradient) / 4});
+    return dict;
+}
+
+py::dict backward_device(PythonRenderer& renderer) {
+    if (renderer.n_rays == 0)
+        throw UsageError("cannot compute gradients: no rays were rendered; run the forward pass first");
+    {
+        const DeviceLock use(renderer.differentiable.opened());
+        renderer.differentiable->record_backward();
+        renderer.differentiable->renderer().stream().submit_and_wait();
+    }
+    const DeviceGradients& g = renderer.differentiable->gradients();
+    const SharedDevice& device = renderer.differentiable.device();
+    py::dict dict = wrap_surfels(device, g.surfels);
+    dict["touched"] = wrap_array<std::int32_t>(device, g.touched, {py::ssize_t(g.surfels.n)});
+    if (g.poses.size())
+        dict["poses"] = wrap_array<float>(device, g.poses, {py::ssize_t(renderer.placed.size()), 6});
+    if (g.sensor.size()) dict["sensor"] = wrap_array<float>(device, g.sensor, {6});
+    if (g.rays.size()) dict["rays"] = wrap_array<float>(device, g.rays, {py::ssize_t(renderer.n_rays), 6});
+    return dict;
+}
+
 }  // namespace
 
 void bind_renderer(py::module_& module) {
@@ -205,7 +299,19 @@ void bind_renderer(py::module_& module) {
         .def("upload", &upload_surfels, py::arg("surfels"),
              "Replaces the values of all parameters. The number of surfels must be the same. Call place() afterwards.")
         .def("download", &download_surfels,
-             "Returns the current parameters as a dict of float32 arrays that relidar.Scene accepts.");
+             "Returns the current parameters as a dict of float32 arrays that relidar.Scene accepts.")
+        .def("device_parameters", &device_parameters,
+             "Returns the parameters in the memory of the device: dict of DeviceArray with the names and shapes of download(). Call place() after a change.")
+        .def("device_rays", &device_rays, py::arg("n"),
+             "Returns memory for n rays, DeviceArray [n,7] float32: origin, direction (length 1), time in seconds (3e38: unknown). Further calls return the same\n"
+             "memory, but a call with more rays than before allocates new memory.")
+        .def("forward_device", &forward_device, py::arg("n"),
+             "Renders the first n rays of device_rays().\n\n"
+             "Returns DeviceArrays: the values of forward(), valid until the next forward pass; hits and instance are int32. d_rendered [n,k] float32: memory for the\n"
+             "gradients of depth, weight, intensity, hit_logit and drop_logit, in this order; set further columns to 0.")
+        .def("backward_device", &backward_device,
+             "Computes gradients of the last forward pass from d_rendered. Returns DeviceArrays with the names and shapes of backward(), valid until the next backward\n"
+             "pass; touched is int32.");
 }
 
 }  // namespace relidar::python

@@ -11,6 +11,7 @@ PYBIND11_MODULE(_relidar, module) {
     module.attr("__version__") = RELIDAR_VERSION;
     bind_errors(module);
     bind_device(module);
+    bind_device_array(module);
     bind_config(module);
     bind_poses(module);
     bind_sensors(module);
