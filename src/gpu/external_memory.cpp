@@ -53,8 +53,8 @@ constexpr LibraryNames kLibraries[] = {
      MemoryAddress::Interface::hip,
      "libamdhip64.so",
      {"hipInit", "hipGetDeviceCount", "hipDeviceGet", "hipDeviceGetUuid", "hipDevicePrimaryCtxRetain",
-      "hipCtxPushCurrent", "hipCtxPopCurrent", "hipImportExternalMemory",
-      "hipExternalMemoryGetMappedBuffer", "hipFree", "hipDestroyExternalMemory"}}};
+      "hipCtxPushCurrent", "hipCtxPopCurrent", "hipImportExternalMemory", "hipExternalMemoryGetMappedBuffer",
+      "hipFree", "hipDestroyExternalMemory"}}};
 
 struct ComputeLibrary {
     int (*init)(unsigned);
@@ -71,7 +71,8 @@ struct ComputeLibrary {
     const LibraryNames* names = nullptr;
 
     void check(int result, std::size_t function) const {
-        if (result != 0) fail<DeviceError>("{} failed: it returned {}, expected 0", names->functions[function], result);
+        if (result != 0)
+            fail<DeviceError>("{} failed: it returned {}, expected 0", names->functions[function], result);
     }
 };
 

@@ -96,8 +96,10 @@ void copy_values(const py::object& object, const py::object& source) {
 void note_copies(const DeviceArray& array) {
     static bool noted = false;
     if (std::exchange(noted, true)) return;
-    std::fprintf(stderr, "relidar: note: tensors of %s are copies through the host, because it does not share its memory\n",
-                 array.device->device.info().name.c_str());
+    std::fprintf(
+        stderr,
+        "relidar: note: tensors of %s are copies through the host, because it does not share its memory\n",
+        array.device->device.info().name.c_str());
 }
 
 py::object to_capsule(const py::object& object, const py::object& copy) {
@@ -107,26 +109,34 @@ py::object to_capsule(const py::object& object, const py::object& copy) {
         note_copies(array);
         return to_host(object).attr("__dlpack__")();
     }
-    if (!copy.is_none() && copy.cast<bool>()) throw py::buffer_error("relidar.DeviceArray does not make copies; copy the tensor");
-    auto* made = new ExportedTensor{{}, {array.device, array.buffer.share(), array.offset_bytes, array.shape, array.strides, array.kind}, {}, {}};
+    if (!copy.is_none() && copy.cast<bool>())
+        throw py::buffer_error("relidar.DeviceArray does not make copies; copy the tensor");
+    auto* made = new ExportedTensor{
+        {},
+        {array.device, array.buffer.share(), array.offset_bytes, array.shape, array.strides, array.kind},
+        {},
+        {}};
     made->shape.assign(array.shape.begin(), array.shape.end());
     made->strides.assign(array.strides.begin(), array.strides.end());
     const std::uint8_t type_code = array.kind == 'f' ? 2 : array.kind == 'u' ? 1 : 0;
-    made->managed = {{address.pointer, dlpack_type(address.interface), address.device_index,
-                      static_cast<std::int32_t>(made->shape.size()), type_code, 32, 1, made->shape.data(),
-                      made->strides.data(), array.offset_bytes},
+    // Adds the offset to the pointer, because PyTorch before 2.0 ignores `byte_offset`.
+    made->managed = {{address.pointer + array.offset_bytes, dlpack_type(address.interface),
+                      address.device_index, static_cast<std::int32_t>(made->shape.size()), type_code, 32, 1,
+                      made->shape.data(), made->strides.data(), 0},
                      made,
                      [](DLManagedTensor* managed) { delete static_cast<ExportedTensor*>(managed->context); }};
     // The library that uses the tensor renames the capsule and calls the deleter later.
-    return py::reinterpret_steal<py::object>(PyCapsule_New(&made->managed, kCapsuleName, [](PyObject* capsule) {
-        if (!PyCapsule_IsValid(capsule, kCapsuleName)) return;
-        auto* managed = static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, kCapsuleName));
-        managed->deleter(managed);
-    }));
+    return py::reinterpret_steal<py::object>(
+        PyCapsule_New(&made->managed, kCapsuleName, [](PyObject* capsule) {
+            if (!PyCapsule_IsValid(capsule, kCapsuleName)) return;
+            auto* managed = static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, kCapsuleName));
+            managed->deleter(managed);
+        }));
 }
 
 std::string array_repr(const DeviceArray& array) {
-    return fmt::format("<relidar.DeviceArray {}{}4 on {}>", py::str(py::cast(array.shape)).cast<std::string>(), array.kind,
+    return fmt::format("<relidar.DeviceArray {}{}4 on {}>",
+                       py::str(py::cast(array.shape)).cast<std::string>(), array.kind,
                        array.device->device.info().name);
 }
 

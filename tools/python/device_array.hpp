@@ -36,7 +36,7 @@ DeviceArray wrap_array(const SharedDevice& device, const Array<T, Meaning>& arra
                        std::size_t first_element = 0) {
     NumpyShape strides(shape.size(), 1);
     for (std::size_t i = shape.size(); i-- > 1;) strides[i - 1] = strides[i] * shape[i];
-    return {device,          array.buffer().share(), first_element * sizeof(T),
+    return {device,           array.buffer().share(), first_element * sizeof(T),
             std::move(shape), std::move(strides),     kind_of<Number>()};
 }
 
@@ -55,8 +55,8 @@ DeviceArray wrap_member(const SharedDevice& device, const Array<T, Meaning>& arr
         shape.push_back(width);
         strides.push_back(1);
     }
-    return {device, array.buffer().share(), member_bytes, std::move(shape), std::move(strides),
-            kind_of<Number>()};
+    return {device,           array.buffer().share(), member_bytes,
+            std::move(shape), std::move(strides),     kind_of<Number>()};
 }
 
 }  // namespace relidar::python

@@ -13,6 +13,7 @@
 #include "integers.hpp"
 #include "module.hpp"
 #include "poses.hpp"
+#include "run.hpp"
 #include "scene.hpp"
 
 namespace relidar::python {
@@ -22,8 +23,8 @@ struct PythonRenderer {
     DeviceObject<DifferentiableRenderer> differentiable;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
-    /// Rays that other libraries write. Destroyed before the renderer, which no longer uses
-    /// them, because every call waits for the device.
+    /// Rays that other libraries write. Destroyed before the renderer, which no longer
+    /// uses them, because every call waits for the device.
     Array<DeviceRay> rays;
 };
 
@@ -47,6 +48,11 @@ std::unique_ptr<PythonRenderer> make_renderer(const Scene& scene, const std::opt
     return held;
 }
 
+glm::vec3 read_view(const py::object& view_origin) {
+    const std::vector<double> v = copy_array<double, double>(view_origin, "view_origin", {3});
+    return {v[0], v[1], v[2]};
+}
+
 /// Places the instances of the scene and sets the origin of the view. Values that are
 /// None keep their previous values.
 void set_poses(PythonRenderer& renderer, const py::object& poses, const py::object& view_origin,
@@ -67,13 +73,26 @@ void set_poses(PythonRenderer& renderer, const py::object& poses, const py::obje
         check_count(present->size(), "present");
         for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = (*present)[i];
     }
-    glm::vec3 view(0.0f);
-    if (view_origin.is_none()) {
-        view = renderer.differentiable->renderer().view_origin_m();
-    } else {
-        const std::vector<double> v = copy_array<double, double>(view_origin, "view_origin", {3});
-        view = {v[0], v[1], v[2]};
-    }
+    const glm::vec3 view =
+        view_origin.is_none() ? renderer.differentiable->renderer().view_origin_m() : read_view(view_origin);
+    const DeviceLock use(renderer.differentiable.opened());
+    renderer.differentiable->renderer().update(placed, view);
+    renderer.placed = std::move(placed);
+}
+
+/// Places the instances where the tracks of a run have them during a frame.
+void place_frame(PythonRenderer& renderer, const LoadedRun& run,
+                 IntegerArgument<std::uint32_t, "position"> position, const py::object& view_origin) {
+    const Log& log = run.run.sequence;
+    if (position >= log.frames.size())
+        throw UsageError(fmt::format("place_frame: found the position {}, expected at most {}",
+                                     position.value, log.frames.size() - 1));
+    const Frame& frame = log.frames[position];
+    const Scene& layout = renderer.differentiable->renderer().scene().layout();
+    std::vector<InstancePose> placed = pose_instances(layout, log, timing_of(frame));
+    const Pose& mounting = log.lidar_of(frame).vehicle_from_sensor;
+    glm::vec3 view(log.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation);
+    if (!view_origin.is_none()) view = read_view(view_origin);
     const DeviceLock use(renderer.differentiable.opened());
     renderer.differentiable->renderer().update(placed, view);
     renderer.placed = std::move(placed);
@@ -207,14 +226,18 @@ void check_truncation(Renderer& renderer) {
         renderer.check_truncation();
 }
 
-py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n) {
-    if (n > renderer.rays.size())
-        throw UsageError(fmt::format("cannot render {} rays: device_rays() has memory for {} rays", n.value,
-                                     renderer.rays.size()));
+py::dict forward_device(PythonRenderer& renderer, IntegerArgument<std::uint32_t, "n"> n,
+                        IntegerArgument<std::uint32_t, "columns"> columns) {
+    if (n == 0 || n > renderer.rays.size())
+        throw UsageError(fmt::format("cannot render {} rays: expected 1 to {}, the rays of device_rays()",
+                                     n.value, renderer.rays.size()));
+    if (columns != 0 && n % columns != 0)
+        throw UsageError(
+            fmt::format("cannot render {} rays in {} columns: expected a multiple", n.value, columns.value));
     RenderedBatch batch;
     {
         const DeviceLock use(renderer.differentiable.opened());
-        renderer.differentiable->renderer().record_forward({&renderer.rays, 0, 1, n});
+        renderer.differentiable->renderer().record_forward({&renderer.rays, 0, 1, n, columns});
         renderer.differentiable->renderer().stream().submit_and_wait();
         check_truncation(renderer.differentiable->renderer());
         batch = renderer.differentiable->last_batch();
@@ -270,6 +293,7 @@ void bind_renderer(py::module_& module) {
              "config: its settings image.*, trace.* and train.deterministic define how rays are rendered and gradients are summed; None: preset \"default\"\n"
              "poses, rays: if True, backward() also returns the gradients of poses and rays\n\n"
              "Raises DataError if models or instances of the scene are out of range.")
+        .def_property_readonly("device", [](const PythonRenderer& renderer) { return renderer.differentiable.device(); }, "The device of the renderer.")
         .def("place", &set_poses, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
              py::arg("present") = py::none(),
              "Sets all poses. Call it before forward(), and again after poses, view_origin or parameters have changed.\n\n"
@@ -277,6 +301,10 @@ void bind_renderer(py::module_& module) {
              "view_origin: [3] float64, the sensor's position, from which SH directions start with image.sh_direction=surfel;\n"
              "    None: unchanged, initially the origin\n"
              "present: one bool per instance; None: unchanged, initially all are present")
+        .def("place_frame", &place_frame, py::arg("run"), py::arg("position"), py::arg("view_origin") = py::none(),
+             "The same as place(), with the poses and motions that the actors of a run have during a frame. The scene must be of this run.\n\n"
+             "position: of the frame in `times`\n"
+             "view_origin: None: the sensor's position at the time of the frame")
         .def("forward", &run_forward, py::arg("origins"), py::arg("directions"),
              "Renders rays.\n\n"
              "origins: [n,3] float32, C order, world, metres\n"
@@ -305,8 +333,9 @@ void bind_renderer(py::module_& module) {
         .def("device_rays", &device_rays, py::arg("n"),
              "Returns memory for n rays, DeviceArray [n,7] float32: origin, direction (length 1), time in seconds (3e38: unknown). Further calls return the same\n"
              "memory, but a call with more rays than before allocates new memory.")
-        .def("forward_device", &forward_device, py::arg("n"),
+        .def("forward_device", &forward_device, py::arg("n"), py::arg("columns") = 0,
              "Renders the first n rays of device_rays().\n\n"
+             "columns: number of columns if the rays are an image in row order, which is faster on a GPU; 0: a list\n\n"
              "Returns DeviceArrays: the values of forward(), valid until the next forward pass; hits and instance are int32. d_rendered [n,k] float32: memory for the\n"
              "gradients of depth, weight, intensity, hit_logit and drop_logit, in this order; set further columns to 0.")
         .def("backward_device", &backward_device,

@@ -8,6 +8,7 @@
 #include <pybind11/stl/filesystem.h>
 
 #include <relidar/simulate/actor_boxes.hpp>
+#include <relidar/train/train.hpp>
 #include "arrays.hpp"
 #include "config.hpp"
 #include "integers.hpp"
@@ -158,6 +159,32 @@ std::unique_ptr<LoadedRun> load_run_with(const fs::path& folder, const py::dict&
     return std::make_unique<LoadedRun>(std::move(run), device);
 }
 
+py::dict training_rays_dict(const LoadedRun& loaded, const LoadedLog& log,
+                            IntegerArgument<std::uint32_t, "position"> position) {
+    const Run& run = loaded.run;
+    const std::vector<Frame>&frames = run.sequence.frames, &scans = log.sequence.frames;
+    if (position >= frames.size() || position >= scans.size() ||
+        frames[position].index != scans[position].index)
+        throw UsageError(
+            fmt::format("cannot use frame {}: found a log of {} frames and a run of {} frames, expected the "
+                        "same frames in both",
+                        position.value, scans.size(), frames.size()));
+    Frame frame = frames[position];
+    frame.scan = scans[position].scan;
+    TrainingRays made = make_training_rays(run, frame);
+    const auto n = static_cast<py::ssize_t>(made.rays.size());
+    py::dict dict;
+    dict["rays"] = move_to_numpy<float>(std::move(made.rays), {n, sizeof(shared::DeviceRay) / sizeof(float)});
+    dict["measured"] =
+        move_to_numpy<float>(std::move(made.targets), {n, sizeof(shared::DeviceTarget) / sizeof(float)});
+    const Pose& mounting = run.sequence.lidar_of(frame).vehicle_from_sensor;
+    const glm::dvec3 view =
+        run.sequence.world_from_vehicle.mounted_pose_at(frame.time_s, mounting).translation;
+    dict["view_origin"] = move_to_numpy<double>(std::vector{view.x, view.y, view.z}, {3});
+    dict["shape"] = py::make_tuple(frame.scan.rays.rows, frame.scan.rays.columns);
+    return dict;
+}
+
 std::unique_ptr<LoadedRun> replace_surfels(const LoadedRun& loaded, const py::dict& arrays) {
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
     Surfels surfels = read_surfels(arrays);
@@ -259,6 +286,15 @@ void bind_methods(py::class_<LoadedRun>& run_class) {
             },
             py::arg("sensor") = py::none(), py::arg("lidar") = "",
             "Returns the rays of a sensor. The arguments accept the same values as in render().")
+        .def("training_rays", &training_rays_dict, py::arg("sequence"), py::arg("position"),
+             "Returns a scan as training uses it, in the frame of the scene.\n\n"
+             "sequence: the log of the run\n"
+             "position: of the frame in `times`\n\n"
+             "Returns a dict: rays [n,7] float32 (origin, direction, seconds from the time of the frame), "
+             "measured [n,3] float32 (range in metres,\n"
+             "    0: dropped; intensity; weight, 0: ignored), view_origin [3] float64 (of the sensor), shape "
+             "(rows, "
+             "columns).")
         .def("with_surfels", &replace_surfels, py::arg("surfels"),
              "Returns a copy of the run with other values of all surfels. Raises DataError if the number of "
              "surfels differs.");

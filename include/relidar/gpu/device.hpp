@@ -97,7 +97,8 @@ struct DeviceOptions {
     bool validation = false;  ///< Enables the Khronos validation layer.
     /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
-    /// If true, other libraries of the process can use the arrays (Buffer::address_for_others).
+    /// If true, other libraries of the process can use the arrays
+    /// (Buffer::address_for_others).
     bool share_memory = false;
     /// If true, pipelines are compiled but no kernel runs. Use this option to read the
     /// driver's statistics of each pipeline (Device::statistics). The option
@@ -124,7 +125,7 @@ DeviceOptions apply_environment(DeviceOptions options = {});
 struct TransferCounts {
     /// Number and size of the copies of arrays: Buffer, Array, ReadbackBuffer.
     std::uint64_t uploads = 0, upload_bytes = 0, downloads = 0, download_bytes = 0;
-    /// Values that commands contain, bytes: kernel parameters, poses, frames for training.
+    /// Values that commands contain, bytes: kernel parameters, poses, training frames.
     std::uint64_t staged_bytes = 0;
 };
 

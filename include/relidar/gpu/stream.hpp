@@ -38,7 +38,7 @@ public:
     Buffer& operator=(Buffer&&) noexcept;
 
     std::size_t size_bytes() const;
-    /// Returns another handle of the same memory. The memory is freed with its last handle.
+    /// Returns another handle of the same memory, which is freed with its last handle.
     Buffer share() const;
     /// Returns the address with which other libraries use the memory without a copy: on a
     /// CPU device a host address, on NVIDIA and AMD cards an address of CUDA or HIP. The

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include <relidar/diff/rays.h>
 #include <relidar/base/process_group.hpp>
 #include <relidar/base/progress.hpp>
 #include <relidar/diff/densify_options.hpp>
@@ -126,6 +127,17 @@ void prepare_log(Log& log, const Split& split, const Config& config, LogPreparat
 /// @throws DeviceError if the device fails
 TrainResult train(Device& device, const Log& sequence, const Split& split, const Config& config,
                   const TrainProgressCallback& progress = {}, const TrainSession& session = {});
+
+/// Rays of a frame in the scene's frame, and their measurements, [n].
+struct TrainingRays {
+    std::vector<shared::DeviceRay> rays;
+    /// Without range offsets and intensity responses of the beams. The weight is 0 for
+    /// rays that training ignores, for example on moving boxes without a model.
+    std::vector<shared::DeviceTarget> targets;
+};
+/// Computes what train() uses of a scan, with the poses, the beams and the actors of a run.
+/// @param frame  a frame of Run::sequence, with its scan
+TrainingRays make_training_rays(const Run& run, const Frame& frame);
 
 struct ScanCallbacks {
     Progress progress = {};

@@ -3,6 +3,9 @@
 
 #include <cstddef>
 
+#include <relidar/run/run.hpp>
+#include <relidar/train/train.hpp>
+
 namespace relidar {
 
 /// Returns the nominal rays of a frame's LiDAR. If the scan has other rows and columns,
@@ -22,6 +25,12 @@ IgnoredMeasurements mask_movers(const Config& config, const Scene& scene) {
     for (const ModelInstance& instance : scene.instances)
         if (!instance.track.empty()) masks.actors.push_back(instance.track);
     return masks;
+}
+
+TrainingRays make_training_rays(const Run& run, const Frame& frame) {
+    TrainingRays made;
+    make_frame_arrays(run.sequence, frame, mask_movers(run.config, run.scene), made.rays, made.targets);
+    return made;
 }
 
 /// Returns for each ray 1 if it was dropped, 0 if it returned, or -1 if it is unknown.

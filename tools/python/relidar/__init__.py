@@ -9,6 +9,14 @@ the guide.
 try:
     from relidar._relidar import *  # noqa: F401,F403
     from relidar._relidar import __version__  # noqa: F401
+
+
+    def __getattr__(name):
+        """Imports relidar.torch, and with it PyTorch, when it is first used."""
+        if name != "torch":
+            raise AttributeError(f"module 'relidar' has no attribute '{name}'")
+        import importlib
+        return importlib.import_module("relidar.torch")
 except ModuleNotFoundError as error:
     if error.name != "relidar._relidar":
         raise

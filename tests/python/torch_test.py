@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""relidar.torch and DeviceArray. Values and gradients equal those of DifferentiableRenderer to the bit.
+Gradients of what PyTorch computes around it are compared with differences of the loss."""
+import gc
+import importlib.util
+import subprocess
+import sys
+import unittest
+
+import numpy as np
+
+import relidar
+from common import TestCase, log, run
+from gradient_test import LIMIT, STEP, UPSTREAM, Case, unit
+
+if importlib.util.find_spec("torch"):
+    import torch
+else:
+    print("skipped: torch_test.py, because PyTorch is not installed")
+
+
+class Arrays(TestCase):
+    def setUp(self):
+        self.case = Case("ray")
+        self.array = self.case.renderer.device_parameters()["rotation"]
+
+    def test_numpy_uses_the_memory_of_a_cpu_device(self):
+        device = relidar.Device(share_memory=False)
+        if device.info.type != "CPU":
+            self.skipTest("the device is no CPU")
+        view = self.array.numpy()
+        self.assertEqual((self.array.shape, self.array.dtype, self.array.strides), (view.shape, view.dtype, view.strides))
+        self.assertEqual(self.array.__dlpack_device__(), (1, 0))
+        self.assert_same(np.from_dlpack(self.array), view)
+        self.assertEqual(np.from_dlpack(self.array).__array_interface__["data"][0], view.__array_interface__["data"][0])
+        view[3] = [1, 2, 3, 4]
+        self.assert_same(self.case.renderer.download()["rotation"][3], np.float32([1, 2, 3, 4]))
+        copies = relidar.DifferentiableRenderer(relidar.Scene(self.case.surfels), device=device).device_parameters()["mean"]
+        self.assertFalse(copies.is_shared)
+        copies.numpy()[:] = 0
+        self.assert_same(copies.numpy(), self.case.surfels["mean"])
+
+    def test_members_of_structs_have_strides(self):
+        origins, directions = self.case.rays
+        for share in True, False:
+            renderer = relidar.DifferentiableRenderer(relidar.Scene(self.case.surfels), relidar.Config("paper"),
+                                                      device=relidar.Device(share_memory=share))
+            renderer.place()
+            expected = renderer.forward(origins, directions)
+            time = np.full((len(origins), 1), 3e38, np.float32)
+            renderer.device_rays(len(origins)).copy_from(np.hstack([origins, directions, time]))
+            rendered = renderer.forward_device(len(origins))
+            for name, values in expected.items():
+                self.assert_same(rendered[name].numpy().view(values.dtype), values)
+            rendered["depth"].copy_from(np.zeros(len(origins), np.float32))
+            self.assertFalse(rendered["depth"].numpy().any())
+            self.assert_same(rendered["weight"].numpy(), expected["weight"])
+
+    def test_outlives_the_renderer_and_the_device(self):
+        device = relidar.Device()
+        renderer = relidar.DifferentiableRenderer(relidar.Scene(self.case.surfels), device=device)
+        array = renderer.device_parameters()["mean"]
+        view = array.numpy()
+        del renderer, device, array
+        gc.collect()
+        other = relidar.DifferentiableRenderer(relidar.Scene(self.case.surfels))
+        self.assert_same(view.copy(), self.case.surfels["mean"])
+        del other
+
+    def test_bad_input(self):
+        self.assert_fails(relidar.DataError, "found float64 [32,4] ... float32 [32,4]", self.array.copy_from, np.zeros((32, 4)))
+        self.assert_fails(relidar.DataError, "found float32 [32] ... [32,4]", self.array.copy_from, np.zeros(32, np.float32))
+        self.assert_fails(relidar.DataError, "type list", self.array.copy_from, [1, 2])
+        renderer = self.case.renderer
+        self.assert_fails(relidar.UsageError, "cannot render 9000 rays", renderer.forward_device, 9000)
+        renderer.device_rays(40)
+        self.assert_fails(relidar.UsageError, "3 columns", renderer.forward_device, 40, 3)
+        fresh = relidar.DifferentiableRenderer(relidar.Scene(self.case.surfels))
+        self.assert_fails(relidar.UsageError, "forward", fresh.backward_device)
+        with self.assertRaises(BufferError):
+            self.array.__dlpack__(copy=True)
+
+    def test_without_pytorch(self):
+        program = ("import sys; sys.modules['torch'] = None\nimport relidar\ntry: relidar.torch\n"
+                   "except ModuleNotFoundError as error: sys.exit(0 if error.name == 'torch' and 'PyTorch' in str(error) else 1)\nsys.exit(2)")
+        self.assertEqual(subprocess.run([sys.executable, "-B", "-c", program]).returncode, 0)
+        program = "import sys, relidar; sys.exit('torch' in sys.modules)"
+        self.assertEqual(subprocess.run([sys.executable, "-B", "-c", program]).returncode, 0)
+
+
+class TorchCase(Case):
+    """The same scene, in a Scene of relidar.torch and in a DifferentiableRenderer."""
+
+    def __init__(self, direction="ray", device=None):
+        super().__init__(direction)
+        instances = [{"model": 0, "track": ""}, {"model": 1, "track": "a"}, {"model": 1, "track": "b"}][: len(self.poses)]
+        models = [{"name": "background", "first": 0, "count": 20}, {"name": "actor", "first": 20, "count": 12}]
+        config = relidar.Config("paper", {"image.sh_direction": direction, "train.deterministic": True})
+        scene = relidar.Scene(self.surfels, models, instances)
+        self.renderer = relidar.DifferentiableRenderer(scene, config, poses=True, rays=True)
+        self.scene = relidar.torch.Scene(scene, config, poses=True, rays=True, device=device)
+        self.rays_tensor = torch.from_numpy(np.hstack(self.rays))
+        self.mean_origin = self.rays_tensor[:, :3].mean(0).double().numpy()
+
+    def expected(self, surfels=None, rays=None, poses=None, view=None):
+        """Returns values and gradients of the DifferentiableRenderer."""
+        rays = self.rays if rays is None else rays
+        self.renderer.upload(surfels or self.surfels)
+        self.renderer.place(self.poses if poses is None else poses, self.mean_origin if view is None else view)
+        return self.renderer.forward(*rays), self.renderer.backward(self.upstream)
+
+    def loss(self, out):
+        return sum((out[name].double() * torch.from_numpy(self.upstream[name])).sum() for name in UPSTREAM)
+
+
+@unittest.skipUnless(importlib.util.find_spec("torch"), "PyTorch is not installed")
+class Torch(TestCase):
+    STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opacity_logits": "opacity_logit", "features": "sh"}
+
+    def loss_of(self, case, out):
+        return sum((out[name] * torch.from_numpy(case.upstream[name])).sum() for name in UPSTREAM)
+
+    def check_equal(self, case, out, expected):
+        for name, values in expected.items():
+            self.assert_same(out[name].detach().numpy().view(values.dtype), values)
+
+    def check_gradients(self, case, gradients):
+        for name, stored in self.STORED.items():
+            self.assert_same(getattr(case.scene, name).grad.numpy(), gradients[stored])
+            getattr(case.scene, name).grad = None
+
+    def test_equals_the_renderer(self):
+        for device in None, relidar.Device(share_memory=False):
+            for direction in "ray", "surfel":
+                case = TorchCase(direction, device)
+                values, gradients = case.expected()
+                rays = case.rays_tensor.clone().requires_grad_()
+                poses = torch.from_numpy(case.poses).requires_grad_()
+                out = relidar.torch.render(case.scene, rays, poses=poses)
+                self.check_equal(case, out, values)
+                self.loss_of(case, out).backward()
+                self.check_gradients(case, gradients)
+                self.assert_same(rays.grad.numpy(), gradients["rays"])
+
+    def test_earlier_batches_are_rendered_again(self):
+        case = TorchCase()
+        other = tuple(np.ascontiguousarray(array[::-1][:17]) for array in case.rays)
+        upstream = dict(case.upstream)
+        batches = relidar.torch.render(case.scene, [case.rays_tensor, torch.from_numpy(np.hstack(other))],
+                                      poses=torch.from_numpy(np.stack([case.poses] * 2)))
+        for batch, rays in enumerate((case.rays, other)):
+            case.upstream = {name: np.ascontiguousarray(array[: len(rays[0])]) for name, array in upstream.items()}
+            values, gradients = case.expected(rays=rays, view=torch.from_numpy(rays[0]).mean(0).double().numpy())
+            self.check_equal(case, batches[batch], values)
+            self.loss_of(case, batches[batch]).backward()
+            self.check_gradients(case, gradients)
+
+    def test_two_scenes_and_changes_in_place(self):
+        first, second = TorchCase(), TorchCase()
+        out = relidar.torch.render(first.scene, first.rays_tensor, poses=first.poses)
+        relidar.torch.render(second.scene, second.rays_tensor[:5], poses=second.poses)
+        self.loss_of(first, out).backward()
+        self.check_gradients(first, first.expected()[1])
+        with torch.no_grad():
+            first.scene.means += 0.1
+        moved = dict(first.surfels, mean=first.surfels["mean"] + np.float32(0.1))
+        self.assert_same(first.scene.surfels()["mean"], moved["mean"])
+        self.check_equal(first, relidar.torch.render(first.scene, first.rays_tensor, poses=first.poses), first.expected(moved)[0])
+        self.check_equal(second, relidar.torch.render(second.scene, second.rays_tensor, poses=second.poses), second.expected()[0])
+        out = relidar.torch.render(first.scene, first.rays_tensor, poses=first.poses)
+        relidar.torch.render(first.scene, first.rays_tensor, means=torch.zeros(32, 3), scales=torch.ones(32, 2))
+        self.loss_of(first, out).backward()   # a replacement ends with its call
+        self.check_gradients(first, first.expected(moved)[1])
+        out = relidar.torch.render(first.scene, first.rays_tensor)
+        with torch.no_grad():
+            first.scene.means += 0.1
+        with self.assertRaisesRegex(RuntimeError, "modified by an inplace operation"):
+            first.loss(out).backward()
+
+    def check_step(self, name, loss, tensor, tangent=lambda step: step):
+        """Compares dL/d(tensor) with the difference of the loss over a step along the gradient."""
+        tensor = tensor.detach().requires_grad_()
+        loss(tensor).backward()
+        gradient = tangent(tensor.grad)
+        step = gradient * (STEP / gradient.double().norm())
+        with torch.no_grad():
+            difference = (loss(tensor + step) - loss(tensor - step)) / 2
+        expected = (step.double() * gradient.double()).sum()
+        self.assertAlmostEqual(float(difference), float(expected), delta=LIMIT * float(expected), msg=name)
+
+    def test_differences(self):
+        """What PyTorch computes around the kernels: activations, motions, and the frame of the sensor."""
+        for direction in "ray", "surfel":
+            case = TorchCase(direction)
+            scene, poses = case.scene, torch.from_numpy(case.poses)
+            sensor = torch.from_numpy(relidar.pose(0.1, -0.2, 0.1, 5, 3, 2))
+            inverse = torch.linalg.inv(sensor).float()
+            origins, directions = (torch.from_numpy(array) for array in case.rays)
+            local = torch.cat([origins @ inverse[:3, :3].T + inverse[:3, 3], directions @ inverse[:3, :3].T], 1)
+
+            def loss(rays=local, sensor=sensor, poses=poses, **parameters):
+                return case.loss(relidar.torch.render(scene, rays, sensor=sensor, poses=poses, **parameters))
+
+            motion = torch.zeros(6, dtype=torch.float64, requires_grad=True)
+            loss(sensor=relidar.torch.move(sensor, motion)).backward()
+            turn, shift = sensor[:3, :3].float(), sensor[:3, 3].float()
+            world = torch.cat([local[:, :3] @ turn.T + shift, local[:, 3:] @ turn.T], 1)
+            expected = case.expected(rays=[part.contiguous().numpy() for part in world.split(3, 1)], view=sensor[:3, 3].numpy().copy())[1]["sensor"]
+            np.testing.assert_allclose(motion.grad.numpy(), expected, rtol=1e-5)
+            if direction == "ray":   # the same as a motion of every ray
+                moved = relidar.torch.move(sensor, motion).float()
+                motion.grad = None
+                case.loss(relidar.torch.render(scene, (local[:, :3] @ moved[:3, :3].T + moved[:3, 3], local[:, 3:] @ moved[:3, :3].T),
+                                               poses=poses)).backward()
+                np.testing.assert_allclose(motion.grad.numpy(), expected, rtol=1e-4)
+            for name, axes in (("shift", slice(0, 3)), ("turn", slice(3, 6))):
+                part = torch.zeros(6, dtype=torch.float64)
+                part[axes] = 1
+                motions = torch.zeros(len(poses), 6, dtype=torch.float64)
+                rows = torch.ones(len(poses), 1, dtype=torch.float64)
+                rows[0] = 0
+                self.check_step(f"poses {name}", lambda m: loss(poses=relidar.torch.move(poses, m * part * rows)), motions)
+            if direction == "ray":   # with `surfel`, the position of the sensor also depends on the origins
+                self.check_step("origins", lambda x: loss((x, local[:, 3:])), local[:, :3].clone())
+            self.check_step("directions", lambda x: loss((local[:, :3], x / x.norm(dim=1, keepdim=True))), local[:, 3:].clone())
+            for name, value in {"means": scene.means, "quats": scene.quats, "scales": scene.scales,
+                                "opacities": scene.opacities, "features": scene.features}.items():
+                self.check_step(name, lambda x: loss(**{name: x}), value.clone())
+
+    def test_gradcheck(self):
+        motion = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
+        poses = torch.from_numpy(np.stack([relidar.pose(1, 2, 3, 10, 20, 30), relidar.pose(-1, 0, 2, 50)]))
+        torch.autograd.gradcheck(lambda m: relidar.torch.move(poses, m)[..., :3, :], motion)
+        scales = torch.tensor([0.1, 2.0], dtype=torch.float64, requires_grad=True)
+        for _, inverse in relidar.torch._ACTIVATED.values():
+            torch.autograd.gradcheck(inverse, scales * 0.4)
+        # The gradient of poses gives the same derivative for every small motion.
+        d_motion, centre = torch.randn(2, 6, dtype=torch.float64), torch.randn(2, 3, dtype=torch.float64)
+        moved = relidar.torch.move(poses, motion)
+        (moved * relidar.torch._pose_gradient(poses, d_motion)).sum().backward()
+        torch.testing.assert_close(motion.grad, d_motion)
+        about = torch.cat([d_motion[:, :3], d_motion[:, 3:] + torch.cross(centre, d_motion[:, :3], dim=1)], 1)
+        motion.grad = None
+        moved = relidar.torch.move(poses, motion)
+        (moved * relidar.torch._pose_gradient(poses, d_motion, centre)).sum().backward()
+        torch.testing.assert_close(motion.grad, about)
+
+    def test_training_copies_nothing(self):
+        """A run of the street: values of frames, a falling loss, no copies through the host."""
+        scene = relidar.torch.Scene.from_run(run())
+        frames = [relidar.torch.Frame(run(), log(), position) for position in range(3)]
+        optimiser = torch.optim.Adam([{"params": [scene.means], "lr": 1e-3}, {"params": [scene.opacity_logits, scene.features], "lr": 5e-2}])
+        losses = []
+        for step in range(8):
+            if step == 1:
+                before = scene.renderer.device_parameters()["mean"].numpy().copy()
+                counts = scene.renderer.device.transfers
+            total = 0.0
+            for frame in frames:
+                out = relidar.torch.render(scene, frame)
+                hit = (frame.range > 0) & (frame.weight > 0)
+                total += (out["range"] - frame.range)[hit].abs().mean() + (out["intensity"] - frame.intensity)[hit].abs().mean()
+            optimiser.zero_grad()
+            total.backward()
+            optimiser.step()
+            losses.append(float(total))
+        self.assertLess(losses[-1], losses[0])
+        after = scene.renderer.device.transfers
+        if scene.device.type == "cpu" and scene.renderer.device_parameters()["mean"].is_shared:
+            for name in ("uploads", "upload_bytes", "downloads", "download_bytes"):
+                self.assertEqual(after[name], counts[name], name)
+        self.assertGreater(np.abs(scene.renderer.device_parameters()["mean"].numpy() - before).max(), 0)
+        improved = run().with_surfels(scene.surfels())
+        self.assert_same(improved.surfels["mean"], scene.surfels()["mean"])
+
+    def test_a_frame_is_the_scan_of_the_log(self):
+        frame = relidar.torch.Frame(run(), log(), 2)
+        scan = log().scan(2)
+        self.assertEqual(frame.shape, scan["range"].shape)
+        self.assert_same(frame.range.numpy() > 0, scan["range"].ravel() > 0)
+        rendered = run().render(time=run().times[2])
+        out = relidar.torch.render(relidar.torch.Scene.from_run(run()), frame)
+        seen = rendered["weight"].ravel() > 0.5
+        np.testing.assert_allclose(out["median_range"].detach().numpy()[seen], rendered["median_range"].ravel()[seen], rtol=1e-4, atol=1e-3)
+        with self.assertRaises(relidar.UsageError):
+            relidar.torch.render(relidar.torch.Scene.from_run(run()), frame, present=[True])
+
+    def test_bad_input(self):
+        case = TorchCase()
+        render, scene, rays = relidar.torch.render, case.scene, case.rays_tensor
+        self.assert_fails(relidar.DataError, "rays: found float64 [40, 6]", render, scene, rays.double())
+        self.assert_fails(relidar.DataError, "rays: found float32 [6, 40]", render, scene, rays.T)
+        self.assert_fails(relidar.DataError, "origins: found float32 [40, 6]", render, scene, (rays, rays))
+        self.assert_fails(relidar.DataError, "poses: found float64 [1, 4, 4]", render, scene, rays, poses=np.eye(4)[None])
+        self.assert_fails(relidar.DataError, "sensor: found", render, scene, rays, sensor=torch.zeros(3))
+        self.assert_fails(relidar.DataError, "rays: found float32 [40, 6] on meta", render, scene, rays.to("meta"))
+        self.assert_fails(relidar.DataError, "scales: found float32 [3, 2]", render, scene, rays, scales=torch.ones(3, 2))
+        self.assert_fails(relidar.DataError, "found 2 sensors", render, scene, [rays], sensor=torch.zeros(2, 4, 4))
+        self.assert_fails(relidar.UsageError, "colors", render, scene, rays, colors=rays)
+        plain = relidar.torch.Scene(relidar.Scene(case.surfels))
+        self.assert_fails(relidar.UsageError, "rays=True", render, plain, rays.clone().requires_grad_())
+        self.assert_fails(relidar.UsageError, "poses=True", render, plain, rays, sensor=torch.eye(4, requires_grad=True))
+
+    def test_dlpack_arguments(self):
+        case = TorchCase()
+        origins, directions = (torch.from_numpy(array) for array in case.rays)
+        case.renderer.upload({name: torch.from_numpy(array) for name, array in case.surfels.items()})
+        case.renderer.place(torch.from_numpy(case.poses), torch.from_numpy(case.mean_origin))
+        rendered = case.renderer.forward(origins, directions)
+        gradients = case.renderer.backward({name: torch.from_numpy(array) for name, array in case.upstream.items()})
+        values, expected = case.expected()
+        for name in values:
+            self.assert_same(rendered[name], values[name])
+        self.assert_same(gradients["sh"], expected["sh"])
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Renders LiDAR rays as a function of PyTorch, with gradients of surfels, poses and rays.
+
+The parameters of a Scene are tensors in the memory of the renderer, so that optimisers change them in
+place. Nothing is copied through the host if relidar and PyTorch use the same device. Otherwise tensors
+are copies on the host. docs/python.md is the guide.
+"""
+import numpy as np
+
+import relidar
+
+try:
+    import torch
+    from torch.autograd.function import once_differentiable
+except ModuleNotFoundError as error:
+    if error.name != "torch":
+        raise
+    raise ModuleNotFoundError("relidar.torch needs PyTorch, which is not installed; see https://pytorch.org", name="torch") from None
+
+_BLENDED = ("depth", "weight", "intensity", "hit_logit", "drop_logit")   # values with gradients
+_OTHER = ("transmittance", "median_depth", "hits", "instance")
+# Name of a parameter here -> name in relidar.Scene.
+_STORED = {"means": "mean", "quats": "rotation", "log_scales": "log_scale", "opacity_logits": "opacity_logit",
+           "features": "sh", "log_scales_w": "log_scale_w", "gait": "gait"}
+# Name of an argument of render() -> the parameter that it replaces, and how.
+_ACTIVATED = {"scales": ("log_scales", torch.log), "opacities": ("opacity_logits", torch.logit)}
+_UNKNOWN_TIME = 3e38
+
+
+def _tensor(values):
+    """Returns a tensor of the same memory as an array or an object with __dlpack__."""
+    if torch.is_tensor(values):
+        return values
+    return torch.from_numpy(values) if isinstance(values, np.ndarray) else torch.from_dlpack(values)
+
+
+def _check(name, values, shape, dtypes=(torch.float32,), device=None):
+    """Returns a tensor. Raises DataError if its shape (-1: any length), dtype or device is wrong."""
+    tensor = _tensor(values)
+    matches = len(shape) == tensor.dim() and all(e in (-1, n) for e, n in zip(shape, tensor.shape))
+    if not matches or tensor.dtype not in dtypes or device not in (None, tensor.device):
+        expected = " or ".join(str(d)[6:] for d in dtypes) + f" {list(shape)}" + (f" on {device}" if device else "")
+        raise relidar.DataError(f"{name}: found {str(tensor.dtype)[6:]} {list(tensor.shape)} on {tensor.device}, "
+                                f"expected {expected} (-1: any)")
+    return tensor
+
+
+def _write(array, values):
+    """Replaces the values of a DeviceArray, without the host if both use the same device."""
+    if not array.is_shared:
+        return array.copy_from(values.detach().cpu().contiguous())
+    target = torch.from_dlpack(array)
+    target.copy_(values.detach())
+    if target.is_cuda:   # relidar does not wait for PyTorch
+        torch.cuda.current_stream(target.device).synchronize()
+
+
+def _hat(w):
+    """Returns [...,3,3] matrices of the cross product with [...,3] vectors."""
+    x, y, z = w.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*w.shape, 3)
+
+
+def move(poses, motion):
+    """Moves rigid poses: dL/d(motion) is defined at 0, so optimise a motion that starts at 0.
+
+    poses: [...,4,4]
+    motion: [...,6], shift in metres along the axes of the world, and rotation vector in radians about
+        the origin of the pose
+    """
+    turned = torch.linalg.matrix_exp(_hat(motion[..., 3:])) @ poses[..., :3, :3]
+    shifted = poses[..., :3, 3:] + motion[..., :3, None]
+    return torch.cat([torch.cat([turned, shifted], -1), poses[..., 3:, :]], -2)
+
+
+def _pose_gradient(poses, motion, centre=0.0):
+    """Converts dL/d(motion) about a centre to dL/d(poses) within the space of rigid poses.
+
+    poses: [...,4,4]; motion: [...,6]; centre: [...,3], relative to the origin of each pose
+    """
+    shift, turn = motion[..., :3], motion[..., 3:]
+    turn = turn + torch.cross(torch.zeros_like(turn) + centre, shift, dim=-1)
+    rotation = 0.5 * _hat(turn) @ poses[..., :3, :3]
+    return torch.nn.functional.pad(torch.cat([rotation, shift[..., None]], -1), (0, 0, 0, 1))
+
+
+class Frame:
+    """A scan of a log, as training uses it, for render().
+
+    rays: [n,7] tensor of origins, directions and times; range (metres, 0: dropped), intensity and weight
+    (0: ignored): [n] tensors; shape: (rows, columns); view_origin: position of the sensor, [3] array
+    """
+
+    def __init__(self, run, sequence, position):
+        """run: gives poses and actors; sequence: its log; position: of the frame in run.times"""
+        arrays = run.training_rays(sequence, position)
+        self.run, self.position, self.shape, self.view_origin = run, position, arrays["shape"], arrays["view_origin"]
+        self.rays = torch.from_numpy(arrays["rays"])
+        self.range, self.intensity, self.weight = torch.from_numpy(arrays["measured"]).unbind(1)
+
+    def to(self, device):
+        """Copies the tensors to the device of a scene. Returns the frame."""
+        for name in ("rays", "range", "intensity", "weight"):
+            setattr(self, name, getattr(self, name).to(device))
+        return self
+
+
+class Scene:
+    """Surfels whose parameters are tensors that an optimiser changes in place.
+
+    means [s,3]; quats [s,4] (w x y z, need not have length 1); log_scales [s,2]; opacity_logits [s];
+    features [s,3,16]: SH coefficients of intensity, hit logit and drop logit. 3D Gaussians also have
+    log_scales_w [s], walking actors gait [s,5].
+    """
+
+    def __init__(self, scene, config=None, *, poses=False, rays=False, device=None):
+        """scene: relidar.Scene, is copied; config, device: see relidar.DifferentiableRenderer
+        poses, rays: if True, render() also computes gradients of poses, or of rays
+        """
+        self.renderer = relidar.DifferentiableRenderer(scene, config, poses=poses, rays=rays, device=device)
+        self._n_instances, self._computes = len(scene.instances), {"poses": poses, "rays": rays}
+        arrays = self.renderer.device_parameters()
+        self._arrays = {name: arrays[stored] for name, stored in _STORED.items() if stored in arrays}
+        for name, array in self._arrays.items():
+            setattr(self, name, torch.from_dlpack(array).requires_grad_())
+        self._n_renders = 0
+        self._kept = {}   # parameters that a call of render() has replaced
+
+    @classmethod
+    def from_run(cls, run, **options):
+        """Returns the scene of a run with the run's settings. options: those of Scene()"""
+        return cls(run.scene, run.config, **options)
+
+    def named_parameters(self):
+        """Returns the parameters by name, for example for an optimiser with a rate for each."""
+        return {name: getattr(self, name) for name in self._arrays}
+
+    def parameters(self):
+        return list(self.named_parameters().values())
+
+    @property
+    def device(self):
+        """The device of all tensors."""
+        return self.means.device
+
+    @property
+    def scales(self):
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self):
+        return self.opacity_logits.sigmoid()
+
+    def surfels(self):
+        """Returns a copy of the parameters as numpy arrays for relidar.Scene and Run.with_surfels()."""
+        return {_STORED[name]: values.detach().cpu().numpy().copy() for name, values in self.named_parameters().items()}
+
+    def _render(self, request, rays, sensor, poses, values):
+        """Renders a batch and returns copies of the rendered values."""
+        for name, array, value in zip(self._arrays, self._arrays.values(), values):
+            own = getattr(self, name).data
+            if value.data_ptr() != own.data_ptr():
+                self._kept.setdefault(name, own.clone())
+                own.copy_(value)
+            elif name in self._kept:
+                own.copy_(self._kept.pop(name))
+            if not array.is_shared:
+                _write(array, own)
+        origins, directions, time = rays[:, :3], rays[:, 3:6], rays[:, 6:]
+        if sensor is not None:
+            turn, shift = sensor[:3, :3].to(rays), sensor[:3, 3].to(rays)
+            origins, directions = origins @ turn.T + shift, directions @ turn.T
+        if time.shape[1] == 0:
+            time = torch.full_like(rays[:, :1], _UNKNOWN_TIME)
+        _write(self.renderer.device_rays(len(rays)), torch.cat([origins, directions, time], 1))
+        view = request.view_origin(rays, sensor)
+        if request.frame:
+            self.renderer.place_frame(request.frame.run, request.frame.position, view)
+        else:
+            placed = np.tile(np.eye(4), (self._n_instances, 1, 1)) if poses is None else poses.double().cpu().contiguous().numpy()
+            self.renderer.place(placed, view, request.present or [True] * self._n_instances)
+        rendered = self.renderer.forward_device(len(rays), request.columns)
+        self._d_rendered = rendered["d_rendered"]
+        self._n_renders += 1
+        return tuple(torch.from_dlpack(rendered[name]).clone() for name in _BLENDED + _OTHER)
+
+    def _backpropagate(self, d_rendered):
+        """Returns DeviceArrays of the gradients of the last batch."""
+        upstream = torch.zeros(self._d_rendered.shape, dtype=torch.float32, device=self.device)
+        for column, gradient in zip(upstream.unbind(1), d_rendered):
+            if gradient is not None:
+                column.copy_(gradient)
+        _write(self._d_rendered, upstream)
+        return self.renderer.backward_device()
+
+
+class _Request:
+    """Arguments of a batch that have no gradient."""
+
+    def __init__(self, frame, present, columns):
+        self.frame, self.present, self.columns = frame, present, columns
+
+    def view_origin(self, rays, sensor):
+        """Returns the position of the sensor, from which SH directions start, [3] float64."""
+        if sensor is None:
+            return self.frame.view_origin if self.frame else rays[:, :3].mean(0).double().cpu().numpy()
+        pose = sensor.double().cpu().numpy()
+        return pose[:3, 3] + (pose[:3, :3] @ self.frame.view_origin if self.frame else 0.0)
+
+
+class _Render(torch.autograd.Function):
+    """The kernels of relidar as a function of rays [n,6..7], poses and all parameters of a scene."""
+
+    @staticmethod
+    def forward(ctx, scene, request, rays, sensor, poses, *values):
+        ctx.set_materialize_grads(False)
+        ctx.scene, ctx.request = scene, request
+        ctx.save_for_backward(rays, sensor, poses, *values)
+        rendered = scene._render(request, rays, sensor, poses, values)
+        ctx.number = scene._n_renders
+        ctx.mark_non_differentiable(*rendered[len(_BLENDED):])
+        return rendered
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, *d_rendered):
+        rays, sensor, poses, *values = ctx.saved_tensors
+        scene, (needs_rays, needs_sensor, needs_poses) = ctx.scene, ctx.needs_input_grad[2:5]
+        if scene._n_renders != ctx.number:   # another batch was rendered since
+            scene._render(ctx.request, rays, sensor, poses, values)
+            ctx.number = scene._n_renders
+        arrays = scene._backpropagate(d_rendered)
+        d_rays = d_sensor = d_poses = None
+        if needs_rays:
+            d_rays = torch.zeros_like(rays)
+            d_rays[:, :6] = torch.from_dlpack(arrays["rays"])
+            if sensor is not None:
+                d_rays[:, :3] @= sensor[:3, :3].to(rays)
+                d_rays[:, 3:6] @= sensor[:3, :3].to(rays)
+        if needs_sensor:
+            centre = sensor.new_tensor(ctx.request.view_origin(rays, sensor)) - sensor[:3, 3]
+            d_sensor = _pose_gradient(sensor, torch.from_dlpack(arrays["sensor"]).to(sensor), centre)
+        if needs_poses:
+            d_poses = _pose_gradient(poses, torch.from_dlpack(arrays["poses"]).to(poses))
+        d_values = (torch.from_dlpack(arrays[_STORED[name]]).clone() if needed else None
+                    for name, needed in zip(scene._arrays, ctx.needs_input_grad[5:]))
+        return (None, None, d_rays, d_sensor, d_poses, *d_values)
+
+
+def _replace_parameters(scene, replacements):
+    """Returns the tensors of all parameters, with the replacements of an argument of render()."""
+    values = scene.named_parameters()
+    for name, given in replacements.items():
+        raw, inverse = _ACTIVATED.get(name, (name, None))
+        if raw not in values:
+            raise relidar.UsageError(f"render: found the parameter {name}, expected one of {', '.join([*values, *_ACTIVATED])}")
+        tensor = _check(name, given, values[raw].shape, device=scene.device)
+        values[raw] = inverse(tensor) if inverse else tensor
+    return values.values()
+
+
+def _check_gradient(scene, name, tensor, option):
+    if tensor is not None and tensor.requires_grad and torch.is_grad_enabled() and not scene._computes[option]:
+        raise relidar.UsageError(f"render: {name} requires a gradient, which this scene does not compute; use Scene(..., {option}=True)")
+
+
+def render(scene, rays, *, sensor=None, poses=None, present=None, columns=0, **parameters):
+    """Renders rays. Differentiable by parameters, rays, sensor and poses.
+
+    scene: Scene
+    rays: float32 [n,6] origins and directions (length 1), or [n,7] with times; or a pair of origins and
+        directions [n,3]; or a Frame; or a list of these, a batch of scans. Metres, seconds
+    sensor: [4,4] pose of the sensor in the scene; rays are in its frame. None: rays are in the scene's frame.
+        With a Frame: a motion of its rays
+    poses: [instances,4,4] poses of the instances in the scene. None: all at the origin, or as in the Frame
+    present: one bool for each instance. None: all are present
+    columns: number of columns if the rays are an image in row order, which is faster on a GPU
+    parameters: tensors that replace those of the scene in this call: means, quats, features, scales and
+        opacities, or log_scales and opacity_logits. Gradients flow to these tensors. The tensor of
+        the scene has these values until the next call without it, so do not change it before
+
+    Returns a dict of [n] tensors: range and median_range (metres, 0: no hit), intensity, drop_logits (the
+    sigmoid is the drop probability), and the values of relidar.DifferentiableRenderer.forward(). For a list
+    of rays, a list of dicts; then sensor and poses have a value for each entry. Everything has
+    gradients except transmittance, median_depth, hits and instance; a median range is constant if it is
+    the distance of a single surfel.
+    """
+    if isinstance(rays, list):
+        each = [[None] * len(rays) if value is None else value for value in (sensor, poses)]
+        if any(len(value) != len(rays) for value in each):
+            raise relidar.DataError(f"render: found {len(each[0])} sensors and {len(each[1])} lists of poses, expected {len(rays)}, one for each scan")
+        return [render(scene, one, sensor=at, poses=placed, present=present, columns=columns, **parameters)
+                for one, at, placed in zip(rays, *each)]
+    frame = rays if isinstance(rays, Frame) else None
+    if frame:
+        if poses is not None or present is not None:
+            raise relidar.UsageError("render: found poses or present with a Frame, which has its own poses")
+        rays, columns = frame.rays, frame.shape[1]
+    elif isinstance(rays, tuple):
+        rays = torch.cat([_check(name, part, (-1, 3), device=scene.device) for name, part in zip(("origins", "directions"), rays)], 1)
+    rays = _tensor(rays)
+    rays = _check("rays", rays, (-1, 7 if rays.shape[-1] == 7 else 6), device=scene.device)
+    doubles = (torch.float32, torch.float64)
+    sensor = None if sensor is None else _check("sensor", sensor, (4, 4), doubles)
+    poses = None if poses is None else _check("poses", poses, (scene._n_instances, 4, 4), doubles)
+    for name, tensor, option in (("rays", rays, "rays"), ("sensor", sensor, "poses"), ("poses", poses, "poses")):
+        _check_gradient(scene, name, tensor, option)
+    values = _Render.apply(scene, _Request(frame, present, columns), rays, sensor, poses, *_replace_parameters(scene, parameters))
+    out = dict(zip(_BLENDED + _OTHER, values))
+    hit = out["weight"] > 0
+    out["range"] = torch.where(hit, out["depth"] / torch.where(hit, out["weight"], 1.0), 0.0)
+    out["median_range"] = torch.where(out["median_depth"] > 0, out["median_depth"], out["range"])
+    out["drop_logits"] = out["drop_logit"] - out["hit_logit"]
+    return out
