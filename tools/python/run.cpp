@@ -7,6 +7,7 @@
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
 
+#include <relidar/diff/rays.h>
 #include <relidar/simulate/actor_boxes.hpp>
 #include <relidar/train/train.hpp>
 #include "arrays.hpp"

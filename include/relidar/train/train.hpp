@@ -9,7 +9,6 @@
 #include <string>
 #include <vector>
 
-#include <relidar/diff/rays.h>
 #include <relidar/base/process_group.hpp>
 #include <relidar/base/progress.hpp>
 #include <relidar/diff/densify_options.hpp>
@@ -27,6 +26,10 @@ namespace relidar {
 
 struct Checkpoint;
 struct Run;
+namespace shared {
+struct DeviceRay;
+struct DeviceTarget;
+}  // namespace shared
 
 /// Summarises the iterations since the previous line.
 struct TrainProgress {
@@ -135,7 +138,7 @@ struct TrainingRays {
     /// rays that training ignores, for example on moving boxes without a model.
     std::vector<shared::DeviceTarget> targets;
 };
-/// Computes what train() uses of a scan, with the poses, the beams and the actors of a run.
+/// Computes what train() uses of a scan, with the poses, beams and actors of a run.
 /// @param frame  a frame of Run::sequence, with its scan
 TrainingRays make_training_rays(const Run& run, const Frame& frame);
 

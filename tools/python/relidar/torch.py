@@ -154,7 +154,7 @@ class Scene:
 
     def surfels(self):
         """Returns a copy of the parameters as numpy arrays for relidar.Scene and Run.with_surfels()."""
-        return {_STORED[name]: values.detach().cpu().numpy().copy() for name, values in self.named_parameters().items()}
+        return {_STORED[name]: self._kept.get(name, values).detach().cpu().numpy().copy() for name, values in self.named_parameters().items()}
 
     def _render(self, request, rays, sensor, poses, values):
         """Renders a batch and returns copies of the rendered values."""
