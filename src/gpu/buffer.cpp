@@ -67,6 +67,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::BufferPurpose use
     // A device that is opened only for compilation may have no hardware, so it allocates
     // no memory.
     if (owner.compile_only) return;
+    owner.check_process();
     owner.free_orphans();
     check_buffer_size(owner, size, text);
     // Staging and parameter buffers are small or in host memory, so the budget does not
@@ -158,7 +159,7 @@ VkResult Device::Impl::bind_sparse(VkBuffer buffer, const std::vector<gpu::Memor
 }
 
 Buffer::Impl::~Impl() {
-    if (!handle) return;
+    if (!handle || device->is_forked()) return;
     // Usually, the owner waits for the commands that use a buffer before it destroys the
     // buffer. An exception skips this wait, so this destructor waits for submitted
     // commands. Commands that a stream has only recorded may be submitted later. In this

@@ -81,11 +81,16 @@ bool has_debug_utils() {
 
 }  // namespace
 
-VulkanInstance::VulkanInstance(bool validation) {
+/// Loads the Vulkan loader. Further calls have no effect.
+void load_vulkan() {
     if (volkInitialize() != VK_SUCCESS)
         throw DeviceError(
             "cannot use Vulkan: the Vulkan loader (libvulkan.so.1) is not installed; install it with the "
             "package manager of your system");
+}
+
+VulkanInstance::VulkanInstance(bool validation) {
+    load_vulkan();
     VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
     app.pApplicationName = "relidar";
     app.apiVersion = VK_API_VERSION_1_3;
@@ -127,9 +132,9 @@ VulkanInstance::~VulkanInstance() {
     if (handle) vkDestroyInstance(handle, nullptr);
 }
 
-std::vector<VkPhysicalDevice> VulkanInstance::physical_devices() const {
+std::vector<VkPhysicalDevice> list_physical_devices(VkInstance instance) {
     return enumerate<VkPhysicalDevice>("vkEnumeratePhysicalDevices", [&](std::uint32_t* n, auto* devices) {
-        return vkEnumeratePhysicalDevices(handle, n, devices);
+        return vkEnumeratePhysicalDevices(instance, n, devices);
     });
 }
 
@@ -176,10 +181,11 @@ int choose_device(const std::vector<DeviceInfo>& device_infos, const DeviceOptio
     return best;
 }
 
-void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend) {
+void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend, bool is_lent) {
     if (!info.why_not_usable.empty())
-        fail<DeviceError>("cannot open device {} ({}): it lacks these required features: {}", info.index,
-                          info.name, info.why_not_usable);
+        fail<DeviceError>("cannot open device {} ({}): {} these required features: {}", info.index, info.name,
+                          is_lent ? "the program that lends it has not enabled" : "it lacks",
+                          info.why_not_usable);
     if (requested_backend == RayTracingBackend::ray_query && !info.ray_query)
         fail<DeviceError>("cannot open device {} ({}) with ray query: it lacks {}; use --traversal auto",
                           info.index, info.name, info.why_not_ray_query);
@@ -200,7 +206,7 @@ void check_backend(const DeviceInfo& info, RayTracingBackend requested_backend) 
 
 std::vector<DeviceInfo> list_devices() {
     const gpu::VulkanInstance instance(false);
-    return describe_devices(instance.physical_devices());
+    return describe_devices(gpu::list_physical_devices(instance.handle));
 }
 
 RayTracingBackend parse_backend(const std::string& name) {
@@ -219,28 +225,46 @@ RayTracingBackend best_backend(const DeviceInfo& info) {
 
 Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->instance = std::make_unique<gpu::VulkanInstance>(options.validation);
-    const std::vector<VkPhysicalDevice> physical = impl_->instance->physical_devices();
+    const std::vector<VkPhysicalDevice> physical = gpu::list_physical_devices(impl_->instance->handle);
     const std::vector<DeviceInfo> infos = describe_devices(physical);
     const int index = choose_device(infos, options);
     impl_->info = infos[static_cast<std::size_t>(index)];
     if (options.report_missing_drivers && options.index < 0 && impl_->info.type == "CPU")
         for (const std::string& line : find_driverless(infos))
             gpu::report_note(line + "; relidar uses " + impl_->info.name);
-    check_backend(impl_->info, options.traversal);
-    impl_->traversal =
-        options.traversal == RayTracingBackend::automatic ? best_backend(impl_->info) : options.traversal;
-    // If no traversal method works, selects the software tree. The constructor of the
-    // software tree then throws an error with the reason.
-    if (impl_->traversal == RayTracingBackend::automatic) impl_->traversal = RayTracingBackend::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
-    impl_->memory_limit_bytes = options.memory_limit_bytes;
-    impl_->share_memory = options.share_memory;
-    impl_->compile_only = options.compile_only;
-    gpu::disable_failed(*impl_, gpu::check_results(*impl_, options));
-    impl_->open_device(options.pipeline_cache);
+    impl_->open_device(options);
+}
+
+Device::Device(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+
+Device Device::from_vulkan(const LentVulkan& lent, const DeviceOptions& options) {
+    gpu::Missing handles;
+    handles.require(lent.instance != nullptr, "instance");
+    handles.require(lent.physical_device != nullptr, "physical_device");
+    handles.require(lent.device != nullptr, "device");
+    handles.require(lent.queue != nullptr, "queue");
+    if (!handles.text.empty())
+        fail<DeviceError>("cannot use the Vulkan device of another program: these handles are null: {}",
+                          handles.text);
+    gpu::load_vulkan();
+    const auto instance = static_cast<VkInstance>(lent.instance);
+    volkLoadInstance(instance);
+    auto impl = std::make_unique<Impl>();
+    impl->lent = lent;
+    impl->physical = static_cast<VkPhysicalDevice>(lent.physical_device);
+    impl->device = static_cast<VkDevice>(lent.device);
+    impl->queue = static_cast<VkQueue>(lent.queue);
+    impl->queue_family = lent.queue_family;
+    const auto devices = gpu::list_physical_devices(instance);
+    const auto index = std::ranges::find(devices, impl->physical) - devices.begin();
+    impl->info = gpu::make_device_info(impl->physical, int(index), &lent);
+    impl->open_device(options);
+    return Device(std::move(impl));
 }
 
 Device::~Device() = default;
+void Device::check_process() const { impl_->check_process(); }
 const DeviceInfo& Device::info() const { return impl_->info; }
 RayTracingBackend Device::backend() const { return impl_->traversal; }
 std::uint64_t Device::allocated_bytes() const { return impl_->allocated; }
@@ -251,16 +275,38 @@ TransferCounts Device::transfers() const {
 }
 const std::vector<PipelineStatistics>& Device::statistics() const { return impl_->compiled; }
 
-void Device::Impl::open_device(const std::filesystem::path& pipeline_cache_folder) {
+void Device::Impl::check_process() const {
+    if (is_forked())
+        fail<DeviceError>(
+            "cannot use {}: process {} opened the device, and process {}, which was forked from it, cannot "
+            "use "
+            "it; start workers with spawn instead, in Python with multiprocessing.get_context(\"spawn\")",
+            info.name, process, ::getpid());
+}
+
+void Device::Impl::select_traversal(RayTracingBackend requested) {
+    check_backend(info, requested, lent.has_value());
+    traversal = requested == RayTracingBackend::automatic ? best_backend(info) : requested;
+    // If no traversal method works, selects the software tree. The constructor of the
+    // software tree then throws an error with the reason.
+    if (traversal == RayTracingBackend::automatic) traversal = RayTracingBackend::software;
+}
+
+void Device::Impl::open_device(const DeviceOptions& options) {
+    select_traversal(options.traversal);
+    memory_limit_bytes = options.memory_limit_bytes;
+    share_memory = options.share_memory;
+    compile_only = options.compile_only;
+    gpu::disable_failed(*this, gpu::check_results(*this, options));
     select_queue();
-    create_device();
-    vkGetDeviceQueue(device, queue_family, 0, &queue);
+    optional = gpu::query_features(physical, lender());
+    if (!lent) create_device();
     gpu::set_object_name(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
     gpu::set_object_name(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
     query_limits();
     create_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions that are called below.
-    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, pipeline_cache_folder);
+    pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, options.pipeline_cache);
     memory = std::make_unique<gpu::DeviceMemoryAllocator>(physical, device,
                                                           share_memory && info.type == "CPU", exports_memory);
     transfers = std::make_unique<gpu::BufferTransfers>(*this);
@@ -301,17 +347,21 @@ struct ExtensionFeatures {
 
 }  // namespace
 
-/// Selects the first queue family that can compute. Reads whether it can bind sparse
-/// buffers, and how many bits of its time stamps are valid.
+/// Selects the first queue family that can compute, or the lent one. Reads whether it can
+/// bind sparse buffers, and how many bits of its time stamps are valid.
 void Device::Impl::select_queue() {
     std::uint32_t n = 0;
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, nullptr);
     std::vector<VkQueueFamilyProperties> families(n);
     vkGetPhysicalDeviceQueueFamilyProperties(physical, &n, families.data());
-    while (queue_family < n && !(families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT)) ++queue_family;
+    const auto can_compute = [&] { return families[queue_family].queueFlags & VK_QUEUE_COMPUTE_BIT; };
+    if (lent && (queue_family >= n || !can_compute()))
+        fail<DeviceError>("cannot open device {} ({}): the queue family {} cannot compute", info.index,
+                          info.name, queue_family);
+    while (queue_family < n && !can_compute()) ++queue_family;
     VkPhysicalDeviceFeatures features;
     vkGetPhysicalDeviceFeatures(physical, &features);
-    binds_sparse = features.sparseBinding && queue_family < n &&
+    binds_sparse = features.sparseBinding && gpu::is_enabled(lender(), "sparseBinding") && queue_family < n &&
                    (families[queue_family].queueFlags & VK_QUEUE_SPARSE_BINDING_BIT) != 0;
     const std::uint32_t bits = queue_family < n ? families[queue_family].timestampValidBits : 0;
     if (bits > 0 && bits < 64) timestamp_mask = (std::uint64_t(1) << bits) - 1;
@@ -335,7 +385,6 @@ void Device::Impl::create_device() {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     features.features.sparseBinding = binds_sparse;
 
-    optional = gpu::query_features(physical);
     v13.subgroupSizeControl = optional.subgroup_size;
     v13.computeFullSubgroups = optional.full_subgroups;
     void** feature_chain_end = &v13.pNext;
@@ -368,6 +417,7 @@ void Device::Impl::create_device() {
     device_info.enabledExtensionCount = static_cast<std::uint32_t>(extensions.size());
     device_info.ppEnabledExtensionNames = extensions.data();
     gpu::vk_check(vkCreateDevice(physical, &device_info, nullptr, &device), "vkCreateDevice");
+    vkGetDeviceQueue(device, queue_family, 0, &queue);
 }
 
 /// Reads the limits of the driver: largest buffer and allocation, subgroup size, and the
@@ -417,6 +467,17 @@ Device::Impl::Impl() = default;
 
 Device::Impl::~Impl() {
     if (!device) return;
+    if (is_forked()) {
+        // Leaks everything, because calls of the driver could wait for its missing
+        // threads.
+        static_cast<void>(nothing.release());
+        static_cast<void>(transfers.release());
+        static_cast<void>(memory.release());
+        static_cast<void>(pipeline_cache.release());
+        static_cast<void>(instance.release());
+        static_cast<void>(new auto(std::move(pipelines.by_key)));
+        return;
+    }
     // Buffers return their memory to the allocator, so they are destroyed before it.
     nothing.reset();
     transfers.reset();
@@ -431,16 +492,20 @@ Device::Impl::~Impl() {
     }
     pipeline_cache.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);
-    vkDestroyDevice(device, nullptr);
+    if (!lent) vkDestroyDevice(device, nullptr);
 }
 
 void Device::Impl::wait_idle() noexcept {
-    if (compile_only) return;  // a driver without hardware has no work and cannot wait
+    // A driver without hardware has no work and cannot wait.
+    if (compile_only || is_forked()) return;
     const std::lock_guard lock(queue_mutex);
-    vkDeviceWaitIdle(device);
+    // The owner of a lent device may use its other queues.
+    if (lent) vkQueueWaitIdle(queue);
+    else vkDeviceWaitIdle(device);
 }
 
 void Device::Impl::submit_to_queue(const VkSubmitInfo& submit_info, VkFence fence) {
+    check_process();
     const std::lock_guard lock(queue_mutex);
     gpu::vk_check(vkQueueSubmit(queue, 1, &submit_info, fence), "vkQueueSubmit");
 }

@@ -4,7 +4,10 @@
 #pragma once
 
 #include <future>
+#include <optional>
 #include <semaphore>
+
+#include <unistd.h>
 
 #include <relidar/gpu/stream.hpp>
 #include "gpu/forced.hpp"
@@ -44,9 +47,9 @@ struct VulkanInstance {
 
     explicit VulkanInstance(bool validation);
     ~VulkanInstance();
-
-    std::vector<VkPhysicalDevice> physical_devices() const;
 };
+
+std::vector<VkPhysicalDevice> list_physical_devices(VkInstance instance);
 
 template <class Handle>
 void set_object_name(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
@@ -59,6 +62,9 @@ void set_object_name(VkDevice device, VkObjectType type, Handle handle, const st
 }
 
 bool has_extension(VkPhysicalDevice physical, const char* extension_name);
+/// Returns true if the owner of a lent device has enabled a feature, or if no device is
+/// lent.
+bool is_enabled(const LentVulkan* lent, const char* feature_name);
 
 /// Its compiler terminates the process on tracing kernels (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
@@ -79,7 +85,7 @@ struct OptionalFeatures {
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
-OptionalFeatures query_features(VkPhysicalDevice physical);
+OptionalFeatures query_features(VkPhysicalDevice physical, const LentVulkan* lent = nullptr);
 
 bool can_fix_subgroup_size(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                            const OptionalFeatures& optional);
@@ -107,14 +113,18 @@ struct ComputePipelines {
                                         std::ptrdiff_t(max_threads())};
 };
 
-DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index);
+/// @param lent if not null, only the extensions and features that its owner has enabled
+/// count
+DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const LentVulkan* lent = nullptr);
 
 }  // namespace relidar::gpu
 
 namespace relidar {
 
 struct Device::Impl {
-    std::unique_ptr<gpu::VulkanInstance> instance;
+    std::unique_ptr<gpu::VulkanInstance> instance;  ///< null if the device is lent
+    std::optional<LentVulkan> lent;
+    const pid_t process = ::getpid();  ///< process that opened the device
     VkPhysicalDevice physical = VK_NULL_HANDLE;
     VkDevice device = VK_NULL_HANDLE;
     VkQueue queue = VK_NULL_HANDLE;
@@ -172,8 +182,13 @@ struct Device::Impl {
 
     Impl();
     ~Impl();
-    /// @param pipeline_cache_folder if empty, pipelines are not cached in a file
-    void open_device(const std::filesystem::path& pipeline_cache_folder);
+    void open_device(const DeviceOptions& options);
+    void select_traversal(RayTracingBackend requested);
+    /// The threads of a driver do not exist in a forked process, so a wait would never
+    /// end.
+    bool is_forked() const { return ::getpid() != process; }
+    void check_process() const;
+    const LentVulkan* lender() const { return lent ? &*lent : nullptr; }
     void select_queue();
     void create_device();
     void query_limits();

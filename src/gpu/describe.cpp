@@ -12,11 +12,17 @@ namespace relidar::gpu {
 
 namespace {
 
-std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical) {
-    return enumerate<VkExtensionProperties>(
+std::vector<VkExtensionProperties> list_extensions(VkPhysicalDevice physical,
+                                                   const LentVulkan* lent = nullptr) {
+    auto extensions = enumerate<VkExtensionProperties>(
         "vkEnumerateDeviceExtensionProperties", [&](std::uint32_t* n, auto* properties) {
             return vkEnumerateDeviceExtensionProperties(physical, nullptr, n, properties);
         });
+    if (lent)
+        std::erase_if(extensions, [&](const VkExtensionProperties& extension) {
+            return std::ranges::find(lent->extensions, extension.extensionName) == lent->extensions.end();
+        });
+    return extensions;
 }
 
 const char* device_type_name(VkPhysicalDeviceType device_type) {
@@ -48,7 +54,11 @@ bool contains_extension(const std::vector<VkExtensionProperties>& extensions, co
 
 }  // namespace
 
-OptionalFeatures query_features(VkPhysicalDevice physical) {
+bool is_enabled(const LentVulkan* lent, const char* feature_name) {
+    return !lent || std::ranges::find(lent->features, feature_name) != lent->features.end();
+}
+
+OptionalFeatures query_features(VkPhysicalDevice physical, const LentVulkan* lent) {
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
     VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
@@ -59,7 +69,7 @@ OptionalFeatures query_features(VkPhysicalDevice physical) {
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_FEATURES, &uniform};
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &control};
     OptionalFeatures optional;
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical, lent);
 #ifdef VK_KHR_shader_maximal_reconvergence
     VkPhysicalDeviceShaderMaximalReconvergenceFeaturesKHR maximal{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SHADER_MAXIMAL_RECONVERGENCE_FEATURES_KHR};
@@ -67,15 +77,16 @@ OptionalFeatures query_features(VkPhysicalDevice physical) {
 #endif
     vkGetPhysicalDeviceFeatures2(physical, &features);
     optional.subgroup_size = sizes.minSubgroupSize != sizes.maxSubgroupSize && control.subgroupSizeControl &&
+                             is_enabled(lent, "subgroupSizeControl") &&
                              (sizes.requiredSubgroupSizeStages & VK_SHADER_STAGE_COMPUTE_BIT);
-    optional.full_subgroups = control.computeFullSubgroups;
+    optional.full_subgroups = control.computeFullSubgroups && is_enabled(lent, "computeFullSubgroups");
     optional.subgroup_uniform_control_flow =
         contains_extension(extensions, VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME) &&
-        uniform.shaderSubgroupUniformControlFlow;
+        uniform.shaderSubgroupUniformControlFlow && is_enabled(lent, "shaderSubgroupUniformControlFlow");
 #ifdef VK_KHR_shader_maximal_reconvergence
     optional.maximal_reconvergence =
         contains_extension(extensions, VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME) &&
-        maximal.shaderMaximalReconvergence;
+        maximal.shaderMaximalReconvergence && is_enabled(lent, "shaderMaximalReconvergence");
 #endif
     return optional;
 }
@@ -177,8 +188,8 @@ std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& exte
 
 }  // namespace
 
-DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index) {
-    const std::vector<VkExtensionProperties> extensions = list_extensions(physical);
+DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index, const LentVulkan* lent) {
+    const std::vector<VkExtensionProperties> extensions = list_extensions(physical, lent);
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
@@ -198,7 +209,17 @@ DeviceInfo make_device_info(VkPhysicalDevice physical, int device_index) {
     VkPhysicalDeviceFeatures2 features{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_FEATURES_2, &v12};
     const bool is_13 = properties.properties.apiVersion >= VK_API_VERSION_1_3;
     if (is_13) vkGetPhysicalDeviceFeatures2(physical, &features);
-    const OptionalFeatures optional = is_13 ? query_features(physical) : OptionalFeatures();
+    for (const auto& [feature, name] : std::initializer_list<std::pair<VkBool32*, const char*>>{
+             {&v12.bufferDeviceAddress, "bufferDeviceAddress"},
+             {&v12.scalarBlockLayout, "scalarBlockLayout"},
+             {&v12.timelineSemaphore, "timelineSemaphore"},
+             {&v12.hostQueryReset, "hostQueryReset"},
+             {&v13.maintenance4, "maintenance4"},
+             {&accel.accelerationStructure, "accelerationStructure"},
+             {&query.rayQuery, "rayQuery"},
+             {&atomics.shaderBufferFloat32AtomicAdd, "shaderBufferFloat32AtomicAdd"}})
+        *feature = *feature && is_enabled(lent, name);
+    const OptionalFeatures optional = is_13 ? query_features(physical, lent) : OptionalFeatures();
 
     DeviceInfo info;
     info.index = device_index;

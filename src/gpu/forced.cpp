@@ -6,7 +6,9 @@
 
 namespace relidar {
 
-std::size_t validation_count(const Device& device) { return device.impl().instance->n_messages; }
+std::size_t validation_count(const Device& device) {
+    return device.impl().instance ? device.impl().instance->n_messages.load() : 0;
+}
 
 ForcedBehaviourScope::ForcedBehaviourScope(Device& device, const ForcedBehaviour& forced)
     : device_(device), before_(std::exchange(device.impl().forced, forced)) {}

@@ -38,7 +38,7 @@ Stream::Impl::Impl(Device& d, bool with_timing)
 }
 
 Stream::Impl::~Impl() {
-    if (device->compile_only) return;
+    if (device->compile_only || device->is_forked()) return;
     device->wait_idle();
     if (recording) --device->n_recording;
     for (SubmissionSlot& slot : slots) {
@@ -335,6 +335,7 @@ void Stream::Impl::submit_pieces(const KernelBase::Impl& kernel, const Dispatch&
 /// was submitted. The error names the last recorded kernel, which probably caused it.
 void Stream::Impl::wait_for(std::uint64_t ticket) {
     if (!ticket) return;
+    device->check_process();
     if (ticket == last_ticket) ++device->n_full_waits;
     VkSemaphoreWaitInfo info{VK_STRUCTURE_TYPE_SEMAPHORE_WAIT_INFO};
     info.semaphoreCount = 1;
@@ -407,6 +408,7 @@ ConcurrentSequenceScope::ConcurrentSequenceScope(Stream& stream, std::size_t cou
 }
 
 ConcurrentSequenceScope::~ConcurrentSequenceScope() {
+    if (stream_.impl().device->is_forked()) return;
     Stream::Impl& s = stream_.impl();
     // After an exception, the commands are dropped, because the arrays that they use may
     // be destroyed.

@@ -52,6 +52,8 @@ SharedDevice device_or_default(SharedDevice device) {
 }
 
 DeviceLock::DeviceLock(LockableDevice& device) : device_(device) {
+    // First, because in a forked process, the thread that held the lock does not exist.
+    device.device.check_process();
     if (device.user == std::this_thread::get_id())
         throw UsageError(
             "cannot use this device: it is busy with the call that runs the current callback; use another "

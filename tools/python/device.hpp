@@ -11,6 +11,7 @@
 
 #include <pybind11/pybind11.h>
 
+#include <relidar/base/error.hpp>
 #include <relidar/gpu/device.hpp>
 
 namespace relidar::python {
@@ -38,6 +39,7 @@ public:
     /// Waits until no other thread uses the device.
     /// @throws UsageError if this thread already uses the device, for example because a
     /// callback calls a function of the same device
+    /// @throws DeviceError in a process that was forked after the device was opened
     explicit DeviceLock(LockableDevice& device);
     ~DeviceLock();
     DeviceLock(const DeviceLock&) = delete;
@@ -70,8 +72,12 @@ public:
             // In a training callback, this thread has already locked the device, and the
             // device is idle. Locking it again would be an error.
             return;
-        const DeviceLock use(*device_);
-        made_.reset();
+        try {
+            const DeviceLock use(*device_);
+            made_.reset();
+        } catch (const DeviceError&) {
+            // A forked process cannot use the device. Its destructors do nothing.
+        }
     }
 
     Made& operator*() { return *made_; }

@@ -129,17 +129,42 @@ struct TransferCounts {
     std::uint64_t staged_bytes = 0;
 };
 
+/// Vulkan objects that another program, for example a simulator, lends to relidar. The
+/// handles are those of vulkan.h, which this header does not include.
+struct LentVulkan {
+    void* instance = nullptr;         ///< VkInstance, created with an apiVersion of at least 1.3
+    void* physical_device = nullptr;  ///< VkPhysicalDevice
+    void* device = nullptr;           ///< VkDevice
+    /// VkQueue. Vulkan allows only one thread at a time to use a queue, so no other
+    /// thread may use it during a call of relidar.
+    void* queue = nullptr;
+    std::uint32_t queue_family = 0;  ///< Family of the queue. It must support compute.
+    /// Names of the device extensions that were enabled, for example "VK_KHR_ray_query".
+    std::vector<std::string> extensions = {};
+    /// Names of the enabled features as in vulkan.h, for example "bufferDeviceAddress".
+    std::vector<std::string> features = {};
+};
+
 /// Open Vulkan device. All objects created with a device must be destroyed before the
-/// device.
+/// device. Only the process that opened a device can use it: in a forked child, all calls
+/// throw a DeviceError, and destructors do nothing.
 class Device {
 public:
     /// Opens a device.
     /// @throws DeviceError if the device does not exist or lacks features. The message
     /// names all missing features.
     explicit Device(const DeviceOptions& options = {});
+    /// Uses a device that another program has opened. Never destroys its objects, which
+    /// must outlive this object. Uses only the extensions and features in `lent`.
+    /// @param options  the fields that select or validate a device have no effect
+    /// @throws DeviceError if a handle is null, or if extensions or features are missing.
+    /// The message names all of them.
+    static Device from_vulkan(const LentVulkan& lent, const DeviceOptions& options = {});
     ~Device();
 
     const DeviceInfo& info() const;
+    /// @throws DeviceError in a process that was forked after the device was opened
+    void check_process() const;
     /// Returns the traversal method of this device: ray_query or software, never
     /// automatic.
     RayTracingBackend backend() const;
@@ -157,6 +182,7 @@ public:
     Impl& impl() const { return *impl_; }
 
 private:
+    explicit Device(std::unique_ptr<Impl> impl);
     std::unique_ptr<Impl> impl_;
 };
 
