@@ -7,6 +7,8 @@
 // reused only after the device has finished its submission.
 #pragma once
 
+#include <relidar/gpu/out_of_memory.hpp>
+
 #include "gpu/buffer.hpp"
 #include "gpu/kernel.hpp"
 
@@ -140,6 +142,18 @@ private:
     /// The submission continues in a new command buffer.
     void submit();
 };
+
+/// Reserves memory for `n_needed` elements of an array that grows repeatedly. If
+/// possible, reserves an eighth more, so that few calls copy the array.
+/// @param reserve called with a number of elements
+template <class Reserve>
+void reserve_spare(std::size_t n_needed, const Reserve& reserve) {
+    try {
+        reserve(n_needed + n_needed / 8 + 8);
+    } catch (const OutOfDeviceMemory&) {
+        reserve(n_needed);
+    }
+}
 
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {

@@ -172,36 +172,6 @@ double walked_at_start_m(const BoxTrack& logged_box, const PoseTrack& new_track)
            glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// Returns the poses of the background and of all actors during a sweep.
-/// @param find_track returns the track of an actor, or null if the actor is absent
-template <class TrackOf>
-std::vector<InstancePose> poses_in_sweep(const Scene& scene, const Log& log, const SweepTiming& sweep,
-                                         const TrackOf& find_track) {
-    std::vector<InstancePose> placed;
-    for (const ModelInstance& instance : scene.instances) {
-        if (instance.track.empty()) {
-            placed.push_back({});
-            continue;
-        }
-        const PoseTrack* track = find_track(instance.track);
-        const SurfelModel& model = scene.models[instance.model];
-        placed.push_back(track ? box_pose_in_sweep(log, *track, model.half_size_m, sweep)
-                               : InstancePose{{}, false});
-        const double stride_m = double(model.stride_m);
-        if (!track || stride_m <= 0.0) continue;
-        // The phase of the walk continues the logged walk if the caller supplied another
-        // track.
-        const BoxTrack* logged_box = find_box(log, instance.track);
-        const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
-        const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()
-                                    ? walked_at_start_m(*logged_box, *track)
-                                    : 0.0;
-        placed.back().phase =
-            (before_m + WalkedDistanceTrack(*track).walked_m(placed.back().time_s)) / stride_m;
-    }
-    return placed;
-}
-
 }  // namespace
 
 std::vector<BoxTrack> list_foreground(const Log& log, const InitOptions& options) {
@@ -258,26 +228,40 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : log.boxes)
         if (box.is_observed(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
-    return poses_in_sweep(scene, log, sweep, [&](const std::string& name) {
-        const auto track = tracks.find(name);
-        return track == tracks.end() ? nullptr : track->second;
-    });
+    std::vector<const PoseTrack*> world_from_actor;
+    for (const ModelInstance& instance : scene.instances) {
+        const auto track = tracks.find(instance.track);
+        world_from_actor.push_back(track == tracks.end() ? nullptr : track->second);
+    }
+    return pose_instances(scene, log, sweep, world_from_actor);
 }
 
 std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep,
-                                         const ActorTracksByName& world_from_actor) {
-    std::vector<std::string> tracks;
-    for (const ModelInstance& instance : scene.instances)
-        if (!instance.track.empty()) tracks.push_back(instance.track);
-    for (const auto& [track, poses] : world_from_actor)
-        if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
-            fail<UsageError>("cannot place actors: found track \"{}\", expected a track of the scene{}",
-                             track,
-                             tracks.empty() ? ", which has no actors" : did_you_mean(track, tracks, "\""));
-    return poses_in_sweep(scene, log, sweep, [&](const std::string& name) {
-        const auto track = world_from_actor.find(name);
-        return track == world_from_actor.end() ? nullptr : &track->second;
-    });
+                                         std::span<const PoseTrack* const> world_from_actor) {
+    std::vector<InstancePose> placed;
+    for (std::size_t i = 0; i < scene.instances.size(); ++i) {
+        const ModelInstance& instance = scene.instances[i];
+        if (instance.track.empty()) {
+            placed.push_back({});
+            continue;
+        }
+        const PoseTrack* track = world_from_actor[i];
+        const SurfelModel& model = scene.models[instance.model];
+        placed.push_back(track ? box_pose_in_sweep(log, *track, model.half_size_m, sweep)
+                               : InstancePose{{}, false});
+        const double stride_m = double(model.stride_m);
+        if (!track || stride_m <= 0.0) continue;
+        // The phase of the walk continues the logged walk if the caller supplied another
+        // track.
+        const BoxTrack* logged_box = find_box(log, instance.track);
+        const bool is_logged_track = logged_box && &logged_box->world_from_box == track;
+        const double before_m = logged_box && !is_logged_track && !logged_box->world_from_box.pose.empty()
+                                    ? walked_at_start_m(*logged_box, *track)
+                                    : 0.0;
+        placed.back().phase =
+            (before_m + WalkedDistanceTrack(*track).walked_m(placed.back().time_s)) / stride_m;
+    }
+    return placed;
 }
 
 }  // namespace relidar

@@ -258,6 +258,42 @@ void DeviceScene::set_models(const std::vector<SurfelModel>& models) {
     impl_->more_rows.upload(impl_->placements.more);
 }
 
+void DeviceScene::append_model(Device& device, const DeviceScene& added) {
+    Impl& s = *impl_;
+    const std::uint32_t first = size(), n = first + added.size();
+    if (n > s.parameters.capacity() || n > s.records.size())
+        reserve_spare(n, [&](std::size_t capacity) { reserve(device, std::uint32_t(capacity)); });
+    Scene layout = s.layout;
+    layout.models.push_back(added.layout().models.front());
+    layout.models.back().first = first;
+    InstanceGradientRows rows(layout, n);
+    Array<shared::ModelEntry> models(device, make_models(layout, rows), "model table");
+    Array<std::uint32_t, shared::FurtherRows> more_rows(device, rows.more,
+                                                        "gradient rows of further instances");
+    s.parameters.upload_at(first, added.surfel_parameters().download());
+    s.records.upload(added.surfel_records().download(added.size()), first);
+    s.parameters.n = n;
+    s.layout = std::move(layout);
+    s.placements = std::move(rows);
+    s.models = std::move(models);
+    s.more_rows = std::move(more_rows);
+}
+
+void DeviceScene::append_instance(Device& device, const ModelInstance& instance) {
+    Impl& s = *impl_;
+    const std::size_t n = s.layout.instances.size() + 1;
+    if (n > s.instances.size())
+        reserve_spare(n, [&](std::size_t capacity) {
+            s.instances = Array<shared::InstanceEntry>(device, capacity, "instance table");
+        });
+    s.layout.instances.push_back(instance);
+    s.poses.push_back({.present = false});
+    s.placements = InstanceGradientRows(s.layout, size());
+    s.models.upload(make_models(s.layout, s.placements));
+    s.more_rows = {device, s.placements.more, "gradient rows of further instances"};
+    s.instances.upload(s.make_instances(std::vector<InstancePose>(s.poses)));
+}
+
 bool DeviceScene::moves_gait(const std::vector<InstancePose>& placed) const {
     if (!impl_->parameters.bends) return false;
     for (std::size_t i = 0; i < std::min(placed.size(), impl_->poses.size()); ++i) {

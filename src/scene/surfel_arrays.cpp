@@ -40,7 +40,9 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
                                                    fmt::format("{} {}", text, group.name));
 }
 
-void SurfelArrays::upload(const Surfels& surfels) {
+void SurfelArrays::upload(const Surfels& surfels) { upload_at(0, surfels); }
+
+void SurfelArrays::check_group(const Surfels& surfels) const {
     surfels.check_lengths();
     if (surfels.size() > 0 && surfels.primitive != primitive)
         fail("cannot upload {} to arrays of {}", properties_of(surfels.primitive).label,
@@ -48,16 +50,22 @@ void SurfelArrays::upload(const Surfels& surfels) {
     if (surfels.size() > 0 && surfels.bends != bends)
         fail("cannot upload surfels with{} gait to arrays with{} gait", surfels.bends ? "" : "out",
              bends ? "" : "out");
-    for (const SurfelParameterGroup& group : list_groups(parameters_used()))
-        group.mutable_device(*this).upload(group.values(surfels));
 }
 
-Surfels SurfelArrays::download() const {
+void SurfelArrays::upload_at(std::uint32_t first, const Surfels& surfels) {
+    check_group(surfels);
+    for (const SurfelParameterGroup& group : list_groups(parameters_used()))
+        group.mutable_device(*this).upload(group.values(surfels), std::size_t(first) * group.count_floats());
+}
+
+Surfels SurfelArrays::download_range(std::uint32_t first, std::uint32_t count) const {
     Surfels s;
-    s.resize(n, parameters_used());
+    s.resize(count, parameters_used());
     for (const SurfelParameterGroup& group : list_groups(parameters_used())) {
         const std::span<float> values = group.mutable_values(s);
-        if (n > 0) group.device(*this).buffer().download(values.data(), values.size_bytes());
+        if (count > 0)
+            group.device(*this).buffer().download(values.data(), values.size_bytes(),
+                                                  std::size_t(first) * group.count_floats() * sizeof(float));
     }
     return s;
 }

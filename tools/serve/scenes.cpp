@@ -45,7 +45,8 @@ SceneLoadNumber SceneSet::use_scene(std::size_t scene, const std::optional<Weath
     loaded_[scene].used = ++clock_;
     if (!loaded_[scene].renderer) {
         make_room(scene, loaded_[scene].bytes);
-        load_spawned(scene);
+        load_scene(scene, sources_[scene].load());
+        spawn_missing(scene);
     }
     call_renderer(scene, [&](ScanRenderer& renderer) {
         renderer.set_weather(weather.value_or(sources_[scene].weather));
@@ -81,6 +82,7 @@ void SceneSet::call_renderer(std::size_t scene, const RendererTask& use) {
 void SceneSet::load_scene(std::size_t scene, const Run& run) {
     SceneInMemory& loaded = loaded_[scene];
     loaded.bytes = 0;
+    loaded.n_slots = 0;
     loaded.used = ++clock_;
     loaded.load = SceneLoadNumber(std::uint64_t(loaded.load) + 1);
     count_bytes(scene, [&] {
@@ -101,16 +103,16 @@ void SceneSet::load_scene(std::size_t scene, const Run& run) {
     loaded.renderer->set_parallel(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-void SceneSet::load_spawned(std::size_t scene) {
+/// Adds the slots that the loaded scene does not have yet.
+void SceneSet::spawn_missing(std::size_t scene) {
     const std::vector<SpawnSlot> slots = spawned_.list_all_slots(scene);
-    Run run = sources_[scene].load();
-    add_spawned(run, slots, assets_);
-    load_scene(scene, run);
-    loaded_[scene].n_slots = slots.size();
+    SceneInMemory& loaded = loaded_[scene];
+    count_bytes(scene, [&] { spawn_slots(*loaded.renderer, slots, loaded.n_slots, assets_); });
+    loaded.n_slots = slots.size();
 }
 
-/// Assigns slots to the new actors. Loads the scene again only if it has too few slots.
-/// If this fails, frees the slots, so that the request has no effect.
+/// Assigns slots to the new actors. If this fails, frees the slots, so that the request
+/// has no effect.
 std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vector<ActorToSpawn>& actors) {
     SceneInMemory& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.slot_count(scene);
@@ -123,9 +125,11 @@ std::vector<SpawnSlot> SceneSet::spawn_actors(std::size_t scene, const std::vect
         spawned_.undo_assign(scene, occupied_slots, n_before);
     };
     try {
-        loaded.renderer.reset();
-        make_room(scene, loaded.bytes);
-        load_spawned(scene);
+        if (!loaded.renderer) {
+            make_room(scene, loaded.bytes);
+            load_scene(scene, sources_[scene].load());
+        }
+        spawn_missing(scene);
         make_room(scene, 0);
     } catch (const DataError& error) {
         undo();

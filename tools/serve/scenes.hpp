@@ -33,7 +33,7 @@ public:
     const AssetCatalogue& assets() const { return assets_; }
     SpawnedActorRegistry& spawned() { return spawned_; }
 
-    /// If the scene has too few free slots, it is loaded again with more slots.
+    /// Adds actors to the scene without loading it again.
     /// @return the slots of the actors, in the order of the requests
     /// @throws RejectedRequest if a name is in use, if an asset does not fit, or if the
     /// device memory is too small; the scene is then unchanged
@@ -70,7 +70,7 @@ private:
     std::uint64_t clock_ = 0;
 
     void load_scene(std::size_t scene, const Run& run);
-    void load_spawned(std::size_t scene);
+    void spawn_missing(std::size_t scene);
     void make_room(std::size_t kept, std::uint64_t n_bytes);
     void count_bytes(std::size_t scene, const std::function<void()>& allocate);
     void call_renderer(std::size_t scene, const RendererTask& use);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 
+#include <relidar/simulate/render.hpp>
 #include "base/fail.hpp"
 
 #include "asset_catalogue.hpp"
@@ -11,40 +12,23 @@
 namespace relidar::serve {
 namespace {
 
-// With image.sh_direction=surfel, even an unused slot needs a copy of the surfels.
-constexpr std::size_t kMaxAddedSlots = 8;
-
 using SpawnedActorSlots = std::vector<ActorToSpawn>;
 
 auto find_slot(SpawnedActorSlots& slots, const std::string& actor_name) {
     return std::ranges::find(slots, actor_name, &ActorToSpawn::name);
 }
 
-/// Returns the index of a free slot for the same model. If there is none, adds as many
-/// slots as the model already has, so that a growing scene is seldom loaded again.
+/// Returns the index of a free slot for the same model. Adds a slot if there is none.
 std::size_t free_slot(SpawnedActorSlots& slots, const ActorToSpawn& actor) {
     const auto is_free = [&](const ActorToSpawn& p) { return p.name.empty() && p.source == actor.source; };
     const auto free = std::ranges::find_if(slots, is_free);
     if (free != slots.end()) return std::size_t(free - slots.begin());
-    const auto of_source = std::size_t(std::ranges::count(slots, actor.source, &ActorToSpawn::source));
     if (slots.size() >= SpawnedActorRegistry::kMaxSlots)
         refuse(Code::RESOURCE_EXHAUSTED,
                "cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
                quote_client_text(actor.name), slots.size());
-    const std::size_t first = slots.size();
-    ActorToSpawn empty = actor;
-    empty.name.clear();
-    slots.resize(std::min(first + std::clamp<std::size_t>(of_source, 1, kMaxAddedSlots),
-                          SpawnedActorRegistry::kMaxSlots),
-                 empty);
-    return first;
-}
-
-std::uint32_t model_of(const Scene& scene, const std::string& track_name) {
-    const auto instance = std::ranges::find(scene.instances, track_name, &ModelInstance::track);
-    if (instance == scene.instances.end())
-        fail("cannot spawn {}: the run no longer has this actor", track_name);
-    return instance->model;
+    slots.push_back(actor);
+    return slots.size() - 1;
 }
 
 }  // namespace
@@ -110,28 +94,25 @@ void SpawnedActorRegistry::undo_assign(std::size_t scene, const std::vector<Spaw
 /// it different from all track names of the run.
 std::string slot_track_name(std::size_t slot_index) { return fmt::format("\x01spawned {}", slot_index); }
 
-/// Adds an actor instance for each slot to the run. Slots with the same asset share one
-/// surfel model.
-void add_spawned(Run& run, const std::vector<SpawnSlot>& slots, const AssetCatalogue& assets) {
-    std::map<std::string, std::uint32_t> models;  // Index of the surfel model of each asset.
-    for (const SpawnSlot& slot : slots) {
-        const SpawnedModelSource& source = slot.actor.source;
-        std::uint32_t model = 0;
-        if (!source.is_asset) model = model_of(run.scene, source.name);
-        else if (const auto model_entry = models.find(source.name); model_entry != models.end())
-            model = model_entry->second;
+/// A slot whose asset has an earlier slot is a copy of the actor there, so that each
+/// asset is read only once.
+void spawn_slots(ScanRenderer& renderer, const std::vector<SpawnSlot>& slots, std::size_t first,
+                 const AssetCatalogue& assets) {
+    for (std::size_t i = first; i < slots.size(); ++i) {
+        const SpawnedModelSource& source = slots[i].actor.source;
+        const std::string track = slot_track_name(slots[i].position);
+        const auto earlier = std::ranges::find(
+            slots, source, [](const SpawnSlot& slot) -> const auto& { return slot.actor.source; });
+        if (!source.is_asset) renderer.spawn(source.name, track);
+        else if (earlier < slots.begin() + std::ptrdiff_t(i))
+            renderer.spawn(slot_track_name(earlier->position), track);
         else {
             const AssetCatalogue::CatalogueEntry& asset = *assets.find_asset(source.name);
-            const Run asset_run = load_run(asset.folder);
-            model = models[source.name] =
-                append_model(run.scene, asset_run.scene, model_of(asset_run.scene, only_track(asset_run)));
+            Run run = load_run(asset.folder);
             // The output channel "class" reads the kind of the actor from its box.
-            run.sequence.boxes.push_back({.id = run.scene.models[model].name,
-                                          .category = name_of(asset.facts.kind),
-                                          .size_m = asset.facts.size_m,
-                                          .world_from_box = {}});
+            for (BoxTrack& box : run.sequence.boxes) box.category = name_of(asset.facts.kind);
+            renderer.spawn(run, track);
         }
-        run.scene.instances.push_back({model, slot_track_name(slot.position)});
     }
 }
 

@@ -9,7 +9,7 @@
 #include <glm/glm.hpp>
 
 namespace relidar {
-struct Run;
+class ScanRenderer;
 }
 
 namespace relidar::serve {
@@ -37,7 +37,7 @@ struct SpawnSlot {
 };
 
 /// A slot is an additional instance of a model in the scene, which the next actor with
-/// the same model reuses, so that the scene is not loaded again. Thread-safe.
+/// the same model reuses. Thread-safe.
 class SpawnedActorRegistry {
 public:
     static constexpr std::size_t kMaxSlots = 4096;  ///< Maximum number of slots per scene.
@@ -47,8 +47,7 @@ public:
     std::vector<SpawnSlot> list_all_slots(std::size_t scene) const;
     std::vector<SpawnSlot> list_occupied(std::size_t scene) const;
 
-    /// If all slots of a model are occupied, adds 1 to 8 slots: as many as it already
-    /// has.
+    /// Adds a slot if all slots of a model are occupied.
     /// @return the slots in the order of `actors`
     /// @throws RejectedRequest if a name is in use or there are too many slots; nothing
     /// changes
@@ -65,9 +64,11 @@ private:
 
 std::string slot_track_name(std::size_t slot_index);
 
-/// Adds the model of each asset only once. Must be called before the run is rendered.
+/// Spawns an actor in the renderer for each slot from index `first` on.
+/// @param slots  all slots of the scene
 /// @throws DataError if an asset cannot be read, or if its type of Gaussians differs from
 /// the run
-void add_spawned(Run& run, const std::vector<SpawnSlot>& slots, const AssetCatalogue& assets);
+void spawn_slots(ScanRenderer& renderer, const std::vector<SpawnSlot>& slots, std::size_t first,
+                 const AssetCatalogue& assets);
 
 }  // namespace relidar::serve

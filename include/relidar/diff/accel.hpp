@@ -81,6 +81,15 @@ public:
     /// instances have moved but no surfel has changed.
     void record_top_level(Stream& stream, const DeviceScene& scene);
 
+    /// Builds the tree of the last model of `scene`, and allocates memory for its
+    /// instances, after DeviceScene::append_model() or append_instance(). Keeps all other
+    /// trees. Waits until the build is finished. Requires an earlier record_refit(); no
+    /// submitted GPU work may use the trees.
+    /// @param added  scene that contains only this model
+    /// @throws OutOfDeviceMemory if memory is exhausted
+    void append_model(Stream& stream, const DeviceScene& scene, const DeviceScene& added);
+    void append_instances(const DeviceScene& scene);
+
     /// Starts a measurement of the traversal cost of the software tree and evaluates the
     /// previous measurement. If the cost has grown too much since the last build, the
     /// next record_refit() rebuilds the tree. The function waits until the

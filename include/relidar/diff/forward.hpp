@@ -168,6 +168,19 @@ public:
     /// Waits for the GPU and returns the scene with its current parameters.
     Scene download_scene();
 
+    /// Adds a model at the end of the scene without rebuilding the other models. Waits
+    /// for the GPU. The memory grows in large steps, so that few calls copy the scene.
+    /// @param added  scene with only this model and an instance of it
+    /// @return index of the model
+    /// @throws DataError if the scenes have different primitives, or if only `added` has
+    /// gaits
+    /// @throws OutOfDeviceMemory if memory is exhausted. The renderer is then unchanged.
+    std::uint32_t append_model(const Scene& added);
+    /// Adds an instance, which is absent until update() or record_poses() places it.
+    /// Waits for the GPU.
+    /// @return index of the instance
+    std::uint32_t append_instance(const ModelInstance& instance);
+
     /// Waits until the device no longer uses the arrays of the renderer. Ignores errors,
     /// so that destructors can call this function.
     void wait_for_device() noexcept;

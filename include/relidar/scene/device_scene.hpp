@@ -57,7 +57,13 @@ struct SurfelArrays {
     /// @throws DataError if the number of surfels, the primitive, or the presence of a
     /// gait differs
     void upload(const Surfels& surfels);
-    Surfels download() const;
+    /// @throws DataError if the primitive or the presence of a gait differs
+    void check_group(const Surfels& surfels) const;
+    /// Replaces the surfels from index `first` on, within the capacity. Does not change
+    /// `n`.
+    void upload_at(std::uint32_t first, const Surfels& surfels);
+    Surfels download() const { return download_range(0, n); }
+    Surfels download_range(std::uint32_t first, std::uint32_t count) const;
     /// Returns the number of surfels for which all arrays have memory.
     std::uint32_t capacity() const;
     /// Enlarges the arrays to at least `capacity` surfels. Existing values are kept, and
@@ -283,6 +289,13 @@ public:
     /// stage_poses() or upload_poses() the
     /// instances.
     void set_models(const std::vector<SurfelModel>& models);
+    /// Adds a copy of the only model of another scene at the end, with its surfels and
+    /// its surfel records. Adds no instance. No submitted GPU work may use the arrays.
+    /// @param added  activated, with the same parameter groups
+    /// @throws OutOfDeviceMemory if memory is exhausted. Nothing changes.
+    void append_model(Device& device, const DeviceScene& added);
+    /// Adds an absent instance of a model. No submitted GPU work may use the arrays.
+    void append_instance(Device& device, const ModelInstance& instance);
 
     const Scene& layout() const;  ///< Models and instances of the scene, without surfels.
     SurfelArrays& surfel_parameters();

@@ -360,10 +360,10 @@ std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, con
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
 /// over time. Actors without an entry are absent.
 using ActorTracksByName = std::map<std::string, PoseTrack>;
-/// The same with actor tracks of the caller.
-/// @throws UsageError if a name is unknown
+/// The same with tracks of the caller.
+/// @param world_from_actor  [instances] null: the actor is absent
 std::vector<InstancePose> pose_instances(const Scene& scene, const Log& log, const SweepTiming& sweep,
-                                         const ActorTracksByName& world_from_actor);
+                                         std::span<const PoseTrack* const> world_from_actor);
 /// Returns the surfels of all present instances at one time, with their poses and walking
 /// motions, in the world frame.
 /// @param poses [instances] pose of each instance

@@ -231,6 +231,14 @@ SimulatedSensor simulate_sensor(const MountedSensor& mounted, int lidar = 0);
 /// @throws UsageError if two channels have the same name and different types
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
 
+/// Number of an actor in a ScanRenderer: the index of its instance in the scene.
+enum class ActorHandle : std::uint32_t {};
+
+struct PlacedActor {
+    ActorHandle actor{};
+    PoseTrack dataset_from_actor;
+};
+
 /// A scan at given poses. Poses are in the dataset's world frame, times are in the time
 /// of the log (Frame::time_s).
 struct ScanRequest {
@@ -240,7 +248,19 @@ struct ScanRequest {
     PoseTrack dataset_from_sensor;
     /// All actors that are present. If not set, the tracks of the run apply.
     std::optional<ActorTracksByName> dataset_from_actor = {};
+    /// Further actors, by handle, which avoids the search by name. Replaces the tracks of
+    /// the run.
+    std::vector<PlacedActor> placed = {};
 };
+
+/// Actor that ScanRenderer::spawn() has added.
+struct SpawnedActor {
+    ActorHandle handle{};
+    std::string name, category;  ///< category: class name in the dataset of its log
+    glm::dvec3 size_m{0.0};      ///< length, width, height
+};
+
+struct DevicePoints;
 using SampleSeed = std::optional<std::uint64_t>;  ///< empty: without noise
 
 /// Only one thread may use a renderer, and two renderers of the same device must not be
@@ -257,7 +277,8 @@ public:
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
     /// Hides instances of the scene in all following scans.
-    /// @param visible_flags [instances] false for an instance that is not rendered
+    /// @param visible_flags [instances of the run] false for an instance that is not
+    /// rendered. Spawned actors are not hidden.
     void show_instances(const std::vector<bool>& visible_flags);
     /// Sets the network that corrects the drop probabilities of all following scans. An
     /// empty network switches the correction off. A network for rays needs scans in image
@@ -292,6 +313,29 @@ public:
     void set_weather(const Weather& weather);
     /// Returns true if a ray-drop network corrects the scans of this sensor.
     bool has_network_for(const SimulatedSensor& sensor) const;
+    /// Adds an actor to the scene without loading the scene again. It is present only in
+    /// scans whose request names it. Waits for pending scans. If a despawned actor had
+    /// the same model, the new actor uses its memory.
+    /// @param actor  track in the scene, or name of a spawned actor, whose model is
+    /// copied
+    /// @param name  not used by another actor
+    /// @throws UsageError if `actor` is unknown or `name` is in use
+    /// @throws OutOfDeviceMemory if memory is exhausted
+    ActorHandle spawn(const std::string& actor, const std::string& name);
+    /// The same with the only actor of another run, for example of an asset. Equal models
+    /// are stored only once.
+    /// @throws DataError if its surfels have another primitive than the scene
+    ActorHandle spawn(const Run& asset, const std::string& name);
+    /// Removes a spawned actor. Its memory remains for the next actor with the same
+    /// model.
+    /// @throws UsageError if no spawned actor has this name
+    void despawn(const std::string& name);
+    /// Returns the spawned actors in the order of their handles.
+    std::vector<SpawnedActor> spawned() const;
+    /// Returns the handle of an actor of the run, or of a spawned actor.
+    /// @throws UsageError if the name is unknown
+    ActorHandle find_actor(const std::string& name) const;
+
     /// Renders a scan on the recorded path of the log's vehicle.
     /// @param offset pose of the sensor in the frame of the log's LiDAR
     /// @param sample random seed for sample_returns(). If not set,
@@ -304,6 +348,7 @@ public:
     /// @throws UsageError for an actor that is not in the scene
     RenderedScan render(const SimulatedSensor& sensor, const ScanRequest& request, SampleSeed sample = {});
     enum class SubmissionTiming { now, with_next };
+    enum class PointMemory { host, device };
     /// Requests the points of a scan without waiting. While the device renders, the
     /// caller can request more scans and collect earlier points. The device computes the
     /// points if the scan has no sub-rays, grid, channels, weather or sample, otherwise
@@ -312,10 +357,12 @@ public:
     /// expressed
     /// @param timing with `with_next`, the scan is submitted together with the
     /// next request, and rendered in parallel if the device computes its points
+    /// @param memory  with `device`, wait_for_device_points() returns the points
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
     void submit_points(const SimulatedSensor& sensor, const ScanRequest& request, double points_time_s,
-                       SampleSeed seed = {}, SubmissionTiming timing = SubmissionTiming::now);
+                       SampleSeed seed = {}, SubmissionTiming timing = SubmissionTiming::now,
+                       PointMemory memory = PointMemory::host);
     /// Maximum number of requested scans. Two keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Returns the number of scans that the device renders in parallel: 4 on a GPU, 1 on
@@ -328,8 +375,12 @@ public:
     void set_parallel(int count);
     /// Waits for the oldest requested scan and returns its points.
     /// @param memory earlier points, whose memory is reused
-    /// @throws UsageError if no scan was requested
+    /// @throws UsageError if no scan was requested, or if its points stay on the device
     RenderedPoints wait_for_points(LidarPoints memory = {});
+    /// The same for a scan that was requested with PointMemory::device. Only the number
+    /// of points is copied to the host if the device computes the points. DevicePoints is
+    /// in <relidar/simulate/device_points.hpp>.
+    DevicePoints wait_for_device_points();
     const KernelTimes& times() const;
 
 private:

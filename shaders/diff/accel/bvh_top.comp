@@ -3,7 +3,7 @@
 // along a space-filling curve, then groups eight elements at a time into a node, level by
 // level. A tree without instances is one empty node. One workgroup of 256 threads,
 // because a scene has at most hundreds of instances.
-// Input: instances, model_of, models, model_boxes. Output: roots, top_nodes, top_order.
+// Input: instances, root_of, node_boxes. Output: roots, top_nodes, top_order.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -54,11 +54,11 @@ Box instance_boxes() {
     for (uint i = ordered_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
         bool present = false;
         if (i < params.n_instances) {
-            uint model = params.model_of.at[i];
+            uint root = params.root_of.at[i];
             InstanceEntry m = params.instances.at[i];
-            bool placed = m.n_surfels > 0u && params.models.at[model].n_surfels > 0u;
-            params.bvh.roots.at[i] = placed ? model : RELIDAR_BVH_NO_NODE;
-            Box b = placed ? load_box(params.model_boxes, model) : make_empty_box();
+            bool placed = m.n_surfels > 0u;
+            params.bvh.roots.at[i] = placed ? root : RELIDAR_BVH_NO_NODE;
+            Box b = placed ? load_box(params.node_boxes, root) : make_empty_box();
             if (!is_empty(b)) b = make_world_box(m, b);
             present = !is_empty(b);
             store_box(params.boxes, i, b);

@@ -132,14 +132,12 @@ struct BvhRefitParams {
 };
 
 struct BvhTopParams {
-    BvhPointers bvh;                             // output: roots, top_nodes, top_order
-    Instances instances;                         // input [n_instances]
-    RELIDAR_OF(Uints, InstanceModels) model_of;  // input [n_instances]
-    Models models;                               // input [n_models]
-    // Input [n_models,6]: bounding boxes of the models in the model frame, m.
-    RELIDAR_OF(Floats, WideBoxes) model_boxes;
-    RELIDAR_OF(Floats, InstanceBoxes) boxes;  // scratch [n_instances + nodes,6] m, world
-    Uvec2s keys;                              // scratch [power of two >= n_instances]
+    BvhPointers bvh;                           // output: roots, top_nodes, top_order
+    Instances instances;                       // input [n_instances]
+    RELIDAR_OF(Uints, ModelRoots) root_of;     // input [n_instances] root node of its model's tree
+    RELIDAR_OF(Floats, WideBoxes) node_boxes;  // input [nodes,6] m, model frame
+    RELIDAR_OF(Floats, InstanceBoxes) boxes;   // scratch [n_instances + nodes,6] m, world
+    Uvec2s keys;                               // scratch [power of two >= n_instances]
     uint n_instances;
     uint n_padded;  // Length of `keys`, a power of two.
 };

@@ -3,6 +3,7 @@
 #ifndef RELIDAR_INCLUDED_SIMULATE_SHARED_RENDER_H
 #define RELIDAR_INCLUDED_SIMULATE_SHARED_RENDER_H
 #include "relidar/diff/rays.h"
+#include "relidar/simulate/returned_point.h"
 
 RELIDAR_SHARED_BEGIN
 
@@ -113,15 +114,6 @@ struct DropChannelsParams {
     uint n_channels;
     uint n_rays;
 };
-
-struct ReturnedPoint {
-    vec3 position;        // m
-    float intensity;      // 0..1
-    float time_offset_s;  // Firing time of the ray, relative to the reference time of the sweep, s.
-    uint ring;            // beam number
-    uint instance;        // Instance that contains the point, or RELIDAR_NO_INSTANCE.
-};
-RELIDAR_DECLARE_POINTER(ReturnedPoints, ReturnedPoint);
 
 struct MarkReturnsParams {
     MeasuredRays measured;  // input [n_rays]

@@ -99,6 +99,25 @@ void AccelerationStructure::record_top_level(Stream& stream, const DeviceScene& 
     else impl_->software->rebuild_top_level(stream, scene);
 }
 
+void AccelerationStructure::append_model(Stream& stream, const DeviceScene& scene, const DeviceScene& added) {
+    Impl& a = *impl_;
+    if (a.hardware) {
+        const SurfelModel& model = scene.layout().models.back();
+        a.hardware->append_model(scene);
+        a.hardware->record_build(stream, scene, a.options, {{model.first, model.count}}, false);
+        return stream.submit_and_wait();
+    }
+    Bvh tree(stream.device(), added);
+    tree.build_trees(stream, added, a.options);
+    stream.submit_and_wait();
+    a.software->append_tree(scene, tree);
+}
+
+void AccelerationStructure::append_instances(const DeviceScene& scene) {
+    if (impl_->hardware) impl_->hardware->append_instances(scene);
+    else impl_->software->append_instances(scene);
+}
+
 void AccelerationStructure::record_cost(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;

@@ -49,12 +49,6 @@ std::uint32_t subgroup_size(const Device& device) {
     return std::uint32_t(info.subgroup_size);
 }
 
-std::vector<std::uint32_t> instance_models(const DeviceScene& scene) {
-    std::vector<std::uint32_t> models;
-    for (const ModelInstance& instance : scene.layout().instances) models.push_back(instance.model);
-    return models;
-}
-
 /// Returns the number of nodes of a tree with `n_instances` instances and eight children
 /// per node, over all levels.
 std::uint32_t count_top_nodes(std::uint32_t n_instances) {
@@ -112,7 +106,11 @@ struct Bvh::Impl {
         device, "diff/accel/bvh_top", {kWorkgroupConstant}, SubgroupRequirement::full};
     Kernel<shared::BvhCostParams> cost_kernel{
         device, "diff/accel/bvh_cost", {kWorkgroupConstant}, SubgroupRequirement::full};
-    Array<std::uint32_t, shared::InstanceModels> model_of;
+    /// [models] root node of each model's tree. A build numbers the roots like the
+    /// models.
+    std::vector<std::uint32_t> model_roots;
+    /// [n_instances] root node of each instance's model
+    Array<std::uint32_t, shared::ModelRoots> root_of{device, n_instances, "roots of models"};
     Array<float, shared::SurfelBoxes> boxes{device, 6 * std::size_t(n), "surfel boxes"};
     /// [n_models,6] bounds of the box centres
     Array<std::uint32_t, shared::ModelBounds> bounds{device, 6 * std::size_t(n_models), "model bounds"};
@@ -151,7 +149,18 @@ struct Bvh::Impl {
           n_models(std::uint32_t(scene.layout().models.size())),
           n_instances(std::uint32_t(scene.layout().instances.size())),
           primitive(scene.primitive()),
-          model_of(d, instance_models(scene), "models of the instances") {}
+          model_roots(n_models) {
+        std::iota(model_roots.begin(), model_roots.end(), 0u);
+        upload_roots(scene.layout());
+    }
+    void upload_roots(const Scene& layout) {
+        std::vector<std::uint32_t> instance_roots;
+        for (const ModelInstance& instance : layout.instances)
+            instance_roots.push_back(model_roots[instance.model]);
+        root_of.upload(instance_roots);
+    }
+    void allocate_instances(std::size_t capacity);
+    void reserve_nodes(std::size_t n_surfels, std::size_t n_nodes);
     shared::BvhBinary binary_bvh() const;
     shared::BvhWide wide_bvh() const;
     template <class T, class Meaning>
@@ -331,13 +340,71 @@ void Bvh::rebuild_top_level(Stream& stream, const DeviceScene& scene) {
     run(stream, b.top, kWorkgroupSize,
         {.bvh = bvh_addresses(),
          .instances = scene.instance_table().address(),
-         .model_of = b.model_of.address(),
-         .models = scene.model_table().address(),
-         .model_boxes = b.node_boxes.address(),
+         .root_of = b.root_of.address(),
+         .node_boxes = b.node_boxes.address(),
          .boxes = b.top_boxes.address(),
          .keys = b.top_keys.address(),
          .n_instances = b.n_instances,
          .n_padded = std::uint32_t(b.top_keys.size())});
+}
+
+/// Replaces the arrays of the top-level tree by larger ones.
+void Bvh::Impl::allocate_instances(std::size_t capacity) {
+    const std::uint32_t n_top = count_top_nodes(std::uint32_t(capacity));
+    root_of = {device, capacity, "roots of models"};
+    roots = {device, capacity, "instance roots"};
+    top_order = {device, capacity, "instances in leaf order"};
+    top_node_array = {device, n_top, "top nodes"};
+    top_boxes = {device, 6 * (capacity + n_top), "instance boxes"};
+    top_keys = {device, std::bit_ceil(capacity), "instance keys"};
+}
+
+/// Enlarges the arrays that are read after a build.
+void Bvh::Impl::reserve_nodes(std::size_t n_surfels, std::size_t n_nodes) {
+    boxes.reserve(device, 6 * n_surfels, "surfel boxes");
+    order.reserve(device, n_surfels, "surfels in leaf order");
+    nodes.reserve(device, n_nodes, "wide nodes");
+    links.reserve(device, n_nodes, "wide node links");
+    node_boxes.reserve(device, 6 * n_nodes, "wide node boxes");
+    arrivals.reserve(device, n_nodes, "wide node arrivals");
+}
+
+void Bvh::append_tree(const DeviceScene& scene, const Bvh& added) {
+    Impl& b = *impl_;
+    const Impl& a = *added.impl_;
+    const std::uint32_t first_node = b.bound, first_surfel = scene.layout().models.back().first,
+                        n_surfels = first_surfel + a.n, n_nodes = first_node + a.bound;
+    if (n_surfels > b.order.size() || n_nodes > b.nodes.size())
+        reserve_spare(n_surfels, [&](std::size_t n) { b.reserve_nodes(n, n_nodes + (n - n_surfels) / 4); });
+    std::vector<shared::BvhNode> nodes = a.nodes.download(a.bound);
+    for (shared::BvhNode& node : nodes) {
+        node.first_child += first_node;
+        node.first_leaf += first_surfel;
+    }
+    std::vector<glm::uvec2> links = a.links.download(a.bound);
+    for (glm::uvec2& link : links) {
+        if (link.x != RELIDAR_BVH_NO_NODE) link.x += first_node;
+        if (link.y != RELIDAR_BVH_NO_NODE) link.y += first_surfel;
+    }
+    b.nodes.upload(nodes, first_node);
+    b.links.upload(links, first_node);
+    b.node_boxes.upload(a.node_boxes.download(6 * std::size_t(a.bound)), 6 * std::size_t(first_node));
+    b.arrivals.upload(std::vector<std::uint32_t>(a.bound, 0u), first_node);
+    b.order.upload(a.order.download(a.n), first_surfel);
+    b.boxes.upload(a.boxes.download(6 * std::size_t(a.n)), 6 * std::size_t(first_surfel));
+    b.count.upload(std::vector<std::uint32_t>{first_node + a.count.download().front()});
+    b.model_roots.resize(scene.layout().models.size(), RELIDAR_BVH_NO_NODE);
+    b.model_roots.back() = first_node;
+    b.bound = n_nodes;
+    b.n = n_surfels;
+}
+
+void Bvh::append_instances(const DeviceScene& scene) {
+    Impl& b = *impl_;
+    const std::size_t n = scene.layout().instances.size();
+    if (n > b.roots.size()) reserve_spare(n, [&](std::size_t capacity) { b.allocate_instances(capacity); });
+    b.n_instances = std::uint32_t(n);
+    b.upload_roots(scene.layout());
 }
 
 shared::BvhPointers Bvh::bvh_addresses() const {
@@ -359,11 +426,13 @@ HostBvhCopy Bvh::download_bvh() const {
 
 void Bvh::measure_cost(Stream& stream) {
     Impl& b = *impl_;
-    run(stream, b.cost_kernel, b.bound,
+    // Leaves out appended trees, for which there are no sums.
+    const auto n_nodes = std::uint32_t(std::min<std::size_t>(b.bound, kWorkgroupSize * b.cost_sums.size()));
+    run(stream, b.cost_kernel, n_nodes,
         {.wide = b.wide_bvh(),
          .boxes = b.boxes.address(),
          .partial = b.cost_sums.address(),
-         .bound = b.bound});
+         .bound = n_nodes});
     b.costs.record_copy(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 

@@ -47,6 +47,10 @@ public:
     /// @param ranges models to update. The surfels of other models must not have changed
     void refit_trees(Stream& s, const DeviceScene& scene, const AccelOptions& o, const SurfelRanges& ranges);
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
+    /// Copies the tree of `added`, the last model of `scene`, behind the other trees. See
+    /// AccelerationStructure::append_model() and append_instances().
+    void append_tree(const DeviceScene& scene, const Bvh& added);
+    void append_instances(const DeviceScene& scene);
 
     shared::BvhPointers bvh_addresses() const;
     /// Submits a kernel that computes the traversal cost of all trees (surface area

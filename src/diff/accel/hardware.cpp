@@ -36,7 +36,8 @@ struct VulkanAccelStructure {
         address = vkGetAccelerationStructureDeviceAddressKHR(device->device, &query);
     }
     ~VulkanAccelStructure() {
-        if (handle) vkDestroyAccelerationStructureKHR(device->device, handle, nullptr);
+        if (handle && !device->is_forked())
+            vkDestroyAccelerationStructureKHR(device->device, handle, nullptr);
     }
     VulkanAccelStructure(const VulkanAccelStructure&) = delete;
     VulkanAccelStructure& operator=(const VulkanAccelStructure&) = delete;
@@ -140,6 +141,7 @@ struct RayQueryAccel::Impl {
     std::uint32_t n_moving = 0;
     Buffer scratch;
     std::uint64_t scratch_address = 0;
+    VkDeviceSize scratch_bytes = 0;
 
     Impl(Device& d, const Scene& layout, ProxyShape shape, PrimitiveType type)
         : device(d),
@@ -151,7 +153,14 @@ struct RayQueryAccel::Impl {
             reach = {d, 1, "largest distance from a hit to a corner of the bounding icosahedron"};
     }
 
-    void append_blas(const SurfelModel& model);
+    std::size_t floats_per_surfel() const {
+        return proxy == ProxyShape::boxes ? 6 : 3 * std::size_t(mesh.n_corners);
+    }
+    void set_geometry(BuildInput& input, const SurfelModel& model) const;
+    void reserve_indices(std::uint32_t n_surfels);
+    void allocate_blas(const SurfelModel& model);
+    void allocate_tlas(std::size_t n_instances);
+    void allocate_scratch();
     void compute_proxies(Stream& stream, const DeviceScene& scene, const AccelOptions& o, SurfelRange range) {
         run(stream, proxies, range.count,
             {.records = scene.surfel_records().address(),
@@ -181,8 +190,7 @@ struct RayQueryAccel::Impl {
 
 /// Describes the geometry of one model, which is a part of the array `geometry`. The
 /// geometry is not opaque, so that the shader can test every candidate hit.
-void RayQueryAccel::Impl::append_blas(const SurfelModel& model) {
-    BuildInput& input = blas_input.emplace_back();
+void RayQueryAccel::Impl::set_geometry(BuildInput& input, const SurfelModel& model) const {
     if (proxy == ProxyShape::boxes) {
         input.geometry.geometryType = VK_GEOMETRY_TYPE_AABBS_KHR;
         input.geometry.geometry.aabbs = {VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_AABBS_DATA_KHR,
@@ -238,6 +246,51 @@ std::uint64_t RayQueryAccel::Impl::write_instances(Stream::Impl& stream, const D
     return rows.empty() ? 0 : stream.stage_bytes(rows.data(), rows.size() * sizeof(rows[0])).address;
 }
 
+/// Writes the triangles of the largest model, which all models use.
+void RayQueryAccel::Impl::reserve_indices(std::uint32_t n_surfels) {
+    if (proxy != ProxyShape::triangles || n_surfels * mesh.corners.size() <= indices.size()) return;
+    // Each surfel has a copy of the mesh. The corners of a copy follow the corners of the
+    // previous copy.
+    std::vector<std::uint32_t> corners;
+    corners.reserve(mesh.corners.size() * n_surfels);
+    for (std::uint32_t i = 0; i < n_surfels; ++i)
+        for (const std::uint32_t corner : mesh.corners) corners.push_back(mesh.n_corners * i + corner);
+    indices = Array<std::uint32_t>(device, corners, "proxy indices");
+}
+
+/// Allocates the structure of a model, and a part of the scratch buffer for it.
+void RayQueryAccel::Impl::allocate_blas(const SurfelModel& model) {
+    BuildInput& input = blas_input.emplace_back();
+    set_geometry(input, model);
+    blas_scratch.push_back(scratch_bytes);
+    blas.push_back(nullptr);
+    const auto n_triangles = std::uint32_t(mesh.corners.size() / 3);
+    const std::uint32_t n = model.count * (proxy == ProxyShape::boxes ? 1u : n_triangles);
+    if (n == 0) return;
+    const VkAccelerationStructureBuildSizesInfoKHR sizes = input.query_sizes(device.impl(), n);
+    blas.back() = std::make_unique<VulkanAccelStructure>(
+        device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize,
+        "acceleration structure of " + model.name);
+    const std::uint64_t alignment = device.impl().scratch_alignment;
+    scratch_bytes +=
+        (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) / alignment * alignment;
+}
+
+void RayQueryAccel::Impl::allocate_tlas(std::size_t n_instances) {
+    const VkAccelerationStructureBuildSizesInfoKHR sizes =
+        tlas_input.query_sizes(device.impl(), std::uint32_t(std::max<std::size_t>(n_instances, 1)));
+    tlas = std::make_unique<VulkanAccelStructure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
+                                                  sizes.accelerationStructureSize, "top level");
+    scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
+}
+
+void RayQueryAccel::Impl::allocate_scratch() {
+    const std::uint64_t alignment = device.impl().scratch_alignment;
+    if (scratch && scratch_bytes + alignment <= scratch.size_bytes()) return;
+    scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
+    scratch_address = (scratch.impl().address + alignment - 1) / alignment * alignment;
+}
+
 /// Allocates memory for the structures of all models and the top level. Does not build
 /// them. All builds share one scratch buffer, in which each model has a separate part.
 RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShape proxy) {
@@ -246,53 +299,16 @@ RayQueryAccel::RayQueryAccel(Device& device, const DeviceScene& scene, ProxyShap
     const Scene& layout = scene.layout();
     std::uint32_t largest = 0;
     for (const SurfelModel& model : layout.models) largest = std::max(largest, model.count);
-    a.geometry = Array<float>(
-        device, std::size_t(scene.size()) * (a.proxy == ProxyShape::boxes ? 6 : 3 * a.mesh.n_corners),
-        "proxies");
-    if (a.proxy == ProxyShape::triangles) {
-        // Each surfel has a copy of the mesh. The corners of a copy follow the corners of
-        // the previous copy.
-        std::vector<std::uint32_t> indices;
-        indices.reserve(a.mesh.corners.size() * largest);
-        for (std::uint32_t i = 0; i < largest; ++i)
-            for (const std::uint32_t corner : a.mesh.corners)
-                indices.push_back(a.mesh.n_corners * i + corner);
-        a.indices = Array<std::uint32_t>(device, indices, "proxy indices");
-    }
-
-    const auto n_triangles = std::uint32_t(a.mesh.corners.size() / 3);
-    const std::uint64_t alignment = device.impl().scratch_alignment;
-    VkDeviceSize scratch_bytes = 0;
-    a.blas_input.reserve(layout.models.size());
-    for (const SurfelModel& model : layout.models) {
-        a.append_blas(model);
-        const std::uint32_t n = model.count * (a.proxy == ProxyShape::boxes ? 1u : n_triangles);
-        a.blas_scratch.push_back(scratch_bytes);
-        if (n == 0) {
-            a.blas.push_back(nullptr);
-            continue;
-        }
-        const VkAccelerationStructureBuildSizesInfoKHR sizes =
-            a.blas_input.back().query_sizes(device.impl(), n);
-        a.blas.push_back(std::make_unique<VulkanAccelStructure>(
-            device, VK_ACCELERATION_STRUCTURE_TYPE_BOTTOM_LEVEL_KHR, sizes.accelerationStructureSize,
-            "acceleration structure of " + model.name));
-        scratch_bytes += (std::max(sizes.buildScratchSize, sizes.updateScratchSize) + alignment - 1) /
-                         alignment * alignment;
-    }
-
+    a.geometry = Array<float>(device, scene.size() * a.floats_per_surfel(), "proxies");
+    a.reserve_indices(largest);
+    for (const SurfelModel& model : layout.models) a.allocate_blas(model);
     a.tlas_input.geometry.geometryType = VK_GEOMETRY_TYPE_INSTANCES_KHR;
     a.tlas_input.geometry.geometry.instances = {
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_INSTANCES_DATA_KHR, nullptr, VK_FALSE, {}};
     a.tlas_input.info.type = VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR;
     a.tlas_input.info.flags = VK_BUILD_ACCELERATION_STRUCTURE_PREFER_FAST_TRACE_BIT_KHR;
-    const VkAccelerationStructureBuildSizesInfoKHR sizes = a.tlas_input.query_sizes(
-        device.impl(), std::uint32_t(std::max<std::size_t>(layout.instances.size(), 1)));
-    a.tlas = std::make_unique<VulkanAccelStructure>(device, VK_ACCELERATION_STRUCTURE_TYPE_TOP_LEVEL_KHR,
-                                                    sizes.accelerationStructureSize, "top level");
-    scratch_bytes = std::max(scratch_bytes, sizes.buildScratchSize);
-    a.scratch = Buffer(device, scratch_bytes + alignment, "acceleration structure scratch");
-    a.scratch_address = (a.scratch.impl().address + alignment - 1) / alignment * alignment;
+    a.allocate_tlas(layout.instances.size());
+    a.allocate_scratch();
 }
 
 RayQueryAccel::~RayQueryAccel() = default;
@@ -332,6 +348,34 @@ void RayQueryAccel::rebuild_top_level(Stream& stream, const DeviceScene& scene) 
     a.tlas_input.geometry.geometry.instances.data.deviceAddress = a.write_instances(s, scene);
     a.tlas_input.set_target(*a.tlas, false, a.scratch_address);
     record_builds(s, "accel/top_level", {a.tlas_input});
+}
+
+void RayQueryAccel::append_model(const DeviceScene& scene) {
+    Impl& a = *impl_;
+    const std::vector<SurfelModel>& models = scene.layout().models;
+    if (scene.size() * a.floats_per_surfel() > a.geometry.size())
+        reserve_spare(scene.size(), [&](std::size_t n) {
+            a.geometry.reserve(a.device, n * a.floats_per_surfel(), "proxies");
+        });
+    a.reserve_indices(models.back().count);
+    // The radius of a new model must be 0 before the kernel computes its maximum.
+    std::vector<std::uint32_t> radii = a.radii.download();
+    radii.resize(models.size(), 0u);
+    a.radii = {a.device, radii, "radii of models"};
+    while (a.blas.size() < models.size()) a.allocate_blas(models[a.blas.size()]);
+    for (std::size_t i = 0; i < models.size(); ++i) a.set_geometry(a.blas_input[i], models[i]);
+    a.allocate_scratch();
+}
+
+void RayQueryAccel::append_instances(const DeviceScene& scene) {
+    Impl& a = *impl_;
+    const std::size_t n = scene.layout().instances.size();
+    if (n <= a.moving.size()) return;
+    reserve_spare(n, [&](std::size_t capacity) {
+        a.allocate_tlas(capacity);
+        a.moving = {a.device, capacity, "moving instances"};
+    });
+    a.allocate_scratch();
 }
 
 void RayQueryAccel::write_addresses(AccelAddresses& addresses) const {

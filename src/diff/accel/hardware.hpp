@@ -25,6 +25,10 @@ public:
     void record_build(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                       const SurfelRanges& ranges, bool refit_only);
     void rebuild_top_level(Stream& stream, const DeviceScene& scene);
+    /// Allocates memory for the last model of the scene, or for all its instances. See
+    /// AccelerationStructure::append_model(), which also builds the model.
+    void append_model(const DeviceScene& scene);
+    void append_instances(const DeviceScene& scene);
 
     void write_addresses(AccelAddresses& addresses) const;
 

@@ -24,6 +24,7 @@ struct Renderer::Impl {
     std::optional<AccelerationStructure> accel{std::in_place, device, scene, options.accel};
     ForwardPass forward{device, model, accel->proxy_shape(), options.trace};
     bool placed = false;
+    bool appended = false;  ///< true if models were added after the last full build of the trees
     glm::vec3 view_origin_m{0.0f};
     Array<DeviceRay> host_rays;  ///< rays that render_rays() uploads
     Array<shared::RenderedRay> rendered;
@@ -89,6 +90,12 @@ void Renderer::wait_for_device() noexcept {
 /// acceleration structure.
 void Renderer::update(const std::vector<InstancePose>& instance_poses, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
+    if (std::exchange(r.appended, false)) {
+        // The trees have memory to refit, but not to rebuild, the appended models.
+        r.stream.submit_and_wait();
+        r.accel.reset();
+        create_accel();
+    }
     r.view_origin_m = view_origin_m;
     r.scene.stage_poses(r.stream, instance_poses);  // Eq. 4-5 of the paper
     r.scene.activate(r.stream, r.model, view_origin_m);
@@ -196,6 +203,30 @@ Scene Renderer::download_scene() {
     Scene scene = impl_->scene.layout();
     scene.surfels = impl_->scene.surfel_parameters().download();
     return scene;
+}
+
+std::uint32_t Renderer::append_model(const Scene& added) {
+    Impl& r = *impl_;
+    Scene model = added;
+    if (r.scene.surfel_parameters().bends && !model.surfels.bends) model.surfels.add_still_gait();
+    r.scene.surfel_parameters().check_group(model.surfels);
+    if (!r.placed) update(r.scene.poses(), r.view_origin_m);
+    DeviceScene activated(r.device, model);
+    activated.activate(r.stream, r.model, r.view_origin_m);
+    r.stream.submit_and_wait();
+    r.scene.append_model(r.device, activated);
+    r.appended = true;
+    r.accel->append_model(r.stream, r.scene, activated);
+    return std::uint32_t(r.scene.layout().models.size() - 1);
+}
+
+std::uint32_t Renderer::append_instance(const ModelInstance& instance) {
+    Impl& r = *impl_;
+    if (!r.placed) update(r.scene.poses(), r.view_origin_m);
+    r.stream.submit_and_wait();
+    r.scene.append_instance(r.device, instance);
+    r.accel->append_instances(r.scene);
+    return std::uint32_t(r.scene.layout().instances.size() - 1);
 }
 
 void Renderer::release_accel() {

@@ -32,7 +32,7 @@ inline shared::TraceScene trace_params(const DeviceScene& s, const AccelAddresse
     t.alpha_max = m.alpha_max;
     t.transmittance_min = m.transmittance_min;
     t.likelihood_scale_m = 1.0f;
-    t.n_instances = std::uint32_t(s.instance_table().size());
+    t.n_instances = std::uint32_t(s.layout().instances.size());
     t.n_moving = a.n_moving;
     t.sh_degree = std::uint32_t(m.sh_degree);
     t.ray_stride = 1;

@@ -41,7 +41,8 @@ void copy_points(std::span<const shared::ReturnedPoint> returned, const Intensit
 /// if the device may render several scans in parallel.
 /// @param timing with_next: waits for the next scan before it submits the commands
 PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
-                                                const ScanRenderPlan& plan, SubmissionTiming timing) try {
+                                                const ScanRenderPlan& plan, SubmissionTiming timing,
+                                                PointMemory memory) try {
     const int side_by_side = sweeps.layout().blocks.empty() ? lanes->parallel_limit() : 1;
     const bool joins = side_by_side > 1 && (lanes->has_open_batch() || timing == SubmissionTiming::with_next);
     ParallelScanResources& lane = joins ? lanes->next_lane() : lanes->single_lane();
@@ -56,12 +57,18 @@ PendingPoints ScanRenderer::Impl::record_points(const SimulatedSweep& sweep, con
         .is_background_shown = sweeps.is_background_shown(),
         .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
         .renderer = &lanes->renderer_of(lane)};
+    if (memory == PointMemory::device)
+        scan.on_device = {.points = {device, sweep.rays().size(), "points of a scan"},
+                          .n_rays = sweep.rays().size(),
+                          .dataset_from_points = dataset_from_points,
+                          .time_s = sweep.time_s};
     const PoseTrack points_from_sensor = to_frame(scan.dataset_from_sensor, dataset_from_points);
     scan.points = lane.points.record(scan.renderer->stream(), *scan.rays,
                                      {.points_from_sensor = points_from_sensor,
                                       .time_s = sweep.time_s,
                                       .of_image = config.render.points != "median",
-                                      .refined = corrects},
+                                      .refined = corrects,
+                                      .target = scan.on_device ? &scan.on_device->points : nullptr},
                                      scan.renderer->forward_pass().n_truncated_rays());
     if (!joins) scan.renderer->stream().submit_commands();
     else if (timing == SubmissionTiming::now) lanes->submit_batch();
@@ -101,12 +108,42 @@ RenderedPoints ScanRenderer::Impl::collect_points(PendingPoints& scan, LidarPoin
     return result;
 }
 
+/// Waits for the points of a scan that stay on the device.
+DevicePoints ScanRenderer::Impl::collect_on_device(PendingPoints& scan) {
+    if (!scan.points) return std::move(*scan.on_device);
+    lanes->submit_batch();
+    const DevicePointComputer::GatheredPoints gathered =
+        DevicePointComputer::wait(scan.renderer->stream(), *scan.points);
+    if (gathered.n_capped > 0) scan.renderer->check_truncation();
+    scan.points.reset();
+    scan.on_device->n_points = gathered.n_points;
+    return std::move(*scan.on_device);
+}
+
+/// Copies the points of a scan that only the host can compute to the device.
+DevicePoints ScanRenderer::Impl::upload_points(const RenderedPoints& rendered) {
+    const LidarPoints& from = rendered.points;
+    std::vector<shared::ReturnedPoint> points;
+    for (std::size_t i = 0; i < from.position_m.size(); ++i)
+        points.push_back({from.position_m[i], from.intensity[i], from.time_offset_s[i], from.ring[i],
+                          std::uint32_t(from.instance[i])});
+    return {{device, points, "points of a scan"},
+            points.size(),
+            rendered.n_rays,
+            from.world_from_points,
+            from.time_s};
+}
+
 void ScanRenderer::Impl::finish_pending() {
-    for (PendingPoints& scan : pending) scan.ready = collect_points(scan);
+    for (PendingPoints& scan : pending) {
+        if (scan.on_device) scan.on_device = collect_on_device(scan);
+        else scan.ready = collect_points(scan);
+    }
 }
 
 void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanRequest& request,
-                                 double points_time_s, SampleSeed seed, SubmissionTiming timing) {
+                                 double points_time_s, SampleSeed seed, SubmissionTiming timing,
+                                 PointMemory memory) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         fail<UsageError>(
@@ -116,22 +153,38 @@ void ScanRenderer::submit_points(const SimulatedSensor& sensor, const ScanReques
     const Pose dataset_from_points = request.dataset_from_sensor.pose_at(points_time_s);
     const ScanRenderPlan plan = s.plan_sweep(sweep, seed.has_value());
     if (plan.points_on_device) {
-        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, timing));
+        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, timing, memory));
         return;
     }
     const RenderedScan scan = s.render_sweep(sweep, seed);
-    s.pending.push_back({.ready = RenderedPoints{place_points(scan, s.config, dataset_from_points),
-                                                 scan.image.range_m.size(), scan.unseen_share}});
+    RenderedPoints points{place_points(scan, s.config, dataset_from_points), scan.image.range_m.size(),
+                          scan.unseen_share};
+    if (memory == PointMemory::device) s.pending.push_back({.on_device = s.upload_points(points)});
+    else s.pending.push_back({.ready = std::move(points)});
+}
+
+/// Removes the oldest requested scan from the queue.
+PendingPoints ScanRenderer::Impl::take_pending(PointMemory memory) {
+    if (pending.empty())
+        throw UsageError(
+            "cannot read the points of a scan: no scan was requested; call submit_points() first");
+    if (pending.front().on_device.has_value() != (memory == PointMemory::device))
+        throw UsageError(
+            "cannot read the points of a scan: they are in the other memory; call wait_for_points() for "
+            "PointMemory::host and wait_for_device_points() for PointMemory::device");
+    PendingPoints first = std::move(pending.front());
+    pending.pop_front();
+    return first;
 }
 
 RenderedPoints ScanRenderer::wait_for_points(LidarPoints memory) {
-    Impl& s = *impl_;
-    if (s.pending.empty())
-        throw UsageError(
-            "cannot read the points of a scan: no scan was requested; call submit_points() first");
-    PendingPoints first = std::move(s.pending.front());
-    s.pending.pop_front();
-    return s.collect_points(first, std::move(memory));
+    PendingPoints first = impl_->take_pending(PointMemory::host);
+    return impl_->collect_points(first, std::move(memory));
+}
+
+DevicePoints ScanRenderer::wait_for_device_points() {
+    PendingPoints first = impl_->take_pending(PointMemory::device);
+    return impl_->collect_on_device(first);
 }
 
 /// Waits until the device no longer uses the arrays of this object. First submits

@@ -55,13 +55,13 @@ std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::rec
          .poses = stream.impl().stage_values(poses),
          .marks = marks_.address(),
          .places = point_indices_.address(),
-         .points = points_.address(),
+         .points = options.target ? options.target->address() : points_.address(),
          .asked = sampled_ranges_.address(),
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
          .n_requested = std::uint32_t(sample_count(n)),
          .of_image = options.of_image ? 1u : 0u});
-    return record_readback(stream, n, truncated);
+    return record_readback(stream, n, truncated, options.target != nullptr);
 }
 
 DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
@@ -71,18 +71,20 @@ DevicePointComputer::PointReadbackSlot::PointReadbackSlot(Device& device)
 
 /// Records the copies to host buffers. A slot is free if no pending scan refers to it.
 std::shared_ptr<DevicePointComputer::PointReadbackSlot> DevicePointComputer::record_readback(
-    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated) {
+    Stream& stream, std::size_t n_rays, const Array<std::uint32_t>& truncated, bool on_device) {
     auto free_slot = std::ranges::find_if(
         slots_, [](const std::shared_ptr<PointReadbackSlot>& slot) { return slot.use_count() == 1; });
     if (free_slot == slots_.end())
         free_slot = slots_.insert(free_slot, std::make_shared<PointReadbackSlot>(device_));
     PointReadbackSlot& slot = **free_slot;
-    if (n_rays > slot.point_capacity) {
+    slot.on_device = on_device;
+    if (!on_device && n_rays > slot.point_capacity) {
         slot.points.emplace(device_, n_rays * sizeof(shared::ReturnedPoint), "returned points");
         slot.point_capacity = n_rays;
     }
     slot.n_rays = n_rays;
-    slot.points->record_copy(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
+    if (!on_device)
+        slot.points->record_copy(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
     slot.count.record_copy(stream, count_.buffer(), sizeof(std::uint32_t));
     slot.sampled_ranges.record_copy(stream, sampled_ranges_.buffer(), sample_count(n_rays) * sizeof(float));
     slot.capped.record_copy(stream, truncated.buffer(), sizeof(std::uint32_t));
@@ -93,8 +95,12 @@ DevicePointComputer::GatheredPoints DevicePointComputer::wait(Stream& stream, Po
     const auto number = [&](ReadbackBuffer& readback) {
         return *static_cast<const std::uint32_t*>(readback.wait_for_bytes(stream));
     };
-    return {{static_cast<const shared::ReturnedPoint*>(buffers.points->wait_for_bytes(stream)),
-             number(buffers.count)},
+    const std::size_t n = number(buffers.count);
+    std::span<const shared::ReturnedPoint> points;
+    if (!buffers.on_device)
+        points = {static_cast<const shared::ReturnedPoint*>(buffers.points->wait_for_bytes(stream)), n};
+    return {n,
+            points,
             {static_cast<const float*>(buffers.sampled_ranges.wait_for_bytes(stream)),
              sample_count(buffers.n_rays)},
             number(buffers.capped)};

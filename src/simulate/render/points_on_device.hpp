@@ -22,6 +22,9 @@ struct PointComputeOptions {
     double time_s;  ///< time of the sweep
     bool of_image;  ///< true: points use the range of the image; false: the median range
     bool refined;   ///< true if the drop probabilities of the ray-drop network are used
+    /// If not null, the points are written to this array, [n_rays], instead of host
+    /// buffers.
+    const Array<shared::ReturnedPoint>* target = nullptr;
 };
 
 class DevicePointComputer {
@@ -31,6 +34,7 @@ public:
         ReadbackBuffer count, sampled_ranges, capped;
         std::size_t point_capacity = 0;  ///< capacity, in points
         std::size_t n_rays = 0;          ///< number of rays of the scan
+        bool on_device = false;          ///< true if the points are not copied to the host
 
         explicit PointReadbackSlot(Device& device);
     };
@@ -44,7 +48,8 @@ public:
                                               const Array<std::uint32_t>& truncated);
 
     struct GatheredPoints {
-        std::span<const shared::ReturnedPoint> points;
+        std::size_t n_points;
+        std::span<const shared::ReturnedPoint> points;  ///< empty if the points stay on the device
         /// [sample_count()] distance to the surface in metres
         std::span<const float> requested_m;
         std::uint32_t n_capped;
@@ -71,7 +76,7 @@ private:
 
     void reserve(Stream& stream, std::size_t n_rays);
     std::shared_ptr<PointReadbackSlot> record_readback(Stream& stream, std::size_t n_rays,
-                                                       const Array<std::uint32_t>& truncated);
+                                                       const Array<std::uint32_t>& truncated, bool on_device);
 };
 
 }  // namespace relidar

@@ -316,7 +316,9 @@ RenderedScan ScanRenderer::Impl::render_sweep(const SimulatedSweep& sweep, Sampl
 }
 
 ScanRenderer::ScanRenderer(Device& device, const Scene& scene, const Config& config, const Log& log)
-    : impl_(new Impl(device, scene, config, log)) {}
+    : impl_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends
+                ? new Impl(device, unshare_models(scene), config, log)
+                : new Impl(device, scene, config, log)) {}
 ScanRenderer::ScanRenderer(Device& device, const Run& run)
     : ScanRenderer(device, run.scene, run.config, run.sequence) {
     if (run.config.refine.enabled && !run.drop_network.empty()) use_network(run.drop_network);

@@ -53,6 +53,14 @@ RayDropRefiner& ParallelScanResourcePool::refiner_of(ParallelScanResources& lane
     return *lane.refiner;
 }
 
+void ParallelScanResourcePool::change_copies(const std::function<void(Renderer&)>& change) {
+    try {
+        for (const ParallelScanResources& lane : others_) change(*lane.copy);
+    } catch (const OutOfDeviceMemory&) {
+        remove_copies();
+    }
+}
+
 void ParallelScanResourcePool::set_limit(int count) {
     most_ = count;
     while (std::ssize(others_) >= count) others_.pop_back();

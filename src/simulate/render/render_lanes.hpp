@@ -49,6 +49,10 @@ public:
         return first_.refiner ? &first_.refiner->network() : nullptr;
     }
     RayDropRefiner& refiner_of(ParallelScanResources& lane);
+    /// Calls a function for each copy of the scene. If memory is exhausted, removes the
+    /// copies.
+    void change_copies(const std::function<void(Renderer&)>& change);
+    void remove_copies() { others_.clear(); }
     int parallel_limit() const { return most_; }
     void set_limit(int count);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "simulate/render/resident_scene.hpp"
 
+#include <relidar/gpu/out_of_memory.hpp>
 #include <relidar/run/run.hpp>
 
 namespace relidar {
@@ -17,11 +18,9 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       model_(config.image),
       options_(options),
       memory_bytes_(config.render.memory_mib * kMiB),
-      has_model_copy_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends),
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
-    if (scene.blocks.empty())
-        renderer_.emplace(device, has_model_copy_ ? unshare_models(scene) : scene, model_, options_);
+    if (scene.blocks.empty()) renderer_.emplace(device, scene, model_, options_);
 }
 
 /// Replaces the renderer by a renderer of these blocks. Measures the memory per surfel,
@@ -31,8 +30,7 @@ void ResidentScene::load_blocks(const std::vector<std::size_t>& blocks) {
     // frees memory before the new renderer allocates
     renderer_.reset();
     loaded_.clear();
-    Scene scene = with_blocks(scene_, blocks);
-    if (has_model_copy_) scene = unshare_models(std::move(scene));
+    const Scene scene = with_blocks(scene_, blocks);
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
     bytes_per_surfel_ =
@@ -78,6 +76,55 @@ std::unique_ptr<Renderer> ResidentScene::copy_renderer() {
     RendererOptions options = options_;
     options.stream = &renderer_->stream();
     return std::make_unique<Renderer>(device_, renderer_->download_scene(), model_, options);
+}
+
+bool ResidentScene::must_reload(const Scene& added) const {
+    return renderer_ && added.surfels.bends && !renderer_->scene().surfel_parameters().bends;
+}
+
+std::uint32_t ResidentScene::add_model(const Scene& added) {
+    if (!renderer_) return append_model(scene_, added, 0);
+    std::uint32_t model = 0;
+    if (must_reload(added)) {
+        const auto load = [&](const Scene& scene) {
+            past_.add_times(renderer_->stream().times());
+            renderer_.reset();  // frees memory first
+            renderer_.emplace(device_, scene, model_, options_);
+        };
+        const Scene before = renderer_->download_scene();
+        Scene scene = before;
+        model = append_model(scene, added, 0);
+        try {
+            load(scene);
+        } catch (const OutOfDeviceMemory&) {
+            load(before);
+            throw;
+        }
+    } else {
+        model = renderer_->append_model(added);
+    }
+    if (!scene_.models.empty()) append_model(scene_, added, 0);
+    return model;
+}
+
+void ResidentScene::add_instance(const ModelInstance& instance) {
+    if (renderer_) renderer_->append_instance(instance);
+    if (!scene_.models.empty()) scene_.instances.push_back(instance);
+}
+
+Scene ResidentScene::copy_model(std::uint32_t model) {
+    Scene copy;
+    copy.instances = {{0, "copy"}};
+    if (!renderer_) {
+        append_model(copy, scene_, model);
+        return copy;
+    }
+    const DeviceScene& scene = renderer_->scene();
+    copy.models = {scene.layout().models[model]};
+    SurfelModel& copied = copy.models.front();
+    copy.surfels = scene.surfel_parameters().download_range(copied.first, copied.count);
+    copied.first = 0;
+    return copy;
 }
 
 const KernelTimes& ResidentScene::kernel_times() {

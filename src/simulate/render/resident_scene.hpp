@@ -28,6 +28,15 @@ public:
     /// the same stream.
     /// @throws DeviceError if memory is exhausted
     std::unique_ptr<Renderer> copy_renderer();
+    /// Returns true if add_model() loads the scene again, because the model is a walking
+    /// actor and the scene has none.
+    bool must_reload(const Scene& added) const;
+    /// Adds the only model of another scene. See Renderer::append_model().
+    /// @return index of the model
+    std::uint32_t add_model(const Scene& added);
+    void add_instance(const ModelInstance& instance);
+    /// Returns a scene that contains only a copy of this model.
+    Scene copy_model(std::uint32_t model);
     const KernelTimes& kernel_times();
 
 private:
@@ -38,7 +47,6 @@ private:
     const ImageModel model_;
     const RendererOptions options_;
     const double memory_bytes_;
-    const bool has_model_copy_;
     Scene scene_;  ///< blocks and parts that always stay in memory; empty without blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order

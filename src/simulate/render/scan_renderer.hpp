@@ -6,6 +6,8 @@
 
 #include <deque>
 
+#include <relidar/simulate/device_points.hpp>
+
 #include "simulate/render/points_on_device.hpp"
 #include "simulate/render/resident_scene.hpp"
 #include "simulate/render/scan_plan.hpp"
@@ -31,6 +33,14 @@ struct PendingPoints {
     double step = 0.0;  ///< step to which intensities are rounded (IntensityScatterModel)
     std::shared_ptr<DevicePointComputer::PointReadbackSlot> points = {};
     Renderer* renderer = nullptr;
+    /// The points, if they stay on the device.
+    std::optional<DevicePoints> on_device = {};
+};
+
+/// Instance that spawn() has added. It is free if its actor has no name.
+struct SpawnSlot {
+    std::uint32_t source = 0;  ///< model that the instance has, or of which it has a copy
+    SpawnedActor actor = {};
 };
 
 struct ScanRenderer::Impl {
@@ -44,6 +54,9 @@ struct ScanRenderer::Impl {
     SurfaceClassMap class_map = {};
     /// Search tree of `class_map`. Null until the first scan with the channel "class".
     std::unique_ptr<const SurfaceClassLookup> class_finder = {};
+    std::vector<SpawnSlot> slots = {};  ///< in the order of their instances
+    /// Models of assets by the hash of their content.
+    std::map<std::uint64_t, std::uint32_t> asset_models = {};
     std::deque<PendingPoints> pending = {};  ///< requested scans, sorted from the oldest to the newest
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const Log& log);
@@ -66,8 +79,14 @@ struct ScanRenderer::Impl {
     RenderedScan render_sweep(const SimulatedSweep& sweep, SampleSeed seed);
 
     PendingPoints record_points(const SimulatedSweep& sweep, const Pose& dataset_from_points,
-                                const ScanRenderPlan& plan, SubmissionTiming timing);
+                                const ScanRenderPlan& plan, SubmissionTiming timing, PointMemory memory);
+    PendingPoints take_pending(PointMemory memory);
     RenderedPoints collect_points(PendingPoints& scan, LidarPoints memory = {});
+    DevicePoints collect_on_device(PendingPoints& scan);
+    DevicePoints upload_points(const RenderedPoints& points);
+    void check_new_name(const std::string& name) const;
+    std::uint32_t add_model(const Scene& model, const BoxTrack& box);
+    ActorHandle fill_slot(std::uint32_t source, SpawnedActor actor);
     void finish_pending();
     void wait_for_device() noexcept;
     bool has_channel(const std::string& name) const;

@@ -2,6 +2,7 @@
 #include "simulate/render/sweep.hpp"
 
 #include <cmath>
+#include <deque>
 
 #include <fmt/format.h>
 
@@ -72,18 +73,63 @@ SimulatedSweepBuilder::SimulatedSweepBuilder(const Config& config, const Scene& 
       layout_(strip_surfels(scene)),
       log_world_from_vehicle_(log.world_from_vehicle),
       shifted_(frames_with_shifts(log)),
+      n_logged_(scene.instances.size()),
       shown_(scene.instances.size(), true) {
     log_.lidars = log.lidars;
     log_.boxes = log.boxes;
     log_.world_offset_m = log.world_offset_m;
     log_.intensity_response = log.intensity_response;
+    std::unordered_map<std::string_view, std::size_t> boxes;
+    for (std::size_t i = 0; i < log_.boxes.size(); ++i) boxes.emplace(log_.boxes[i].id, i);
+    for (std::size_t i = 0; i < n_logged_; ++i) {
+        const std::string& track = layout_.instances[i].track;
+        const auto box = boxes.find(track);
+        box_of_.push_back(box == boxes.end() ? std::nullopt : std::optional(box->second));
+        if (!track.empty()) instance_of_.emplace(track, std::uint32_t(i));
+    }
+}
+
+void SimulatedSweepBuilder::add_model(const SurfelModel& model, const BoxTrack& box) {
+    layout_.models.push_back(model);
+    log_.boxes.push_back(box);
+}
+
+std::uint32_t SimulatedSweepBuilder::add_instance(std::uint32_t model) {
+    layout_.instances.push_back({model, ""});
+    shown_.push_back(true);
+    return std::uint32_t(layout_.instances.size() - 1);
+}
+
+void SimulatedSweepBuilder::name_instance(std::uint32_t instance, const std::string& name) {
+    std::string& track = layout_.instances[instance].track;
+    instance_of_.erase(track);
+    track = name;
+    if (!name.empty()) instance_of_.emplace(name, instance);
+}
+
+std::uint32_t SimulatedSweepBuilder::find_actor(const std::string& name) const {
+    const auto match = instance_of_.find(name);
+    if (match != instance_of_.end()) return match->second;
+    std::vector<std::string> names;
+    for (const ModelInstance& instance : layout_.instances)
+        if (!instance.track.empty()) names.push_back(instance.track);
+    fail<UsageError>("cannot find an actor: found track \"{}\", expected a track of the scene{}", name,
+                     names.empty() ? ", which has no actors" : did_you_mean(name, names, "\""));
+}
+
+SimulatedSweepBuilder::InstanceTracks SimulatedSweepBuilder::logged_tracks(double time_s) const {
+    InstanceTracks tracks(layout_.instances.size(), nullptr);
+    for (std::size_t i = 0; i < n_logged_; ++i)
+        if (box_of_[i] && log_.boxes[*box_of_[i]].is_observed(time_s))
+            tracks[i] = &log_.boxes[*box_of_[i]].world_from_box;
+    return tracks;
 }
 
 void SimulatedSweepBuilder::show_instances(const std::vector<bool>& shown) {
-    if (shown.size() != shown_.size())
+    if (shown.size() != n_logged_)
         fail<UsageError>("cannot select the objects to render: found {} values, expected {}", shown.size(),
-                         shown_.size());
-    shown_ = shown;
+                         n_logged_);
+    std::copy(shown.begin(), shown.end(), shown_.begin());
 }
 
 SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor, double time_s) const {
@@ -92,10 +138,9 @@ SimulatedSensor SimulatedSweepBuilder::follow_log(const SimulatedSensor& sensor,
 
 /// Makes a sweep for a sensor on a given track. Sets the vehicle track of the log so that
 /// the sensor follows `world_from_sensor`.
-/// @param world_from_actor poses of the actors; if null, uses the tracks of the run
 SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor, double time_s,
                                                   PoseTrack world_from_sensor,
-                                                  const ActorTracksByName* world_from_actor) {
+                                                  const InstanceTracks& world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
     log_.world_from_vehicle = mount_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = is_rolling(sensor, config_);
@@ -114,10 +159,10 @@ SimulatedSweep SimulatedSweepBuilder::along_track(const SimulatedSensor& sensor,
     if (log_.rolling_shutter) check_path(sweep);
     sweep.pose = sweep.world_from_sensor.pose_at(time_s);
     if (!log_.rolling_shutter) sweep.world_from_sensor = {{time_s}, {sweep.pose}};
-    sweep.instances = world_from_actor ? pose_instances(layout_, log_, now, *world_from_actor)
-                                       : pose_instances(layout_, log_, now);
+    sweep.instances = pose_instances(layout_, log_, now, world_from_actor);
     for (std::size_t i = 0; i < sweep.instances.size(); ++i)
-        sweep.instances[i].present = sweep.instances[i].present && shown_[i];
+        sweep.instances[i].present =
+            sweep.instances[i].present && shown_[i] && (i < n_logged_ || !layout_.instances[i].track.empty());
     return sweep;
 }
 
@@ -128,7 +173,7 @@ SimulatedSweep SimulatedSweepBuilder::on_recorded_path(const SimulatedSensor& se
     const bool is_elsewhere = offset.translation != glm::dvec3(0.0) || offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.lidar_track(sensor.lidar);
     return along_track(sensor, time_s, is_elsewhere ? mount_track(subdivide_turns(track), offset) : track,
-                       nullptr);
+                       logged_tracks(time_s));
 }
 
 SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, const ScanRequest& request) {
@@ -141,12 +186,26 @@ SimulatedSweep SimulatedSweepBuilder::of_request(const SimulatedSensor& sensor, 
              request.time_s, kMaxCoordinate);
     }
     PoseTrack world_from_sensor = in_world(request.dataset_from_sensor, "the sensor");
-    ActorTracksByName world_from_actor;
+    InstanceTracks tracks = request.dataset_from_actor ? InstanceTracks(layout_.instances.size(), nullptr)
+                                                       : logged_tracks(request.time_s);
+    std::deque<PoseTrack> world_from_actor;  // keeps its elements where they are
     if (request.dataset_from_actor)
-        for (const auto& [name, track] : *request.dataset_from_actor)
-            world_from_actor[name] = in_world(track, "actor " + name);
-    return along_track(sensor, request.time_s, std::move(world_from_sensor),
-                       request.dataset_from_actor ? &world_from_actor : nullptr);
+        for (const auto& [name, track] : *request.dataset_from_actor) {
+            static_cast<void>(find_actor(name));
+            const PoseTrack& moved = world_from_actor.emplace_back(in_world(track, "actor " + name));
+            const auto [first, last] = instance_of_.equal_range(name);
+            for (auto match = first; match != last; ++match) tracks[match->second] = &moved;
+        }
+    for (const auto& [actor, track] : request.placed) {
+        const auto instance = std::size_t(actor);
+        if (instance >= tracks.size() || layout_.instances[instance].track.empty())
+            fail<UsageError>(
+                "cannot place an actor: found the handle {}, expected that of an actor of the scene",
+                instance);
+        tracks[instance] =
+            &world_from_actor.emplace_back(in_world(track, "actor " + layout_.instances[instance].track));
+    }
+    return along_track(sensor, request.time_s, std::move(world_from_sensor), tracks);
 }
 
 float SimulatedSweepBuilder::permanent_drop(const SimulatedSensor& sensor, std::uint16_t channel,

@@ -3,6 +3,8 @@
 // poses of all instances during a sweep. Private to render.
 #pragma once
 
+#include <unordered_map>
+
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {
@@ -35,6 +37,16 @@ public:
     /// @throws DataError if poses or times are invalid
     SimulatedSweep of_request(const SimulatedSensor& sensor, const ScanRequest& request);
 
+    /// Adds a model or an absent instance to the layout.
+    /// @return index of the instance
+    void add_model(const SurfelModel& model, const BoxTrack& box);
+    std::uint32_t add_instance(std::uint32_t model);
+    /// Sets the name of an added instance. Without a name, it is always absent.
+    void name_instance(std::uint32_t instance, const std::string& name);
+    bool has_actor(const std::string& name) const { return instance_of_.contains(name); }
+    /// @throws UsageError if the scene has no actor with this name
+    std::uint32_t find_actor(const std::string& name) const;
+
     const Log& sequence() const { return log_; }
     const Scene& layout() const { return layout_; }
     bool is_background_shown() const {
@@ -47,14 +59,21 @@ public:
 
 private:
     const Config& config_;
-    const Scene layout_;  ///< models, instances and sensor drop, without surfels
-    Log log_;             ///< the log; during a sweep, its vehicle has the poses of this sweep
+    Scene layout_;  ///< models, instances and sensor drop, without surfels
+    Log log_;       ///< the log; during a sweep, its vehicle has the poses of this sweep
     const PoseTrack log_world_from_vehicle_;
     const std::vector<Frame> shifted_;
-    std::vector<bool> shown_;  ///< [instances]
+    const std::size_t n_logged_;  ///< number of instances of the run; others were added
+    std::vector<bool> shown_;     ///< [instances]
+    /// Actors by name. Instances with the same track have separate entries.
+    std::unordered_multimap<std::string, std::uint32_t> instance_of_;
+    std::vector<std::optional<std::size_t>> box_of_;  ///< [n_logged_] index in Log::boxes
 
+    /// [instances] null if absent
+    using InstanceTracks = std::vector<const PoseTrack*>;
+    InstanceTracks logged_tracks(double time_s) const;
     SimulatedSweep along_track(const SimulatedSensor& sensor, double time_s, PoseTrack world_from_sensor,
-                               const ActorTracksByName* world_from_actor);
+                               const InstanceTracks& world_from_actor);
 };
 
 }  // namespace relidar

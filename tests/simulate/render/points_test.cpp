@@ -8,6 +8,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/read/dataset.hpp>
+#include <relidar/simulate/device_points.hpp>
 #include <relidar/simulate/place_points.hpp>
 
 #include "../../support/device.hpp"
@@ -225,6 +226,44 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
         if (k % 4 == 1) renderer->render(sensors[0], {middle_s(), bend(), ActorTracksByName{}});
         expect_equal(renderer->wait_for_points(), expected[k], "scan " + std::to_string(k));
     }
+}
+
+/// The host computes the points of scans with a random sample.
+TEST_F(PointsOfScans, OnTheDeviceAreThoseOnTheHost) {
+    make_renderer();
+    using enum ScanRenderer::SubmissionTiming;
+    using enum ScanRenderer::PointMemory;
+    std::vector<PointRequest> wishes = rig();
+    wishes[3].sample = 7;
+    const auto submit = [&](const PointRequest& wish, ScanRenderer::PointMemory memory) {
+        renderer->submit_points(wish.sensor, wish.request, wish.points_at_s, wish.sample, now, memory);
+    };
+    std::vector<RenderedPoints> expected;
+    for (const PointRequest& wish : wishes) expected.push_back(alone(wish));
+    for (const PointRequest& wish : wishes) submit(wish, device);
+    std::vector<DevicePoints> actual;
+    for (std::size_t k = 0; k < wishes.size(); ++k) actual.push_back(renderer->wait_for_device_points());
+    for (std::size_t k = 0; k < wishes.size(); ++k) {
+        const LidarPoints& e = expected[k].points;
+        EXPECT_EQ(actual[k].n_rays, expected[k].n_rays);
+        EXPECT_EQ(actual[k].dataset_from_points.translation, e.world_from_points.translation);
+        ASSERT_EQ(actual[k].n_points, e.size());
+        const std::vector<shared::ReturnedPoint> points = actual[k].points.download(actual[k].n_points);
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            ASSERT_EQ(points[i].position, e.position_m[i]) << k << " " << i;
+            ASSERT_EQ(points[i].intensity, e.intensity[i]) << k << " " << i;
+            ASSERT_EQ(points[i].time_offset_s, e.time_offset_s[i]);
+            ASSERT_EQ(points[i].ring, e.ring[i]);
+            ASSERT_EQ(std::int32_t(points[i].instance), e.instance[i]);
+        }
+    }
+    submit(wishes[0], device);
+    EXPECT_THROW(renderer->wait_for_points(), UsageError);
+    renderer->set_parallel(1);  // waits for pending scans, which stay on the device
+    EXPECT_EQ(renderer->wait_for_device_points().n_points, expected[0].points.size());
+    submit(wishes[0], host);
+    EXPECT_THROW(renderer->wait_for_device_points(), UsageError);
+    expect_equal(renderer->wait_for_points(), expected[0], "host");
 }
 
 /// More scans than fit into a batch, exactly as many, and fewer. A further batch is read

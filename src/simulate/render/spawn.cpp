@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0 Adds actors to a scene that is being rendered, and
+// removes them. An added instance stays in the scene: after despawn(), it is a free slot
+// for the next actor with the same model.
+
+#include <relidar/run/run.hpp>
+#include <relidar/simulate/assets.hpp>
+
+#include "base/fail.hpp"
+#include "base/random.hpp"
+#include "simulate/render/render_lanes.hpp"
+#include "simulate/render/scan_renderer.hpp"
+
+namespace relidar {
+namespace {
+
+/// Returns a hash of everything that a renderer reads from a model.
+std::uint64_t hash_model(const Scene& model) {
+    const SurfelModel& facts = model.models.front();
+    std::uint64_t hash = facts.count;
+    const auto add_floats = [&](std::span<const float> values) {
+        const std::string_view bytes(reinterpret_cast<const char*>(values.data()), values.size_bytes());
+        hash = hash_pair(hash, std::hash<std::string_view>{}(bytes));
+    };
+    for (const SurfelParameterGroup& group : list_groups(model.surfels.parameters_used()))
+        add_floats(group.values(model.surfels));
+    add_floats(std::array{facts.half_size_m.x, facts.half_size_m.y, facts.half_size_m.z, facts.stride_m});
+    return hash;
+}
+
+}  // namespace
+
+void ScanRenderer::Impl::check_new_name(const std::string& name) const {
+    if (name.empty() || name == "background" || name == "actors" || sweeps.has_actor(name))
+        fail<UsageError>("cannot spawn an actor: found the name \"{}\", expected one that is not in use",
+                         name);
+}
+
+/// Adds a model to all copies of the scene.
+std::uint32_t ScanRenderer::Impl::add_model(const Scene& model, const BoxTrack& box) {
+    // The copies use the stream of the renderer, so they are removed before it.
+    if (scene.must_reload(model)) lanes->remove_copies();
+    const std::uint32_t index = scene.add_model(model);
+    lanes->change_copies([&](Renderer& copy) { copy.append_model(model); });
+    sweeps.add_model(model.models.front(), box);
+    return index;
+}
+
+/// Gives an actor a free instance of its model, or a new one.
+ActorHandle ScanRenderer::Impl::fill_slot(std::uint32_t source, SpawnedActor actor) {
+    const auto n_logged = std::uint32_t(sweeps.layout().instances.size() - slots.size());
+    auto slot = std::ranges::find_if(
+        slots, [&](const SpawnSlot& s) { return s.source == source && s.actor.name.empty(); });
+    if (slot == slots.end()) {
+        const bool shares =
+            config.image.sh_direction == ShDirection::ray && sweeps.layout().models[source].stride_m <= 0.0f;
+        const bool is_used = std::ranges::find(sweeps.layout().instances, source, &ModelInstance::model) !=
+                             sweeps.layout().instances.end();
+        ModelInstance instance{source, actor.name};
+        if (!shares && is_used) instance.model = add_model(scene.copy_model(source), {});
+        scene.add_instance(instance);
+        lanes->change_copies([&](Renderer& copy) { copy.append_instance(instance); });
+        sweeps.add_instance(instance.model);
+        slots.push_back({source});
+        slot = slots.end() - 1;
+    }
+    const auto handle = n_logged + std::uint32_t(slot - slots.begin());
+    sweeps.name_instance(handle, actor.name);
+    actor.handle = ActorHandle(handle);
+    slot->actor = std::move(actor);
+    return slot->actor.handle;
+}
+
+ActorHandle ScanRenderer::spawn(const std::string& actor, const std::string& name) {
+    Impl& s = *impl_;
+    s.check_new_name(name);
+    const std::uint32_t instance = s.sweeps.find_actor(actor);
+    s.finish_pending();
+    const auto slot = std::ranges::find(s.slots, actor, [](const SpawnSlot& one) { return one.actor.name; });
+    if (slot != s.slots.end())
+        return s.fill_slot(slot->source, {{}, name, slot->actor.category, slot->actor.size_m});
+    const BoxTrack* box = find_box(s.sweeps.sequence(), actor);
+    SpawnedActor spawned{{}, name};
+    if (box) {
+        spawned.category = box->category;
+        spawned.size_m = box->size_m;
+    }
+    return s.fill_slot(s.sweeps.layout().instances[instance].model, std::move(spawned));
+}
+
+ActorHandle ScanRenderer::spawn(const Run& asset, const std::string& name) {
+    Impl& s = *impl_;
+    s.check_new_name(name);
+    const std::string track = only_track(asset);
+    const auto instance = std::ranges::find(asset.scene.instances, track, &ModelInstance::track);
+    Scene model;
+    model.instances = {{0, track}};
+    append_model(model, asset.scene, instance->model);
+    const BoxTrack* logged = find_box(asset.sequence, track);
+    BoxTrack box = logged ? *logged : BoxTrack{};
+    const SpawnedActor actor{{}, name, box.category, box.size_m};
+    s.finish_pending();
+    const std::uint64_t hash = hash_model(model);
+    auto known = s.asset_models.find(hash);
+    if (known == s.asset_models.end()) {
+        // The channel "class" finds the box of a spawned actor by the name of its model.
+        box = {.id = fmt::format("spawned model {}", hash), .category = box.category, .world_from_box = {}};
+        model.models.front().name = box.id;
+        known = s.asset_models.emplace(hash, s.add_model(model, box)).first;
+    }
+    return s.fill_slot(known->second, actor);
+}
+
+void ScanRenderer::despawn(const std::string& name) {
+    Impl& s = *impl_;
+    const auto slot = std::ranges::find(s.slots, name, [](const SpawnSlot& one) { return one.actor.name; });
+    if (name.empty() || slot == s.slots.end())
+        fail<UsageError>("cannot despawn \"{}\": no spawned actor has this name", name);
+    s.sweeps.name_instance(std::uint32_t(slot->actor.handle), "");
+    slot->actor.name.clear();
+}
+
+std::vector<SpawnedActor> ScanRenderer::spawned() const {
+    std::vector<SpawnedActor> actors;
+    for (const SpawnSlot& slot : impl_->slots)
+        if (!slot.actor.name.empty()) actors.push_back(slot.actor);
+    return actors;
+}
+
+ActorHandle ScanRenderer::find_actor(const std::string& name) const {
+    return ActorHandle(impl_->sweeps.find_actor(name));
+}
+
+}  // namespace relidar
